@@ -61,7 +61,7 @@ class Exit(IntEnum):
     USAGE = 2, "usage error"
     BAD_INPUT = 3, "invalid input"
     UNDECIDED = 4, "no convergence, or a decision is needed"
-    INACCURATE = 5, "--max-error exceeded"
+    INACCURATE = 5, "required accuracy not reached"
     CHANGED = 6, "the robot no longer matches the model"
     INTERRUPTED = 130, "interrupted"
 

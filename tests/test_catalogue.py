@@ -20,7 +20,7 @@ from pincal.errors import BadInputError
 from pincal.io.discovery_file import EffectName
 from pincal.io.entries import EFFECTS as REGISTERED
 from pincal.io.entries import ModelEntry, effect_from_entry, effect_to_entry, plain, restoring
-from pincal.io.strict_json import MODEL_FILE, decode
+from pincal.io.strict_json import MODEL_FILE, built
 from pincal.measure.approach import moves_by_order
 from pincal.model import catalogue
 from pincal.model.catalogue import (
@@ -180,7 +180,7 @@ def surrounded(effect: Effect, chain: Chain, *, equilibrium: bool = False) -> Mo
 def written_and_read(model: Model) -> Model:
     """Return a model written as JSON and read again."""
     text = json.dumps(plain(ModelEntry.of_model(model)))
-    return decode(text.encode(), ModelEntry, MODEL_FILE, file="model.json", hook=restoring()).model()
+    return built(text.encode(), ModelEntry, MODEL_FILE, file="model.json", hook=restoring()).model()
 
 
 def units_of(model: Model, conditions: Conditions) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -134,18 +134,19 @@ class Caveat:
 
     Attributes:
         kind: what was found.
-        figures: its particulars, by the names in the text of the kind.
+        figures: its particulars, by the names in the text of the kind; ``count`` and ``lines`` are those of the rows.
         station: name of the station that it is about; "" for all of them.
         rows: lines of the rows concerned, if any.
     """
 
     kind: CaveatKind
-    figures: Mapping[str, Any] = field(default_factory=dict)
+    figures: dict[str, Any] = field(default_factory=dict)
     station: str = ""
     rows: tuple[int, ...] = ()
 
     def __str__(self) -> str:
-        words = self.kind.value.format(**self.figures)
+        lines = ", ".join(map(str, self.rows[:_LISTED])) + " ..." * (len(self.rows) > _LISTED)
+        words = self.kind.value.format(**{"count": len(self.rows), "lines": lines} | self.figures)
         return f"{self.station}: {words}" if self.station else words
 
     @property
@@ -257,36 +258,26 @@ def findings_on_outliers(
         table: the fitted rows.
         rejected: shape (N,), which of them were rejected.
     """
-    lines = table.rows[rejected].tolist()
-    figures = {"count": len(lines), "rows": len(table), "lines": _listed(lines)}
-    found = [Caveat(CaveatKind.OUTLIERS, figures, station.name, tuple(lines))] if lines else []
+
+    def about(kind: CaveatKind, some: np.ndarray, **figures: Any) -> Caveat:
+        return Caveat(kind, figures, station.name, tuple(table.rows[some].tolist()))
+
+    found = [about(CaveatKind.OUTLIERS, rejected)] if rejected.any() else []
     if rejected.mean() >= _MANY:
         common = in_common(station, values, table, rejected) or "no common cause was found"
-        found = [Caveat(CaveatKind.MANY_OUTLIERS, figures | {"common": common}, station.name, tuple(lines))]
+        found = [about(CaveatKind.MANY_OUTLIERS, rejected, rows=len(table), common=common)]
     elif (gathered := gathering_of(station, rejected)) is not None:
         where, unit = "in one stretch of the table", _unit_of(station, gathered)
         if unit:
             low, high = ((np.degrees(x) if unit == "rad" else x) for x in (gathered.low, gathered.high))
             where = f"where {gathered.variable} is {low:.4g} to {high:.4g} {'deg' if unit == 'rad' else unit}"
-        here = table.rows[gathered.rows].tolist()
-        figures = {"count": len(here), "rows": len(lines), "where": where, "lines": _listed(here)}
-        found.append(Caveat(CaveatKind.GATHERED, figures, station.name, tuple(here)))
+        found.append(about(CaveatKind.GATHERED, gathered.rows, rows=int(rejected.sum()), where=where))
     if (bump := bump_in(station, values)) is not None:
         assert bump.size is not None
-        per = _unit_of(station, bump)
-        scale = float(np.degrees(1.0)) if per == "rad" else 1e3
-        here = table.rows[bump.rows].tolist()
-        figures = {
-            "joint": bump.variable,
-            "low": scale * bump.low,
-            "high": scale * bump.high,
-            "unit": "deg" if per == "rad" else "mm",
-            "count": len(here),
-            "size": 1e3 * abs(bump.size),
-            "per": per,
-            "lines": _listed(here),
-        }
-        found.append(Caveat(CaveatKind.BUMP, figures, station.name, tuple(here)))
+        per, turns = _unit_of(station, bump), _unit_of(station, bump) == "rad"
+        low, high = ((float(np.degrees(x)) if turns else 1e3 * x) for x in (bump.low, bump.high))
+        span = {"joint": bump.variable, "low": low, "high": high, "unit": "deg" if turns else "mm"}
+        found.append(about(CaveatKind.BUMP, bump.rows, size=1e3 * abs(bump.size), per=per, **span))
     if change := change_in(station, values, free, table.rows):
         found.append(Caveat(CaveatKind.STEP, {"line": change.line, "what": change}, station.name, (change.line,)))
     return found
@@ -306,15 +297,8 @@ def findings_on_held_out(test: Station | None, values: np.ndarray, table: Measur
     far = errors > _FAR * np.median(errors)
     if not far.any():
         return []
-    lines = table.rows[far].tolist()
-    figures = {
-        "count": int(far.sum()),
-        "rows": len(errors),
-        "largest": float(errors.max()),
-        "mean": float(errors[~far].mean()),
-        "lines": _listed(lines),
-    }
-    return [Caveat(CaveatKind.FAR_OFF, figures, test.name, tuple(lines))]
+    figures = {"rows": len(errors), "largest": float(errors.max()), "mean": float(errors[~far].mean())}
+    return [Caveat(CaveatKind.FAR_OFF, figures, test.name, tuple(table.rows[far].tolist()))]
 
 
 def findings_on_replicates(lack: LackOfFit | None, p_value: float | None) -> list[Caveat]:
@@ -331,7 +315,3 @@ def findings_on_replicates(lack: LackOfFit | None, p_value: float | None) -> lis
     if p_value is not None and p_value < MISFIT:
         return [Caveat(CaveatKind.NOISY_REPLICATES, {"test": lack})]
     return []
-
-
-def _listed(lines: Sequence[int]) -> str:
-    return ", ".join(map(str, lines[:_LISTED])) + " ..." * (len(lines) > _LISTED)

@@ -219,16 +219,13 @@ def _moved(told: _StationsInformation) -> tuple[int, ...]:
 def _course(station: np.ndarray, values: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[int, float, float, bool]]:
     """Yield station, change since the first, its standard deviation, and whether it came since the station before."""
     yield int(station[0]), 0.0, 0.0, False
+    own = np.diag(covariance)
     for i in range(1, len(station)):
-        (change, variance), (step, of_step) = (_between(j, i, values, covariance) for j in (0, i - 1))
-        moved = chdtrc(1, step**2 / of_step) < _ALPHA / (len(station) - 1)
-        yield int(station[i]), change, float(np.sqrt(variance)), bool(moved)
-
-
-def _between(i: int, j: int, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-    """Return the difference of two values and its variance."""
-    variance = covariance[i, i] + covariance[j, j] - 2.0 * covariance[i, j]
-    return float(values[j] - values[i]), float(max(variance, 1e-300))
+        since = np.array([0, i - 1])
+        variance = np.maximum(own[since] + own[i] - 2.0 * covariance[since, i], 1e-300)
+        change, step = values[i] - values[since]
+        moved = chdtrc(1, step**2 / variance[1]) < _ALPHA / (len(station) - 1)
+        yield int(station[i]), float(change), float(np.sqrt(variance[0])), bool(moved)
 
 
 def _of_station(fit: ModelFit, k: int) -> Iterator[MovedParameter]:

@@ -21,7 +21,6 @@ from pincal.identify.fit import Priors, Solution
 from pincal.identify.initial import place_arm
 from pincal.identify.noise import Noise
 from pincal.identify.normal import accumulate
-from pincal.identify.options import Options
 from pincal.identify.posterior import eliminate
 from pincal.identify.problem import Problem
 from pincal.identify.solve import solve
@@ -139,8 +138,7 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
     check_placeable(measurements, setup)
     measurements, as_recorded = known.of_its_day(measurements), measurements
     arm = known.with_effects(lambda effect: effect.scope == "robot")
-    x, y, z = map(float, known.payload_centre)
-    options = Options(payload_centre=(x, y, z), setup=setup)
+    options = known.options(setup=setup)
     ((station, start),) = place_arm(arm.model, arm.model_values, {"": measurements}, options=options)
     problem = Problem((station,))
     free = station.is_own.copy()

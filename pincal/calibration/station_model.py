@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from pincal.calibration.covered import Covered, Outside, OutsideCurve, Turned, curves_at, of_the_day
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import BadInputError, MeasurementError
+from pincal.identify.options import Options
 from pincal.identify.station import Station, conditions_of, station_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.setup import Setup
@@ -153,6 +154,11 @@ class StationModel:
         """Return what is done about effects that follow a temperature or time that rows lack."""
         full = self.of_its_day(self.conditions(rows))
         return tuple(self.note_on(effect, rows.source, full)[1] for effect in self.unrecorded(rows))
+
+    def options(self, **others: Any) -> Options:
+        """Return what is known beforehand of a station like that of the calibration, with other options."""
+        x, y, z = map(float, self.payload_centre)
+        return Options(payload_centre=(x, y, z), **{"setup": self.setup} | others)
 
     def reads(self, measurements: Measurements) -> bool:
         """Return whether it predicts measurements of this kind: its own, or any if it needs no sensor's parameters."""

@@ -14,7 +14,6 @@ from pincal.calibration.covered import curves_at
 from pincal.calibration.placing import FrameShift, Placed, expected_noise, place_station
 from pincal.errors import BadInputError
 from pincal.identify.initial import links_of
-from pincal.identify.options import Options
 from pincal.identify.station import Station, known_rows, together
 from pincal.measure.admit import scorable, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
@@ -250,7 +249,7 @@ def doubt_of(table: Measurements, placed: Placed) -> str:
         errors = next(iter(pose_errors(station.select(rows), values).values()))
         off = f"{table.source}: off by {errors.mean():.3g} mm wherever instrument and target stand"
         if left.is_far(factor):
-            mixed = mix_up(table, station, values, options=_options(known))
+            mixed = mix_up(table, station, values, options=known.options(effects=()))
             beyond = f"{off}, {left.ratio:.3g} times what noise and the uncertainty of the calibration allow"
             return f"{beyond}; {mixed}" if mixed else beyond
         if factor != _UNSEEN and (nominal := _as_good(table, placed, left=left, rows=rows)) is not None:
@@ -261,15 +260,9 @@ def doubt_of(table: Measurements, placed: Placed) -> str:
 def _as_good(table: Measurements, placed: Placed, *, left: Misfit, rows: np.ndarray) -> float | None:
     """Return the nominal robot's mean error [m] if it explains rows as well as the calibrated one; else None."""
     known, station = placed.model, placed.station
-    nominal = nominal_displacements(known.model.chain.robot, table, _options(known))[rows]
+    nominal = nominal_displacements(known.model.chain.robot, table, known.options(effects=()))[rows]
     size = station.sensor.blocks[0].size
     allowed = left.allowed * known.sigma[0] * np.sqrt(size) * station.metres_per_reading(placed.values)
     if belongs_to_other_robot(station.displacements(placed.values)[rows], nominal, allowed=float(allowed)):
         return float(np.linalg.norm(nominal, axis=1).mean())
     return None
-
-
-def _options(known: CalibratedModel) -> Options:
-    """Return how the nominal robot is placed beside the calibrated one."""
-    x, y, z = map(float, known.payload_centre)
-    return Options(effects=(), payload_centre=(x, y, z), setup=known.setup)

@@ -61,7 +61,7 @@ def pair(text: str, expected: str, *, sign: str = "=") -> tuple[str, str]:
     """Return the two sides of NAME=VALUE, blanks about them left out.
 
     Raises:
-        click.BadParameter: if one is missing; it says what is expected.
+        click.BadParameter: if one is missing, with what is expected.
     """
     name, found, value = (word.strip() for word in text.partition(sign))
     if not (name and found and value):

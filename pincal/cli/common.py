@@ -142,21 +142,21 @@ gravity_option = partial(
 )
 mass_option = partial(
     option,
-    "Mass of the whole robot with its base [kg], as on its data sheet: masses of links are then found from the data.",
+    "Total mass of the robot including its base [kg], from its data sheet: the masses of the links are then estimated.",
     metavar="KG",
     words="those of the URDF, if it has any",
 )
 coupling_option = partial(
     option,
-    "Joint whose controller reports its position less that of another: it is what it reports plus (+) or minus (-) that "
-    "one, or a part such as -1/3*joint_4.",
+    "Coupled joint: its position is the reported one plus (+) or minus (-) that of another joint, or a fraction of it such "
+    "as -1/3*joint_4.",
     (),
     metavar="joint_3=+joint_2",
     name="--coupling",
 )
-sign_option = partial(option, "Joint that counts the other way than the URDF has it.", (), metavar="JOINT", name="--sign")
+sign_option = partial(option, "Joint whose sign is opposite to that of the URDF.", (), metavar="JOINT", name="--sign")
 model_argument = partial(argument, "MODEL.json", "Calibrated model, as written by calibrate or discover.")
-station_option = partial(option, "Take the place of instrument and targets at this station of the model.", metavar="NAME")
+station_option = partial(option, "Use the placement of instrument and targets of this station of the model.", metavar="NAME")
 
 
 def _load_plugins(context: click.Context, parameter: click.Parameter, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -198,15 +198,15 @@ class TableArguments:
     """How tables are to be read."""
 
     columns: dict[str, str] | None = option(
-        "Map columns to the quantities that they hold.", type=columns, metavar=_COLUMNS, words="as they are named"
+        "Map columns to the quantities that they hold.", type=columns, metavar=_COLUMNS, words="by their names"
     )
     orientation: Literal["kuka", "fanuc", "abb", "ur", "rpy", "xyzw", "wxyz"] | None = option(
         "Convention of the orientation: A B C, W P R, q1..q4, rx ry rz, roll pitch yaw, or a quaternion in this order.",
         words="from the names of its columns",
     )
     joints: Path | None = option(
-        "Log of the joint positions, if the table lacks them: joined by a column that both have, by time while the pose is "
-        "held still, or by order.",
+        "Log of the joint positions, if the table lacks them: joined by a common column, by time while the pose is held "
+        "still, or by order.",
         metavar="LOG",
     )
     ignore: tuple[str, ...] = option("Ignore this column of the table.", (), metavar="COLUMN")
@@ -214,8 +214,8 @@ class TableArguments:
         "Worksheet of an Excel workbook.", metavar="NAME", words="the first that has columns of joints"
     )
     rows_in_order: bool = option(
-        "Rows are in the order of measurement, or of their times: a joint without a column approach_<joint> arrived from "
-        "its position in the row before.",
+        "Rows are in the order of measurement, or their times give it: the approach direction of a joint without a column "
+        "approach_<joint> follows from the previous row.",
         False,
     )
 
@@ -304,7 +304,7 @@ class InputOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PlaceOptions:
-    """Where instrument and target stand, if that is not where they were calibrated."""
+    """Where instrument and target are, if not where they were calibrated."""
 
     placement: Path | None = option("Locate instrument and target from these few measured rows.", metavar="FEW.csv")
     station: str | None = station_option(words="the only one")
@@ -312,7 +312,7 @@ class PlaceOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelOptions:
-    """The model and the loads that bend it."""
+    """The model and its loads."""
 
     model: Literal["geometric", "elastic"] = option("Geometry alone, or with elasticity of joints and bearings.", "elastic")
     moment_frame: Literal["auto", "paper", "before", "after"] = option(
@@ -378,9 +378,9 @@ class FitOptions:
     fix: tuple[str, ...] = option(
         "Hold this parameter at nominal: a name such as joint_2.s_x, or a pattern such as '*.s_x'.", (), metavar="NAME"
     )
-    free: tuple[str, ...] = option("Fit this parameter, or those of a pattern, without a prior.", (), metavar="NAME")
+    free: tuple[str, ...] = option("Fit this parameter, or all that match a pattern, without a prior.", (), metavar="NAME")
     prior: tuple[str, ...] = option(
-        "Standard deviation from nominal that is expected of this parameter, or of those of a pattern: '*.theta=2mrad', "
+        "Expected standard deviation from nominal of this parameter, or of all that match a pattern: '*.theta=2mrad', "
         "'joint_3.k_drive=0.2urad/Nm'.",
         (),
         metavar="NAME=SIZE",
@@ -389,9 +389,9 @@ class FitOptions:
     stages: Literal["joint", "paper"] = option("Fit all parameters jointly, or in the paper's four stages.", "joint")
     loss: Literal["screen", "huber", "none"] = option("Outlier handling: reject, down-weight (Huber), or none.", "screen")
     zeros: str | None = option(
-        "Zeros of joints of which nothing is known: unknown for all of them, or unknown:joint_3,joint_5.",
+        "Joints whose zeros are unknown altogether: unknown for all, or unknown:joint_3,joint_5.",
         metavar="unknown[:JOINT,...]",
-        words="within some mrad of the URDF's, unless the data show otherwise",
+        words="within a few mrad of the URDF's, unless the data show otherwise",
     )
     length_bound: float = option("Largest allowed deviation of a length from nominal.", 0.01, type=LENGTH, words="10mm")
 
@@ -408,7 +408,7 @@ class FitOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationOptions:
-    """All that says how a table of measurements is fitted."""
+    """All options of how a table of measurements is fitted."""
 
     model: ModelOptions = group("Model")
     setup: SetupOptions = group("Measurement setup")
@@ -421,8 +421,8 @@ class SplitOptions:
 
     test_fraction: float = option("Fraction of rows held out.", 0.25)
     split: Literal["both", "random", "blocked", "station"] = option(
-        "Hold out whole regions of joint space and stretches of consecutive rows, of which the one that is predicted worse "
-        "leads; or rows at random, regions alone (blocked), or each station in turn (predicted by the others).",
+        "Hold out whole regions of joint space and stretches of consecutive rows, and report the worse of the two first; or "
+        "rows at random, regions alone (blocked), or each station in turn (predicted by the others).",
         "both",
     )
     holdout: Path | None = option("Validate on this table instead; all rows of DATA are fitted.")

@@ -44,8 +44,8 @@ Examples:
   pincal compensate results/model.json weld.src --out corrected/weld.src --tool 'TOOL_DATA[1]=0,0,250,0,0,0'
 
 TARGETS may be a controller's program: KUKA .src and .dat, ABB .mod, .prg and .sys, FANUC .ls, Universal
-Robots .script, Yaskawa .jbi. Nothing but its numbers changes; points that are not understood are named
-and stay as they were. What follows is of tables.
+Robots .script, Yaskawa .jbi. Only its numbers change; points that can't be interpreted are listed and left
+unchanged. The rest applies to tables.
 
 TARGETS.csv has the wanted target position x y z (and orientation qx qy qz qw) in the instrument's
 frame, joint positions to start from, and, where they matter, payload, target, temperature, time and
@@ -57,12 +57,15 @@ nominal robot would reach, in its base frame. Without joint positions, the searc
 FILE.csv has the joint positions to command, the wanted pose, the remaining error predicted by the
 model (error_mm, error_mrad), the uncertainty of the model in this frame (sigma_mm), the largest
 change of a joint from its start (change_max, rad or m; if any is more than --max-change, the column
-large_change is 1 in these rows: look at them before the robot moves) and a status:
+large_change is 1 in these rows: check them before the robot moves) and a status:
+
+\b
   ok           reached
   singular     a small correction would need large joint motions; the joints stay close to their
                start, and position has priority over orientation
   joint_limit  a joint stops at its limit
   unreachable  no joint positions were found
+
 Rows that are not ok hold the closest pose within the limits and are listed on stderr. The exit code
 is 4 if no row is ok or, with --strict, if any row is not.
 """
@@ -73,7 +76,7 @@ class _AtPlace:
     """What both take."""
 
     model: Path = model_argument()
-    place: PlaceOptions = group("Place of instrument and target")
+    place: PlaceOptions = group("Placement of instrument and target")
     table: TableArguments = group("Tables")
     general: GeneralOptions = group("General")
 
@@ -128,7 +131,7 @@ class CompensateArguments(_AtPlace):
     """Arguments of compensate."""
 
     targets: Path = argument(
-        "TARGETS.csv", "Wanted poses with or without seeds, a nominal program, or a controller's program."
+        "TARGETS.csv", "Wanted poses with or without start values, a nominal program, or a controller's program."
     )
     out: Path = option("Table or program to write.", MISSING)
     frame: Literal["instrument", "base"] = option(
@@ -136,7 +139,7 @@ class CompensateArguments(_AtPlace):
     )
     free_orientation: bool = option("Reach the positions x y z in any orientation.", False)
     seed_joints: str | None = option(
-        "Joint positions to start from, for tables without: rad or m, or degrees with 'deg' at the end.",
+        "Joint positions to start from, if the table has none: rad or m, or degrees with 'deg' at the end.",
         metavar='"Q1 Q2 ..."',
         words="middle of the joint ranges",
     )
@@ -159,7 +162,7 @@ class CompensateArguments(_AtPlace):
 def compensate(arguments: CompensateArguments) -> Exit:
     """Find the joint positions that reach wanted poses.
 
-    Of all that bring the real robot there, the closest to those given are chosen.
+    Of all solutions for the real robot, the one closest to the given joint positions is chosen.
     """
     from pincal.cli.inputs import find_place, print_doubt
     from pincal.cli.progress import end_progress
@@ -335,7 +338,7 @@ def _failures(result: dict[str, Any]) -> Iterator[str]:
     turn = result["turn"]
     if turn["unreached"]:
         yield (
-            f"this arm has too few joints to turn the target {turn['unreached']} where it stands: positions are reached, "
+            f"this arm has too few joints to turn the target {turn['unreached']} in place: positions are reached, "
             f"orientations stay off by up to {turn['max_mrad']:.3f} mrad (line {turn['line']})"
         )
     for row in result["not_ok"][:_SHOWN]:

@@ -31,7 +31,7 @@ def _named(text: str) -> tuple[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class ProgramOptions:
-    """What a controller's program does not say of its cell."""
+    """What a controller's program does not state of its cell."""
 
     tools: tuple[tuple[str, str], ...] = option(
         "Values of a tool that the program names or numbers.", (), name="--tool", type=_named, metavar="NAME=X,Y,Z,..."

@@ -28,13 +28,13 @@ Examples:
   pincal export results/model.json --page corrector.html
   pincal export results/model.json --frames kuka
 
-Each file is read back and compared with the model before it is written (of --c and --page their formulas: C
-would need a compiler), and says what it can't carry. --c, --python and --page carry every effect of the model
-and compensate, too; the others carry the geometry, --mjcf springs, too. --urdf, --mjcf, --dh and
---ur-kinematics are of the robot alone and need no --station.
+Before a file is written, it is read back and compared with the model (for --c and --page, their formulas); it
+lists what it can't represent. --c, --python and --page represent every effect of the model and also compensate;
+the others represent the geometry, --mjcf also the elasticity as springs. --urdf, --mjcf, --dh and --ur-kinematics
+describe the robot alone and need no --station.
 
---page is for a browser without a network: drop a table or a URScript program, save it corrected. The file of
---python is a program as well: python arm.py program.csv corrected.csv
+--page works in a browser without a network: drop a table or a URScript program, save it corrected. The file of
+--python is also a program: python arm.py program.csv corrected.csv
 """
 
 
@@ -62,14 +62,16 @@ class ExportArguments:
     dh: Path | None = option(
         "Write Denavit-Hartenberg parameters, standard and modified.", metavar="FILE.csv", type=Output(".csv")
     )
-    frames: Literal["kuka", "fanuc", "abb", "ur"] | None = option("Print base and tool as a controller has them.")
+    frames: Literal["kuka", "fanuc", "abb", "ur"] | None = option(
+        "Print base and tool frames in the convention of a controller."
+    )
     camera: Path | None = option(
         "Write the camera, parameters and mount, as calibrate reads it.", metavar="FILE.json", type=Output(".json")
     )
     frame: Literal["instrument", "base"] = option(
         "Frame of the poses in --c, --python and --page: the instrument's or the robot's base.", "instrument"
     )
-    place: PlaceOptions = group("Place of instrument and target")
+    place: PlaceOptions = group("Placement of instrument and target")
     table: TableArguments = group("Table of --placement")
     general: GeneralOptions = group("General")
 

@@ -322,7 +322,7 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
     """Return the model of a file at the place that the command line asks for.
 
     Raises:
-        BadInputError: if the station is not in the model, none is chosen of several, or rows don't tell a new place.
+        BadInputError: if the station is not in the model, none is chosen of several, or rows do not give a new one.
     """
     if chosen.placement is not None and chosen.station is not None:
         raise click.UsageError("--placement identifies a new pose, --station takes one of the model; give one of them")

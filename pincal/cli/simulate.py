@@ -115,7 +115,6 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
 
 
 def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> Campaign:
-    from pincal.cli.inputs import load_table
     from pincal.simulate.request import Repetition, Stream, draw_setup, poses_of_table, repeat_poses
     from pincal.simulate.setup import Campaign
 
@@ -124,6 +123,8 @@ def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) 
     rng = Stream.LAYOUT.generator(arguments.setup_seed)
     setup = draw_setup(arguments.kind, machine.nominal, rng=rng, options=arguments.setup_options())
     if given.at is not None:
+        from pincal.cli.inputs import load_table
+
         q, conditions = poses_of_table(load_table(robot, given.at, joints_only=True))
     else:
         rng = Stream.POSES.generator(arguments.pose_seed)

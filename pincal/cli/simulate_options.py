@@ -133,12 +133,12 @@ class CampaignArguments:
     payload_com: Triple = option("Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0))
     recorded: tuple[_Recorded, ...] = option("Record this column even if no effect needs it.", (), name="--with")
     hide: tuple[Literal["temperature", "time", "approach", "payload", "read"], ...] = option(
-        "Do not record this column; it has its effect nevertheless.", ()
+        "Omit this column; the condition still has its effect.", ()
     )
     seed: int = option("Random seed of the machine, the set-up and everything else.", 0)
     pose_seed: int | None = option("Random seed of poses, conditions and noise.", words="the value of --seed")
     setup_seed: int | None = option(
-        "Random seed of the set-up: another one moves instrument and target, the machine stays the same.",
+        "Random seed of the set-up: a different one moves instrument and target but leaves the machine unchanged.",
         words="the value of --seed",
     )
 
@@ -172,7 +172,7 @@ class SensorArguments:
         "Place of the instrument: random, or the robot's base frame.", words="drawn"
     )
     sockets: int | None = option(
-        "Number of sockets for the tool point; they share --poses.", metavar="K", type=_COUNT, words="4"
+        "Number of sockets for the tool point, among which the poses are divided.", metavar="K", type=_COUNT, words="4"
     )
     socket_spacing: float | None = option(
         "Distance of the two sockets of a pair.", metavar="LENGTH", type=LENGTH, words="50mm"
@@ -181,13 +181,13 @@ class SensorArguments:
         "Number of fixed points from which distances are measured.", metavar="K", type=_COUNT, words="one without a name"
     )
     ball_bar: float | None = option(
-        "Length of a bar that holds the tool point on a sphere about each anchor; they share --poses.",
+        "Length of a bar that holds the tool point on a sphere about each anchor; the poses are divided among them.",
         metavar="LENGTH",
         type=LENGTH,
     )
     object: Literal["paper", "grid"] | None = option(
-        "Calibration object: two sides with three fields of 25 points each, which share --poses (12 by default), or a plane "
-        "grid of 63 points.",
+        "Calibration object: two sides with three fields of 25 points each, among which the poses (12 by default) are "
+        "divided, or a plane grid of 63 points.",
         words="paper",
     )
     lens: dict[str, float] | None = option(
@@ -208,7 +208,7 @@ class SimulateArguments:
 
     robot: str = robot_argument()
     out: Path = option("Table to write.", MISSING, type=TABLE)
-    truth: Path | None = option("Write what was put in: errors, effects, noise, seeds.", metavar="FILE.json")
+    truth: Path | None = option("Write the true errors, effects, noise and seeds.", metavar="FILE.json")
     campaign: CampaignArguments = group("Poses and conditions")
     sensor: SensorArguments = group("Sensor")
     machine: MachineArguments = group("Machine")

@@ -261,19 +261,30 @@ def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
 
 
 def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Iterator[ChangeEntry]:
-    changes = verdict.lineup.changes
+    lineup, changes = verdict.lineup, verdict.lineup.changes
+    model, free = lineup.station.model, lineup.free(verdict.happened)
     for step in verdict.steps:
-        change = changes[step.score.change]
+        change, places = changes[step.score.change], lineup.places[step.score.change]
+        parameters, curve_rms, at = {}, None, np.searchsorted(free, places)
+        for place, moved_by, sigma in zip(places, posterior.changes[at], posterior.sigma[at], strict=True):
+            parameter = lineup.station.parameters[place]
+            before = parameter.nominal + float(lineup.start[place])
+            parameters[parameter.name] = ChangedParameter(before, before + float(moved_by), float(sigma), parameter.unit)
+        curve = next((e for e, span in zip(model.effects, model.spans, strict=True) if span.start == places[0]), None)
+        if change.belief is not None and isinstance(curve, Curve):
+            # By how much it is another one over the rows, its mean apart.
+            q = recorded_variable(model.chain, lineup.station.conditions, str(curve.locus.joint), span=curve.locus.span)
+            curve_rms = float(np.std(posterior.changes[at] @ curve.basis(q)))
         likes = (ChangeName(effect=c.name, joint=c.joint, source=c.source) for c in rival_names(changes, step))
         yield ChangeEntry(
             effect=change.name,
             joint=change.joint,
             source=change.source,
-            parameters=dict(_parameters(verdict, step.score.change, posterior)),
+            parameters=parameters,
             p_value=step.p_value,
             equivalent=tuple(likes),
             tell_apart=tell_apart(verdict, step),
-            curve_rms=_curve_rms(verdict, step.score.change, posterior),
+            curve_rms=curve_rms,
             session=session,
         )
     if verdict.is_unexplained:
@@ -285,30 +296,6 @@ def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Itera
             equivalent=(),
             tell_apart="measure more poses over the whole range of the joints, and calibrate or discover again with them",
         )
-
-
-def _curve_rms(verdict: ChangeVerdict, change: int, posterior: Refitted) -> float | None:
-    """Return by how much a curve of the model is another one over the rows, its mean apart; None for what is no curve."""
-    lineup = verdict.lineup
-    if lineup.changes[change].belief is None:
-        return None
-    model, places = lineup.station.model, lineup.places[change]
-    curve = next(e for e, span in zip(model.effects, model.spans, strict=True) if span.start == places[0])
-    if not isinstance(curve, Curve):
-        return None
-    at = np.searchsorted(lineup.free(verdict.happened), places)
-    q = recorded_variable(model.chain, lineup.station.conditions, str(curve.locus.joint), span=curve.locus.span)
-    return float(np.std(posterior.changes[at] @ curve.basis(q)))
-
-
-def _parameters(verdict: ChangeVerdict, change: int, posterior: Refitted) -> Iterator[tuple[str, ChangedParameter]]:
-    lineup = verdict.lineup
-    at = {int(place): k for k, place in enumerate(lineup.free(verdict.happened))}
-    for place in lineup.places[change]:
-        parameter, k = lineup.station.parameters[place], at[int(place)]
-        before = parameter.nominal + float(lineup.start[place])
-        moved_by = float(posterior.changes[k])
-        yield parameter.name, ChangedParameter(before, before + moved_by, float(posterior.sigma[k]), parameter.unit)
 
 
 def _notes(verdict: ChangeVerdict, measurements: Measurements) -> Iterator[Note | str]:

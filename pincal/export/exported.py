@@ -169,7 +169,7 @@ def filled(template: str, formulas: Formulas, *, frame: str, numbers: Callable[[
 
 
 def header(formulas: Formulas, *, frame: str) -> list[str]:
-    """Return lines that say what was exported, and what not."""
+    """Return lines on what was exported, and what not."""
     found = formulas.calibrated
     effects = ", ".join(dict.fromkeys(effect.name for effect in found.model.effects)) or "none"
     return [

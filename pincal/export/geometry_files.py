@@ -262,7 +262,7 @@ def _refuse_others(calibrated: CalibratedModel) -> None:
     foot = next(joint.parent for joint in tree.joints if joint.name == robot.joint_names[0])
     axes = joint_mounts(calibrated.model.chain)[:, 2, :3]
     if not foot.endswith(_FOOT) or np.abs(axes - [0.0, 0.0, 1.0]).max() > _MOVED:
-        raise BadInputError(f"{robot.name}: an older description, whose frames stand elsewhere; {expected}")
+        raise BadInputError(f"{robot.name}: an older description with other frames; {expected}")
 
 
 def _tip_note(calibrated: CalibratedModel) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 A spring is the same thing as a compliance where the moment that bends and the rotation that follows are about one axis of
 one frame: about a joint's own axis in every convention, across it where moments are taken and bend the arm in one place.
-MuJoCo balances the arm as it is bent; how far that is from moments taken on the straight arm is said.
+MuJoCo balances the arm as it is bent; how far that is from moments taken on the straight arm is reported.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class _Springs:
 @FORMATS.register
 @dataclass(frozen=True)
 class MujocoModel(Format):
-    """A MJCF file: bodies, joints, masses, and springs beside the joints."""
+    """A MJCF file: bodies, joints, masses, and springs in addition to the joints."""
 
     name: ClassVar[str] = "mjcf"
     meaning: ClassVar[str] = "a MuJoCo model"

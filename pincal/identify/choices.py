@@ -167,7 +167,9 @@ def found_moments(fit: ModelFit) -> FoundMoments | None:
     n = model.static_moments(values, typical)[0]
     steps = np.eye(model.n_parameters)[places]
     J = np.array([model.static_moments(values + step, typical)[0] - n for step in steps]).T
-    C = _covariance(fit, [model.names[i] for i in places])
+    # Of those that were not fitted it is that of the prior.
+    known = fit.estimate.take(model.names[i] for i in places)
+    C = known.dense_covariance() + np.diag(np.where(known.free, 0.0, known.prior**2))
     most = int(np.argmax(np.abs(n)))
     covariance = J @ C @ J.T
     variance = np.diag(covariance) - covariance[most] ** 2 / max(covariance[most, most], 1e-300)
@@ -183,15 +185,6 @@ def found_moments(fit: ModelFit) -> FoundMoments | None:
         mass=float(robot.masses.sum() + grown),
         links=robot.massless,
     )
-
-
-def _covariance(fit: ModelFit, names: list[str]) -> np.ndarray:
-    """Return the covariance of parameters, that of the prior for those that were not fitted."""
-    found = fit.estimate.take(names)
-    C = found.dense_covariance()
-    held = ~found.free
-    C[held, held] = found.prior[held] ** 2
-    return np.asarray(C)
 
 
 def weight_of(problem: Problem, estimate: Estimate) -> float:

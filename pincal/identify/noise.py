@@ -7,6 +7,7 @@ Jacobian itself.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Literal
@@ -181,14 +182,12 @@ class Judge:
             point: the stations linearised.
             hard: whether outliers, if they are screened, are known well enough to be left out.
         """
-        robust = point.robust
-        counted = self.counted(robust)
+        counted = self.counted(point.robust)
         if self.loss == "none" or (hard and self.loss == "screen"):
             is_shared = self.problem.is_shared
             shared = int(np.sum(self.free & is_shared & ~self.problem.beliefs.is_remembered))
             own = [int(np.sum((self.free & ~is_shared)[places])) for places in self.problem.places]
-            spent = self._spread(counted, shared, own, most=_MOST_SPENT)
-            estimated = np.sqrt(point.squares / np.maximum(counted - spent, 1.0))
+            estimated = np.sqrt(point.squares / self.degrees(point.robust, shared, own, most=_MOST_SPENT))
         else:
             middle = np.array([chdtri(block.size, 0.5) for block in self.problem.blocks])
             medians = _medians(point.row_squares)
@@ -201,29 +200,25 @@ class Judge:
         """Return the number of readings that count in each block, shape (blocks,)."""
         return np.asarray(np.maximum(self.problem.readings(robust), [block.size for block in self.problem.blocks]))
 
-    def degrees(self, robust: np.ndarray, shared: float, own: tuple[float, ...]) -> np.ndarray:
+    def degrees(self, robust: np.ndarray, shared: float, own: Sequence[float], *, most: float = np.inf) -> np.ndarray:
         """Return the degrees of freedom that a fit leaves to each block, shape (blocks,).
+
+        Each pays for its part of the parameters that the stations share and of those of its station.
 
         Args:
             robust: shape (N,), factor on each row's weight: 0 leaves a row out.
             shared: parameters that the data spend on what the stations share.
             own: on what each of them has itself.
+            most: part of the readings that parameters spend at most.
         """
-        counted = self.counted(robust)
-        spent = self._spread(counted, shared, own)
-        return np.asarray(np.maximum(counted - spent, 1.0))
-
-    def _spread(
-        self, counted: np.ndarray, shared: float, own: list[int] | tuple[float, ...], *, most: float = np.inf
-    ) -> np.ndarray:
-        """Return how many parameters each block pays for: its part of the shared ones and of those of its station."""
-        spans = self.problem.block_spans
+        counted, spans = self.counted(robust), self.problem.block_spans
         of = np.repeat(np.arange(len(spans)), [span.stop - span.start for span in spans])
         whole = np.bincount(of, counted)
         numbers = np.zeros(len(whole))
         numbers[: len(own)] = own
         shared = min(shared, most * counted.sum())
-        return np.asarray(counted * (shared / counted.sum() + (np.minimum(numbers, most * whole) / whole)[of]))
+        spent = counted * (shared / counted.sum() + (np.minimum(numbers, most * whole) / whole)[of])
+        return np.asarray(np.maximum(counted - spent, 1.0))
 
     def _weigh(self, point: Linearised, sigma: np.ndarray, *, hard: bool) -> np.ndarray:
         if self.loss == "none":

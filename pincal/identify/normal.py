@@ -124,13 +124,13 @@ def _together(stations: Sequence[Station]) -> Station:
 
 def runs(stations: Sequence[Station]) -> Iterator[range]:
     """Yield the numbers of stations that can be evaluated together, small enough for it to be worth while."""
-    start, rows, is_plain = 0, len(stations[0]), None
+    start, rows, key = 0, len(stations[0]), _key(stations[0])
+    is_plain = _is_plain(stations[0]) if len(stations) > 1 else False
     for i, station in enumerate(stations[1:], 1):
-        rows += len(station)
-        is_plain = _is_plain(stations[start]) if is_plain is None else is_plain
-        if rows > PIECE or not is_plain or station.serial is not None or _key(stations[start]) != _key(station):
+        rows, other = rows + len(station), _key(station)
+        if rows > PIECE or not is_plain or station.serial is not None or other != key:
             yield range(start, i)
-            start, rows, is_plain = i, len(station), None
+            start, rows, key, is_plain = i, len(station), other, _is_plain(station)
     yield range(start, len(stations))
 
 

@@ -1,6 +1,6 @@
 """Which rows of a table can be fitted or judged by, after all checks that need no fit.
 
-Rows that can tell nothing are left out with a warning, and all others are still processed; the rules are the sensors'. What
+Rows without information are left out with a warning, and all others are still processed; the rules are the sensors'. What
 can't be right, such as degrees, millimetres or swapped joints, is an error; what is odd but possible is a warning.
 """
 
@@ -67,11 +67,11 @@ def admit(
         for name, setup in setups.items():
             table = usable_rows(tables[name], setup)
             if len(tables) > 1:
-                # The other stations tell the joint offsets.
+                # The other stations determine the joint offsets.
                 check_placeable(table, setup)
             else:
-                told = f"to determine the poses of instrument and tool and {robot.n_joints} joint offsets"
-                _check_count(table, setup, joints=robot.n_joints, told=told, better=50)
+                purpose = f"to determine the poses of instrument and tool and {robot.n_joints} joint offsets"
+                _check_count(table, setup, joints=robot.n_joints, purpose=purpose, better=50)
             check_table(robot, table)
             found[name] = table
     return Admitted(found, tuple(notes), tuple(dict.fromkeys(idle)))
@@ -99,7 +99,7 @@ def noted() -> Iterator[list[str]]:
 
 
 def usable_rows(measurements: Measurements, setup: Setup) -> Measurements:
-    """Return the rows that can tell something; each reason to leave rows out causes a `PincalWarning`.
+    """Return the rows that carry information; each reason to leave rows out causes a `PincalWarning`.
 
     Left out are points behind the camera, sockets that were touched only once, unknown points that were seen only once, and
     unknown anchors of fewer than four distances.
@@ -184,20 +184,20 @@ def _check_distances(setup: Setup, tables: Sequence[Measurements]) -> tuple[str,
 
 
 def check_placeable(measurements: Measurements, setup: Setup) -> None:
-    """Refuse a table that could not tell where instrument and tool of a known robot stand, and check it by one reading.
+    """Refuse a table that could not locate instrument and tool of a known robot, and check it by one reading.
 
     Raises:
         MeasurementError: saying how many rows are needed.
     """
-    told = "to determine the poses of instrument and tool of a new station with redundancy"
-    _check_count(measurements, setup, joints=1, told=told, better=10)
+    purpose = "to determine the poses of instrument and tool of a new station with redundancy"
+    _check_count(measurements, setup, joints=1, purpose=purpose, better=10)
 
 
-def _check_count(measurements: Measurements, setup: Setup, *, joints: int, told: str, better: int) -> None:
-    """Refuse a table that could not even tell where instrument and tool stand, and so many joint offsets."""
+def _check_count(measurements: Measurements, setup: Setup, *, joints: int, purpose: str, better: int) -> None:
+    """Refuse a table that could not determine the poses of instrument and tool, and so many joint offsets."""
     sensor = sensor_like(measurements, setup)
     tool = len(sensor.tool_symbols) * (len(np.unique(measurements.target)) if len(measurements) else 1)
-    # What a camera's lens is like takes no rows beyond: any one of them tells two readings of it.
+    # What a camera's lens is like takes no rows beyond: each of them gives two readings of it.
     own = sum(parameter.unit == "m" for parameter in sensor.parameters)
     poses = len(np.unique(measurements.q, axis=0))
     fewest = -(-(tool + joints) // 6) + 1
@@ -210,7 +210,7 @@ def _check_count(measurements: Measurements, setup: Setup, *, joints: int, told:
     if len(measurements) < needed:
         raise MeasurementError(
             f"{measurements.source}: {len(measurements)} {measurements.kind} measurements; expected at least {needed} "
-            f"{told}, and better {better} or more"
+            f"{purpose}, and better {better} or more"
         )
 
 
@@ -239,7 +239,7 @@ def check_table(robot: Robot, measurements: Measurements, *, minimum: int = 2) -
 
 
 def check_reach(measurements: Measurements, reach_m: float) -> None:
-    """Check that readings are in metres, as far as the reach of the flange [m] tells; the rules are the sensor's.
+    """Check that readings are in metres, as far as the reach of the flange [m] shows; the rules are the sensor's.
 
     Raises:
         MeasurementError: for values farther apart than the arm can reach, or closer together than the motion of the joints
@@ -297,7 +297,7 @@ def check_joint_values(measurements: Measurements, lower: ArrayLike, upper: Arra
         joint_types: "revolute" or "prismatic" for each joint.
 
     Raises:
-        MeasurementError: for values that can only be degrees or millimetres though no unit says so, or two columns that are
+        MeasurementError: for values that can only be degrees or millimetres though no unit is given, or two columns that are
             swapped.
     """
     q, slides = measurements.q, np.array([kind == "prismatic" for kind in joint_types])

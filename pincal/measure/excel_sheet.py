@@ -62,14 +62,14 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
         if len(cells) > count:
             raise MeasurementError(
                 f"{path.name}, line {row}: {len(cells)} cells; expected {count} as in the header, line {top}; "
-                "delete what stands above it, or begin it with #"
+                "delete the lines above it, or begin them with #"
             )
     columns = [_series([cells[i] if i < len(cells) else None for _, cells in body], str(i)) for i in range(count)]
     return FrameSheet(path, found.labels, False, pl.LazyFrame(columns), np.array([row for row, _ in body], int))
 
 
 def _lines(path: Path, named: str | None, joints: Collection[str]) -> list[tuple[int, tuple[Any, ...]]]:
-    """Return number and cells of each line that has some, comments left out; tell of what else the workbook has."""
+    """Return number and cells of each line that has some, comments left out; report what else the workbook has."""
     install = "'pincal[excel]', or save the table as CSV"
     with needed("openpyxl", f"{path.name}: Excel files", install=install, error=MeasurementError):
         import openpyxl
@@ -114,7 +114,7 @@ def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
     Raises:
         MeasurementError: for more lines than Excel has, or blank cells beyond measure.
     """
-    # What a file says of its own size may be wrong, and rows beyond it would be lost.
+    # The size that a file states may be wrong, and rows beyond it would be lost.
     sheet.reset_dimensions()
     name, cells = path.name, 0
     for row, values in enumerate(sheet.iter_rows(values_only=True), start=1):

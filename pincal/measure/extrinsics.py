@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-# Relative size of singular values below which a linear start says nothing about a direction.
+# Relative size of singular values below which a linear start does not determine a direction.
 RANK = 1e-6
 
 

@@ -1,4 +1,4 @@
-"""What the columns of a table can hold, quantities made of one column or several; and what the user says of them."""
+"""What the columns of a table can hold, quantities made of one column or several; and how the user wants them read."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class Field:
     Attributes:
         name: of the array that holds it.
         columns: their names, units left out, in the order of the components.
-        quantity: what they hold, which says the units they may have: "length", "angle", "pixel", "noise", "mass", "time",
+        quantity: what they hold, which gives the units they may have: "length", "angle", "pixel", "noise", "mass", "time",
             "temperature", "number" or "name".
         rule: which values are valid; names always are.
         is_unit: whether the components are those of a unit vector, to be normalised.
         mistakes: how its columns get mixed up: in words, and what the right values are then.
-        mirror: what the values are in the frame whose y points the other way; None where that can't be said.
+        mirror: what the values are in the frame whose y points the other way; None where that is undefined.
     """
 
     name: str
@@ -72,7 +72,7 @@ CONDITIONS = {"point": POINT} | {
     name: Field(name, (name,), quantity) for name, quantity in ({"target": "name"} | _RECORDED | {"station": "name"}).items()
 }
 CONDITIONS |= {f"{end}_link": Field(f"{end}_link", (end,), "name") for end in ("from", "to")}
-"""What a table can say of a pose beside the readings."""
+"""What a table can state of a pose in addition to the readings."""
 
 FIRST, SECOND = (Field(name, (name,), "name") for name in ("first", "second"))
 """The points of a contact, each ``LINK:NAME``."""
@@ -104,13 +104,13 @@ class TableOptions:
         columns: names of columns in the table and what they hold, with a unit if the header lacks one: ``{"J1":
             "joint_a1 [deg]"}``.
         orientation: convention of the orientation's columns, one of
-            :data:`pincal.measure.orientation.CONVENTIONS`; default: as the header says.
+            :data:`pincal.measure.orientation.CONVENTIONS`; default: as in the header.
         joints: a file of its own with the joint positions, whose rows are found by a column that both files have, by time
-            while the pose is held still, or by order; a `PincalWarning` says by which.
+            while the pose is held still, or by order; a `PincalWarning` states by which.
         sheet: worksheet of a workbook; default: the first that has columns of joints.
-        rows_in_order: whether rows stand in the order in which they were measured, or of their times, which says from
+        rows_in_order: whether rows stand in the order in which they were measured, or of their times, which gives from
             which side joints arrived that have no column for it, see :mod:`pincal.measure.approach`.
-        shares_log: whether other tables have theirs from the same file, so that the order of its rows tells nothing.
+        shares_log: whether other tables have theirs from the same file, so that the order of its rows has no meaning.
     """
 
     ignore: Sequence[str] = ()
@@ -124,7 +124,7 @@ class TableOptions:
 
 # Where the joints stood as well, and by what factor that minus the fitted positions is commanded minus read back.
 OTHERS = {"commanded": 1.0, "read": -1.0}
-# What columns of their own tell of each joint.
+# What has a column for each joint.
 OF_EACH_JOINT = tuple(name for name, variable in RECORDABLE.items() if variable.column == f"{name}_<joint>")
 
 
@@ -135,12 +135,12 @@ class Schema:
     Attributes:
         fields: the quantities that are understood.
         joint_names: the joints, each with a column of its own and perhaps one for the direction of approach and for the
-            position commanded or read back beside it.
-        joint_types: "revolute" or "prismatic" for each joint, which says the units it may have; all revolute if empty.
+            position commanded or read back in addition.
+        joint_types: "revolute" or "prismatic" for each joint, which determines the units it may have; all revolute if empty.
         mimics: the joints that follow another one; they may be absent, as their position follows from that one's.
         resting: joints that may be absent, with the positions where they rest then [rad or m].
         may_lack_joints: whether a table without any joint is allowed.
-        options: what the user says of it.
+        options: what the user declares of it.
     """
 
     fields: tuple[Field, ...]

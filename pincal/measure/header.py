@@ -1,4 +1,4 @@
-"""What a header means: the columns that are needed, with their units; what is guessed or left out is told."""
+"""What a header means: the columns that are needed, with their units; what is guessed or left out is reported."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Label:
 
     Attributes:
         index: of the column.
-        text: what the header says.
+        text: the label in the header.
         meant: the same after the user's word on it.
     """
 
@@ -46,7 +46,7 @@ def name_of(label: str) -> str:
 
 
 def renamed(labels: Sequence[str], columns: Mapping[str, str], *, source: str, others: Sequence[str] = ()) -> list[Label]:
-    """Return the labels with what the user says of some; a unit of the header stays unless the user names one.
+    """Return the labels with the user's meaning of some; a unit of the header stays unless the user names one.
 
     Args:
         labels: the header.
@@ -208,9 +208,9 @@ class Header:
     Attributes:
         columns: those that are needed.
         joints: the joints among them.
-        orientation: how they tell an orientation, if not by a quaternion.
+        orientation: how they give an orientation, if not by a quaternion.
         readings: those of them that hold what was measured: rows where one is empty are left out.
-        flag: a column that says of each row whether its reading is valid, if there is one.
+        flag: a column that states of each row whether its reading is valid, if there is one.
     """
 
     columns: tuple[SheetColumn, ...]
@@ -267,7 +267,7 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
     )
 
 
-# Columns that say whether a row's reading is valid.
+# Columns that state whether a row's reading is valid.
 FLAGS = ("valid", "is_valid", "isvalid", "ok", "visible", "tracked", "status", "state", "quality", "flag", "flags")
 
 
@@ -297,7 +297,7 @@ def with_joints(labels: list[Label], schema: Schema, quantities: Mapping[str, st
 
 
 def _orientation(labels: list[Label], schema: Schema, quantities: Mapping[str, str], *, source: str) -> Convention | None:
-    """Return how the table tells an orientation, None if it does so by qx qy qz qw or not at all."""
+    """Return how the table gives an orientation, None if by qx qy qz qw or not at all."""
     names, said = [without_unit(label.meant) for label in labels], schema.options.orientation
     usual = rotations(schema.fields).columns
     found = find_orientation(names, said, taken=[n for n in quantities if n not in usual], source=source)
@@ -380,7 +380,7 @@ def _check_unknown(sheet: Sheet, unknown: Sequence[Label], free: Mapping[str, st
         hint = f"; an orientation? --orientation {'|'.join(CONVENTIONS)}" if looks_like_orientation(wrong) else ""
         raise MeasurementError(
             f"{sheet.path.name}: unknown column {', '.join(map(_short, few))}; known and not in the table, nearest first: "
-            f"{known or 'none'}{hint}; leave it out (--ignore '{few[0][:30]}'), or say what it holds "
+            f"{known or 'none'}{hint}; leave it out (--ignore '{few[0][:30]}'), or state what it holds "
             f"(--columns '{few[0][:30]}=NAME'; a unit is written as x [mm]); {columns_listed(sheet.labels)}"
         )
     for texts, what in ((words, "columns of text"), (others, "columns unknown to pincal")):

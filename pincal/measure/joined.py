@@ -1,7 +1,7 @@
 """An instrument's table and a log of the joints from a file of its own, made one table.
 
 Rows belong together by a column that both have, by time while the pose is held still, or by their order where the counts
-agree; whichever it is, a `PincalWarning` tells.
+agree; a `PincalWarning` states which.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def held_rows(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return a row for each pose that is held still, if a table is a log in which the arm moves; else the table.
 
-    Numbers are means over the middle half of the pose, names those in the middle. A `PincalWarning` tells of it.
+    Numbers are means over the middle half of the pose, names those in the middle. A `PincalWarning` reports it.
 
     Args:
         values: columns in SI units, shape (N,) each; with a time.
@@ -199,11 +199,11 @@ def join(table: Sheet, log: Log, time: np.ndarray | None, *, known: Collection[s
         table: readings.
         log: joints.
         time: of the table's rows [s], shape (N,); None if it has none.
-        known: columns with a meaning of their own, by which rows can't be told.
+        known: columns with a meaning of their own, which do not identify rows.
         has: those of them that the table has.
 
     Raises:
-        MeasurementError: if nothing, or more than one thing, says which rows belong together.
+        MeasurementError: if nothing, or more than one thing, determines which rows belong together.
     """
     import polars as pl
 
@@ -239,7 +239,7 @@ def _pooled(values: np.ndarray, samples: np.ndarray) -> np.ndarray:
 
 
 def _by_columns(table: Sheet, frame: pl.DataFrame, log: Log, *, lines: np.ndarray, keys: Mapping[str, int]) -> _Pairs | None:
-    """Pair rows by the columns that both have and that tell each row its pose; several have to agree."""
+    """Pair rows by the columns that both have and that identify the pose of each row; several have to agree."""
     found: dict[str, np.ndarray] = {}
     for label, place in keys.items():
         cells = log.sheet.read([SheetColumn(place, "key", label, "", "name")])[0]["key"]
@@ -271,7 +271,7 @@ def _agreed(by_column: _Pairs | None, by_time: _Pairs | None, *, table: Sheet, l
     """Return the pairs by column, else those by time; counters of rows are no names of poses.
 
     Raises:
-        MeasurementError: if column and time tell different joints.
+        MeasurementError: if column and time give different joints.
     """
     if by_column is None:
         return by_time
@@ -301,7 +301,7 @@ def _as_keys(series: pl.Series) -> list[str]:
 
 
 def _places(keys: Sequence[str], q: np.ndarray) -> dict[str, tuple[int, int]] | None:
-    """Return first and last sample of each key; None if the keys tell no poses apart."""
+    """Return first and last sample of each key; None if the keys do not distinguish poses."""
     found: dict[str, tuple[int, int]] = {}
     for i, key in enumerate(keys):
         first, last = found.get(key, (i, i - 1))

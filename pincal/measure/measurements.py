@@ -19,7 +19,7 @@ from pincal.recorded import RECORDED, Recorded
 from pincal.robot.robot import Robot
 from pincal.units import expected_number, is_possible
 
-# What a table has beside its readings.
+# What a table has in addition to its readings.
 _OF_JOINTS = {name: variable.quantity for name, variable in RECORDED.items() if variable.of_joints}
 _ARRAYS = ("q", *_OF_JOINTS, "rows", *CONDITIONS, "sigma", "readings_per_row")
 
@@ -251,7 +251,7 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
         counts = [np.ones(len(table), int) if table.readings_per_row is None else table.readings_per_row for table in tables]
         tables = [replace(table, readings_per_row=count) for table, count in zip(tables, counts, strict=True)]
     if any(table.move is not None for table in tables):
-        # No column of a file: of rows whose order nobody told the last moves are unknown.
+        # No column of a file: of rows without a declared order the last moves are unknown.
         tables = [table if table.move is not None else replace(table, move=np.zeros(table.q.shape)) for table in tables]
     first = tables[0]
     for other in tables[1:]:

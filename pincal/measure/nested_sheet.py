@@ -69,7 +69,7 @@ def vector_labels(
 
 
 def _plain(key: str, count: int, names: Sequence[str] | None) -> tuple[tuple[str, ...], str]:
-    """Return the labels of so many numbers; none if nothing tells."""
+    """Return the labels of so many numbers; none if undetermined."""
     if names is not None and len(names) == count and (JOINTS.fullmatch(key) or "state" in key or "position" in key):
         return tuple(map(str, names)), ""
     if count == 3 and PLACE.fullmatch(key):
@@ -108,7 +108,7 @@ def _numbered(path: str, values: np.ndarray) -> tuple[tuple[str, ...], list[np.n
 
 _OF_ROBOT = ("effector_wrt_world", "robot")
 _OF_OBJECT = ("object_wrt_sensor", "tracking", "optical")
-# Residual of one way over that of the other, below which the samples tell them apart.
+# Residual of one way over that of the other, below which the samples distinguish them.
 _CLEAR = 0.3
 
 
@@ -130,11 +130,11 @@ def tracked_poses(columns: Mapping[str, np.ndarray], *, is_on_hand: bool | None,
 
     Args:
         columns: values by their place in the file, shape (N, ...).
-        is_on_hand: whether the camera is on the hand, where the file says so.
+        is_on_hand: whether the camera is on the hand, where the file states it.
         source: the file, for messages.
 
     Raises:
-        MeasurementError: if nothing tells whether the camera is on the hand.
+        MeasurementError: if nothing shows whether the camera is on the hand.
     """
     parts = {path.split(".")[0] for path in columns}
     robot, seen = (next((name for name in names if name in parts), None) for names in (_OF_ROBOT, _OF_OBJECT))
@@ -146,10 +146,10 @@ def tracked_poses(columns: Mapping[str, np.ndarray], *, is_on_hand: bool | None,
         fixed, moved = _misfit(hand, object_), _misfit(hand, np.linalg.inv(object_))
         if min(fixed, moved) > _CLEAR * max(fixed, moved):
             raise MeasurementError(
-                f"{source}: {len(hand)} samples don't tell whether the camera is on the hand ({moved:.3g} rad) or stands "
+                f"{source}: {len(hand)} samples do not show whether the camera is on the hand ({moved:.3g} rad) or stands "
                 f"still ({fixed:.3g} rad); expected more samples that turn about different axes"
             )
-        is_on_hand, said = moved < fixed, "as the samples tell"
+        is_on_hand, said = moved < fixed, "as the samples show"
     where = "on the hand, and the object stands still" if is_on_hand else "standing still, and the object is on the hand"
     warn(f"{source}: {len(hand)} samples of a hand-eye calibration with the camera {where}, {said}; {robot} is not used")
     return TrackedPoses(np.linalg.inv(object_) if is_on_hand else object_, (robot, seen))
@@ -219,7 +219,7 @@ def open_nested(path: Path, kind: str) -> Sheet:
 
     Args:
         path: the file.
-        kind: as :func:`nested_kind` says.
+        kind: as returned by :func:`nested_kind`.
 
     Raises:
         MeasurementError: for a file that can't be read, or that holds no table.

@@ -50,7 +50,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     @property
     @abstractmethod
     def other_parameters(self) -> tuple[Parameter, ...]:
-        """The sensor's own parameters beside points."""
+        """The sensor's own parameters other than points."""
 
     @property
     @final
@@ -152,12 +152,12 @@ class PointSensor(Sensor, OwnParameters, Grouped):
 
     @final
     def start_with_points(self, places: np.ndarray, tools: np.ndarray, *, rest: np.ndarray | None = None) -> Extrinsics:
-        """Return where all stands for points in the robot's base frame; the known ones say where the base is.
+        """Return where all stands for points in the robot's base frame; the known ones determine the base.
 
         Args:
             places: shape (K, 3), the points [m].
             tools: shape (targets, 4, 4).
-            rest: values of own parameters beside the points.
+            rest: values of own parameters other than the points.
         """
         points = self.points
         seen = points.known & np.isin(np.arange(len(places)), self.index)

@@ -189,7 +189,7 @@ def _droop(values: dict[str, np.ndarray], joints: Sequence[str], *, source: str)
     """Take the second positions of joints out of the values; return commanded minus read back, shape (N, n), if any.
 
     Raises:
-        MeasurementError: if both are beside the joints' own columns.
+        MeasurementError: if both are given in addition to the joints' own columns.
     """
     given = {kind: [name for name in joints if f"{kind}_{name}" in values] for kind in OTHERS}
     kinds = [kind for kind, names in given.items() if names]

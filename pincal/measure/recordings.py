@@ -1,6 +1,6 @@
 """Parquet files, data sets of LeRobot and recordings of ROS as sheets.
 
-In Parquet each number of a list is a column, named as the data set says: a data set is a folder with ``meta/info.json``,
+In Parquet each number of a list is a column, named by the data set: a data set is a folder with ``meta/info.json``,
 which names the numbers of each feature, and ``data/*/*.parquet``.
 
 A recording of ROS (rosbag2 folders, .mcap, .db3, and .bag of ROS 1) has a row per pose that was held still. Joints come

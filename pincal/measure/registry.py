@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 
 from pincal.errors import MeasurementError
 from pincal.measure.fields import CONDITIONS, SIGMA, Field
-from pincal.measure.sensor import Block, Foreseeable, Sensor
+from pincal.measure.sensor import Block, Sensor, Simulatable
 from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor, FixedCameraSensor
 from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
 from pincal.measure.sensors.link_contact import LinkContactSensor, LinkDistanceSensor
@@ -72,9 +72,9 @@ def columns_of(kind: str) -> tuple[str, ...]:
     return tuple(column for field in sensor.fields for column in field.columns)
 
 
-def simulatable() -> Mapping[str, type[Foreseeable]]:
+def simulatable() -> Mapping[str, type[Simulatable]]:
     """Return the sensors, by their kind, for which measurements can be designed."""
-    return {sensor.kind: sensor for sensor in SENSORS.known().values() if issubclass(sensor, Foreseeable)}
+    return {sensor.kind: sensor for sensor in SENSORS.known().values() if issubclass(sensor, Simulatable)}
 
 
 def sensor_class(fields: Collection[str]) -> type[Sensor] | None:

@@ -56,7 +56,7 @@ class Sheet(ABC):
 
     Attributes:
         path: the file.
-        labels: what the header says, one entry per column.
+        labels: those of the header, one entry per column.
         decimal_comma: whether numbers may have a comma instead of a point.
         takes_unknown: whether columns that nobody asked for belong there, such as the joints of a gripper.
     """
@@ -143,7 +143,7 @@ def read_cells(
         sheet: the table.
         columns: those that are needed.
         readings: those of them that hold what was measured: rows where one is empty are left out with a `PincalWarning`.
-        flag: a column that says whether a row's reading is valid: those where it is not are left out likewise.
+        flag: a column that states whether a row's reading is valid: those where it is not are left out likewise.
 
     Raises:
         MeasurementError: for a table without rows, or a cell that is invalid.
@@ -160,10 +160,10 @@ def read_cells(
     return {column.name: column.values(cells.pop(column.name)) for column in columns}, rows
 
 
-# What stands in a cell where nothing was read, in small letters, and what says that a reading is not valid.
+# What stands in a cell where nothing was read, in small letters, and what marks a reading as invalid.
 _NOTHING = r'^(""|n/?a|n\.a\.|nan|null|none|invalid|lost|no data|-+|[*]+|[?]+|#+|#n/a|#value!|#num!|#div/0!)?$'
 _INVALID = r"^(false|no|n|nok|bad|lost|.*(invalid|not ok|fail|error|broken|block|reject|outlier|no (signal|target|beam)).*)$"
-# Columns whose 0 says that a reading is not valid.
+# Columns whose 0 marks a reading as invalid.
 _ZERO_IS_INVALID = ("valid", "is_valid", "isvalid", "ok", "visible", "tracked")
 # Lines that a note names.
 _NAMED = 5

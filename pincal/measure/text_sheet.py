@@ -70,7 +70,7 @@ def open_text(path: Path, joints: Collection[str] = ()) -> Sheet:
 
     Args:
         path: the file.
-        joints: names of joints, which tell the row of names from others.
+        joints: names of joints, which distinguish the row of names from others.
 
     Raises:
         MeasurementError: for a binary or an empty file, or one without names of columns.

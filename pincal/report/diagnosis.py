@@ -163,8 +163,8 @@ def set_up_words(found: DiagnosisFile) -> str:
     at = found.station
     parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.4g} mm"]
     parts += [] if at.turned_mrad is None else [f"turned by {at.turned_mrad:.4g} mrad"]
-    parts += [] if at.target_moved_mm is None else [f"the target sits {at.target_moved_mm:.2f} mm from where it was"]
-    return ", ".join(parts) or "these readings do not determine where the instrument stands"
+    parts += [] if at.target_moved_mm is None else [f"the target moved by {at.target_moved_mm:.2f} mm on the tool"]
+    return ", ".join(parts) or "these readings do not determine the placement of the instrument"
 
 
 def lines(found: DiagnosisFile) -> Iterator[str]:
@@ -173,7 +173,7 @@ def lines(found: DiagnosisFile) -> Iterator[str]:
     for change in found.changes:
         if change.equivalent:
             yield f"  {in_words(change)} could also be {'; '.join(map(in_words, change.equivalent))}"
-            yield f"  to tell: {change.tell_apart}"
+            yield f"  to distinguish: {change.tell_apart}"
     before, after = (found.gap[key]["mean_mm"] for key in ("before", "after"))
     if found.changed:
         yield f"mean error {before:.4f} mm with the old model, {after:.4f} mm with the re-identified one"

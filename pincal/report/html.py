@@ -154,7 +154,7 @@ def report_page(subject: Subject, *, layout: tuple[Callable[[Subject], Section |
 
 
 def render(title: str, lead: str, sections: Sequence[Section], *, version: str, view: str | None = None) -> str:
-    """Return a page of sections; ``view`` is a file beside it that shows the robot in 3D."""
+    """Return a page of sections; ``view`` is a file next to it that shows the robot in 3D."""
     import jinja2
 
     loader = jinja2.PackageLoader("pincal.report", "page")

@@ -1,4 +1,4 @@
-"""The figures of a report, each with a caption that says what one sees and how to read it."""
+"""The figures of a report, each with a caption that explains what one sees and how to read it."""
 
 from __future__ import annotations
 

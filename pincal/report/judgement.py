@@ -23,7 +23,7 @@ from pincal.validate.misfit import Verdict, tells
 # Ratio of held-out to fitted rms error above which the rows were too few. N rows and p parameters make it about
 # sqrt((N + p) / (N - p)): 1.3 is reached when a quarter as many readings as there are go into parameters.
 _OVERFITTED = 1.3
-# What is left beyond the noise is told from here on [mm]; less is shown as nothing.
+# Errors beyond the noise from which on they are mentioned [mm].
 _SHOWN_MM = 5e-4
 
 
@@ -68,7 +68,7 @@ def _against(doubts: Sequence[Note]) -> str:
 
 
 def relative_to_noise(ratio: float, noise: str, *, is_misfit: bool) -> str:
-    """Return how large residuals are beside a noise, in words that neither the ratio as shown nor the judgement contradicts.
+    """Return the size of residuals relative to a noise, in words that contradict neither ratio nor judgement.
 
     Example:
         >>> relative_to_noise(1.004, "the noise", is_misfit=True)
@@ -227,7 +227,7 @@ _ADVICE = (
     Advice((Cause.GIVEN, Cause.NOT_NEEDED), "Given", "Fixed at your request, or by default."),
 )
 # Share of its range below which a joint hardly shows what depends on its position: with a turn as the range, a wave of one
-# period per turn is there hard to tell from a slope. A judgement, not a measurement; it only words a recommendation.
+# period per turn is hard to distinguish from a slope there. A judgement, not a measurement; it only words a recommendation.
 _NARROW = 0.3
 
 

@@ -85,7 +85,7 @@ def summary(subject: Subject) -> Section:
 
 
 def _headline(subject: Subject) -> Markup:
-    """Return the mean error now and before, and the noise beside it."""
+    """Return the mean error now and before, and the noise."""
     result, part = subject.result, subject.part
     unit = "mm" if "mean_mm" in result.error["calibrated"][part] else "px"
     before, after = (result.error[model][part][f"mean_{unit}"] for model in ("nominal", "calibrated"))
@@ -193,7 +193,7 @@ def accuracy(subject: Subject) -> Section:
 
 
 def _replicates(result: Result) -> list[PageBlock]:
-    """Return what repeated measurements of poses say of accuracy, repeatability and lack of fit."""
+    """Return what repeated measurements of poses show of accuracy, repeatability and lack of fit."""
     iso, lack = result.iso9283, result.lack_of_fit
     blocks: list[PageBlock] = [heading("Repeated measurements of a pose", "repeatability")] if iso or lack else []
     if iso:
@@ -264,7 +264,7 @@ def where(subject: Subject) -> Section:
     )
     by_joint = (
         "Lines are medians, bands hold 90 % of the poses, fitted and held out together. A calibrated arm has flat bands; a "
-        "remaining wave or slope means that the model lacks an effect of this joint. "
+        "remaining periodic pattern or slope means that the model lacks an effect of this joint. "
     )
     line = "" if is_timed else " No times were recorded, so the line of the table is used instead."
     residual = rich("A <b>residual</b> is the measured minus the predicted value.{}", line)

@@ -140,7 +140,7 @@ class Subject:
         provenance: versions, command, inputs with hashes.
         notes: what the exported URDF does not carry.
         discovery: what was found missing, if it was looked for.
-        view: name of the file beside the report that holds the view in three dimensions, if there is one.
+        view: name of the file next to the report that holds the view in three dimensions, if there is one.
     """
 
     calibration: Calibration

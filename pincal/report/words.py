@@ -20,7 +20,7 @@ _NOT_IDENTIFIED = {
 }
 # What an effect may follow whose name is not plain.
 _VARIABLES = {"move": "its last move"}
-# What a fit finds beside effects of the robot -> what it is.
+# What a fit finds other than effects of the robot -> what it is.
 _BESIDE = {"lens_distortion": "the camera's lens bends the image"}
 
 TERMS = (
@@ -99,7 +99,7 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
 
 
 def line_words(entry: FoundEffect) -> str:
-    """Return what is to be said of a line of fine waves beside its order; empty if nothing.
+    """Return the remark on a spectral line in addition to its order; empty if nothing.
 
     Example:
         >>> names = {"effect": "gear_ripple", "joint": "wrist_2", "parameters": {}, "equivalent": (), "tell_apart": ""}
@@ -182,7 +182,7 @@ def rank_words(statuses: Iterable[Status], *, rank: int, condition: float, why: 
         statuses: of every parameter; the numbers of the sentence add up to how many there are.
         rank: number of independent combinations that are identified.
         condition: condition number of these.
-        why: where the reasons are told, in words.
+        why: where the reasons are given, in words.
 
     Example:
         >>> rank_words([Status.IDENTIFIED] * 2 + [Status.UNIDENTIFIABLE] * 3 + [Status.FIXED], rank=3, condition=52.0)[:69]

@@ -22,7 +22,7 @@ PITCH = 0.025
 
 # Points of one image field, in rows and columns.
 _FIELD = 5
-# The paper's object has two sides with three image fields each; the paper does not say how the sides lean.
+# The paper's object has two sides with three image fields each; the paper does not state how the sides lean.
 _FIELDS, _LEAN = 3, np.pi / 4
 
 

@@ -83,7 +83,7 @@ class HiddenEffect(ABC):
 
     @classmethod
     def typical_joints(cls, arm: Arm) -> list[str]:
-        """Return the joints at which the effect is typical: all, unless the class says otherwise."""
+        """Return the joints at which the effect is typical: all, unless the class states otherwise."""
         return list(arm.names)
 
 
@@ -128,7 +128,7 @@ class DriveEffect(DeformingEffect):
 
 
 class ReadBackEffect(DriveEffect):
-    """A motion of a drive that its encoder sees: the table has ``read_<joint>`` beside the commanded position."""
+    """A motion of a drive that its encoder sees: the table has ``read_<joint>`` in addition to the commanded position."""
 
     def read_back(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         """Return what the encoder reads of the joint with this index [rad or m], shape (N,)."""

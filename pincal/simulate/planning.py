@@ -59,7 +59,7 @@ def collect_poses(draw: Callable[[], np.ndarray], n: int, *, rounds: int, shorta
     """Draw poses, some acceptable ones in each round, until there are n.
 
     Raises:
-        BadInputError: If all rounds together give too few; ``shortage`` ends the message and says what to do then.
+        BadInputError: If all rounds together give too few; ``shortage`` ends the message with what to do then.
     """
     found: list[np.ndarray] = []
     for _ in range(rounds):

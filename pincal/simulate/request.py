@@ -5,30 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.measure.measurements import Measurements
+from pincal.simulate import contact
 from pincal.simulate.arm import Arm
 from pincal.simulate.camera import OBJECTS, EyeInHand
-from pincal.simulate.contact import (
-    Contact,
-    Point,
-    draw_camera,
-    draw_fixed_points,
-    draw_instrument,
-    draw_object,
-    draw_targets,
-    place_beside,
-)
 from pincal.simulate.instrument import Instrument
 from pincal.simulate.lens import draw_lens
 from pincal.simulate.machine import TrueMachine
 from pincal.simulate.setup import SensorSetup, draw_conditions, spread_payloads
 from pincal.simulate.state import Conditions
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors, typical_effect
+
+if TYPE_CHECKING:
+    from pincal.measure.measurements import Measurements
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +46,7 @@ class SetupOptions:
     sigma: float = 0.0
     noise_angle: float = 0.0
     targets: int = 1
-    tool: Point | None = None
+    tool: contact.Point | None = None
     at_base: bool = False
     sockets: int = 4
     socket_spacing: float = 0.05
@@ -79,7 +72,7 @@ def _beside(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions
     if options.ball_bar is not None:
         return _contact("distance", arm, rng, options)
     instrument, targets = _instrument_and_targets(arm, rng, options)
-    anchors = {f"anchor_{i + 1}": place_beside(arm, rng) for i in range(options.anchors)}
+    anchors = {f"anchor_{i + 1}": contact.place_beside(arm, rng) for i in range(options.anchors)}
     sigma, sigma_angle = options.sigma, options.noise_angle
     return Instrument(reads=kind, pose=instrument, targets=targets, anchors=anchors, sigma=sigma, sigma_angle=sigma_angle)
 
@@ -92,15 +85,15 @@ def _contact(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOption
     label, count, length = "socket", options.sockets, 0.0
     if kind == "distance":
         label, count, length, spacing = "anchor", max(options.anchors, 1), options.ball_bar or 0.0, None
-    places = draw_fixed_points(
+    places = contact.draw_fixed_points(
         arm, count, rng, tool=(x, y, z), radius=length, spacing=spacing, min_height=options.min_height
     )
     fixed = {f"{label}_{i + 1}": place for i, place in enumerate(places)}
-    return Contact(tool=(x, y, z), fixed=fixed, instrument=instrument, sigma=options.sigma, length=length)
+    return contact.Contact(tool=(x, y, z), fixed=fixed, instrument=instrument, sigma=options.sigma, length=length)
 
 
 def _eye_in_hand(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
-    camera = draw_camera(arm, rng)
+    camera = contact.draw_camera(arm, rng)
     if options.tool is not None:
         camera[:3, 3] = options.tool
     setup = EyeInHand(
@@ -114,7 +107,7 @@ def _eye_in_hand(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOp
     def is_seen(pose: np.ndarray) -> bool:
         return replace(setup, object_pose=pose).has_views(arm, rng, min_height=options.min_height)
 
-    return replace(setup, object_pose=draw_object(arm, rng, is_seen=is_seen))
+    return replace(setup, object_pose=contact.draw_object(arm, rng, is_seen=is_seen))
 
 
 SENSORS: dict[str, Callable[[str, Arm, np.random.Generator, SetupOptions], SensorSetup]] = {
@@ -130,7 +123,7 @@ SENSORS: dict[str, Callable[[str, Arm, np.random.Generator, SetupOptions], Senso
 
 def _instrument_and_targets(arm: Arm, rng: np.random.Generator, options: SetupOptions) -> tuple[np.ndarray, dict[str, Any]]:
     """Return where the instrument stands and the targets are, the chosen one at its place."""
-    instrument, targets = draw_instrument(arm, rng), draw_targets(arm, options.targets, rng)
+    instrument, targets = contact.draw_instrument(arm, rng), contact.draw_targets(arm, options.targets, rng)
     if options.tool is not None:
         if len(targets) > 1:
             raise BadInputError(f"tool {options.tool} places one target; expected targets 1, not {len(targets)}")

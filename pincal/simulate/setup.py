@@ -154,7 +154,7 @@ def draw_noise(shape: tuple[int, ...], sigma: float, rng: np.random.Generator | 
 
 
 def refuse_scale(machine: Machine, why: str) -> None:
-    """Raise BadInputError for a machine with errors of an instrument's lengths; ``why`` says what is read instead."""
+    """Raise BadInputError for a machine with errors of an instrument's lengths; ``why`` states what is read instead."""
     for effect in machine.effects:
         if isinstance(effect, ReadingEffect):
             raise BadInputError(f"{effect.effect}: an error of an instrument that reads lengths, and {why}; leave it out")

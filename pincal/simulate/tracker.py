@@ -1,4 +1,4 @@
-"""Errors of a laser tracker, as its parts make them: what it says of a target follows from how its parts really stand.
+"""Errors of a laser tracker, as its parts make them: its reading of a target follows from how its parts really are.
 
 A tracker turns its head until its beam meets the target, and reads its circles and its distance meter there. An effect takes
 true positions in the frame of a perfect tracker (its origin where the axes meet, z the standing axis) and returns those that

@@ -113,7 +113,7 @@ _FRAME = "give positions and orientations in a right-handed frame and run again"
 _RECORD = "name their columns as the joints (--columns) and run again"
 # Rows by which a column may stand off: a record that is written before or after the motion.
 _DELAYS = tuple(sign * rows for rows in (1, 2, 3, 4, 5) for sign in (1, -1))
-_OPTION = "if that is so, say it (--sign, --coupling or --zeros), and run again"
+_OPTION = "if so, declare it (--sign, --coupling or --zeros), and run again"
 # Parts of a neighbour's position that joints report; those of wrists, whose last joints are so many; and simple fractions.
 _ADDED, _WRIST = (1.0, -1.0), 3
 _OF_WRISTS = tuple(sign * part for part in (1 / 2, 1 / 3, 2 / 3, 1 / 4) for sign in (1, -1))

@@ -112,7 +112,7 @@ def deviation_fields(
 
     Over measured poses: from nominal (only base and tool fitted) to measured, from calibrated to measured, and what each
     effect explains: from the prediction without to the prediction with it, all else unchanged. Over the workspace: from
-    nominal to calibrated, and again each effect. A distance tells only the part along the line of sight, other readings
+    nominal to calibrated, and again each effect. A distance determines only the part along the line of sight, other readings
     none of three directions: "before" then leads to the calibrated prediction.
 
     Args:
@@ -217,7 +217,7 @@ def _nominal_from_predictions(calibrated: CalibratedModel, over: Conditions) -> 
     rows = np.unique(np.linspace(0, len(over) - 1, _ENOUGH).astype(int))
     sample = over.select(rows)
     poses = calibrated.predict(sample)
-    sensor = simulatable()["pose" if calibrated.model.has_tool_orientation else "position"].foreseen(poses)
+    sensor = simulatable()["pose" if calibrated.model.has_tool_orientation else "position"].simulated(poses)
     return _frames_fitted(calibrated, Station(calibrated.model, sample, sensor, np.ones(len(rows))))
 
 
@@ -293,7 +293,7 @@ def _at_conditions(q: np.ndarray, calibrated: CalibratedModel, payload: float, k
     """Return the conditions of joint positions, shape (N, n), that share payload [kg], temperature and time."""
     plain = Conditions.at(q, payload=payload, payload_centre=calibrated.payload_centre)
     columns = {name: np.full(len(q), value) for name, value in known.items()}
-    # How joints arrived is unknown: 0, as for a table that does not tell; and they stand as they are commanded.
+    # How joints arrived is unknown: 0, as for a table without these columns; and they are where they are commanded.
     unknown = np.zeros(q.shape)
     return replace(plain, approach=unknown, move=unknown, droop=unknown, **columns)
 

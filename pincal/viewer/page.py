@@ -1,4 +1,4 @@
-"""The page: meshcat's viewer, a scene as numbers, and the panel beside it, in one file that needs no network.
+"""The page: meshcat's viewer, a scene as numbers, and a control panel, in one file that needs no network.
 
 A server for it, on this machine alone, can move the robot while it is looked at. A viewer of the user's own, such as
 Pinocchio's ``MeshcatVisualizer``, can show a field of deviations, too.
@@ -114,7 +114,7 @@ def _viewer() -> str:
 
 
 _HOST = "127.0.0.1"
-# A word now and then tells whether anybody still listens [s].
+# Interval of messages by which it is noticed that nobody listens any more [s].
 _PULSE = 5.0
 
 
@@ -227,7 +227,7 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
     def do_GET(self) -> None:
-        """Answer with the page, or with what the program has to say from now on."""
+        """Answer with the page, or with the events of the program from now on."""
         # A page of another site that calls this address by a name of its own is not served.
         host = (self.headers.get("Host") or "").rsplit(":", 1)[0]
         if host not in (_HOST, "localhost"):

@@ -177,7 +177,7 @@ class Scene:
     notes: tuple[str, ...]
 
     def opening(self, q: np.ndarray | None = None, *, notes: Sequence[str] = ()) -> Scene:
-        """Return the same scene at another pose, shape (n,) [rad or m], and with more to say.
+        """Return the same scene at another pose, shape (n,) [rad or m], and with further notes.
 
         Raises:
             BadInputError: if the pose is not one finite number per joint.
@@ -265,7 +265,7 @@ def base_of(calibrated: CalibratedModel) -> np.ndarray:
 
 
 def visible_scale(layer: Layer, reach: float) -> float:
-    """Return a round factor at which nearly all arrows are long enough to see and short enough to tell apart."""
+    """Return a round factor at which nearly all arrows are long enough to see and short enough to be distinguished."""
     size = float(np.percentile(layer.sizes, 95.0))
     apart = float(np.cbrt(np.prod(np.ptp(layer.points, axis=0)) / len(layer.points)))
     drawn = min(_DRAWN * reach, _CROWDED * apart) if apart > 0.0 else _DRAWN * reach
@@ -298,7 +298,7 @@ def _frames(
     chain, n = calibrated.model.chain, calibrated.model.chain.robot.n_joints
     known = {p.name: v for p, v in zip(calibrated.model.parameters, calibrated.values, strict=False)}
     found = [DrawnFrame("base", 0, upright)]
-    # A contact knows no instrument: all it says is relative to the robot's base.
+    # A contact has no instrument: everything is relative to the robot's base.
     if any(p.effect == "base_frame" for p in calibrated.model.parameters):
         found.append(DrawnFrame("instrument", 0, seen))
     for target, reference in zip(chain.targets, chain.tool_rotations, strict=True):
@@ -341,7 +341,7 @@ def held_out_rows(
             return unseen, f"{data.name} was held out of the fit as a whole"
         fitted = table.filter(pl.col("rows") == "fitted")["line"].cast(pl.Int64).to_numpy()
     except (OSError, pl.exceptions.PolarsError):
-        return None, f"which rows were held out stands in {residuals.name}, which is not beside the model: none is marked"
+        return None, f"{residuals.name}, which lists the held-out rows, is not in the model's folder: none is marked"
     held = ~np.isin(measurements.rows, fitted)
     words = f"{held.sum()} of {len(held)} rows were held out of the fit" if held.any() else "no row was held out of the fit"
     return held, words

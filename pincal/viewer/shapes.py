@@ -53,7 +53,7 @@ def shapes_of(
     """Return what to draw of an arm, and in words what is drawn in another way than the URDF has it.
 
     Args:
-        robot: the arm; its URDF's text says what its links look like, its source where their meshes may be.
+        robot: the arm; its URDF's text gives the look of its links, its source where their meshes may be.
         folders: further folders with meshes, or with the packages that the URDF names.
 
     Returns:

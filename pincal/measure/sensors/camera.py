@@ -72,7 +72,7 @@ class Images(Additive, KnownParameters):
 
 @dataclass(frozen=True)
 class CameraSensor(PointSensor):
-    """Readings of a camera, each of one point; ``has_scale`` says whether they tell how far away it is."""
+    """Readings of a camera, each of one point; ``has_scale`` states whether they determine its distance."""
 
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
     twist_rows: ClassVar[int] = 6

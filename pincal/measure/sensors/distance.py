@@ -17,7 +17,7 @@ from pincal.errors import MeasurementError
 from pincal.measure.extrinsics import Extrinsics, by_target, least_squares
 from pincal.measure.fields import POSITIVE, Field, TableRows
 from pincal.measure.point_sensor import PointSensor, index_of
-from pincal.measure.sensor import Additive, Block, Foreseeable, Plausible
+from pincal.measure.sensor import Additive, Block, Plausible, Simulatable
 from pincal.measure.sensors.pose import check_spread
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
@@ -91,7 +91,7 @@ class Distances(Additive, Plausible):
 
 
 @dataclass(frozen=True)
-class DistanceSensor(Distances, Foreseeable):
+class DistanceSensor(Distances, Simulatable):
     """1D: the distance, shape (N,) [m], from the instrument's point to the target.
 
     The instrument's frame stands at this point and is parallel to the robot's base: a distance sees no orientation.
@@ -107,7 +107,7 @@ class DistanceSensor(Distances, Foreseeable):
         return cls(table.array("distance"))
 
     @classmethod
-    def foreseen(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
+    def simulated(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
         return cls(np.linalg.norm(poses[:, :, 3], axis=1))
 
     def lines(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:

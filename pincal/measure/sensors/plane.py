@@ -184,7 +184,7 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
         return own.ravel()
 
     def _probes(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> np.ndarray:
-        """Return where the probes are on the tool, shape (targets, 3), zero where no plane has rows enough to tell."""
+        """Return where the probes are on the tool, shape (targets, 3), zero where no plane has enough rows."""
         total, count = np.zeros((n_targets, 3)), 0
         for k in range(len(self.planes)):
             here = self.index == k

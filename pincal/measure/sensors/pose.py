@@ -17,7 +17,7 @@ from pincal.compiled import compiled
 from pincal.errors import MeasurementError, warn
 from pincal.measure.extrinsics import RANK, Extrinsics, by_target, least_squares
 from pincal.measure.fields import Field, Rule, TableRows
-from pincal.measure.sensor import Additive, Block, Foreseeable, Plausible, Sensor
+from pincal.measure.sensor import Additive, Block, Plausible, Sensor, Simulatable
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.se3 import align, exponentials, nearest_rotation, rotation_matrices, transform
@@ -70,7 +70,7 @@ def _mirrored(positions: np.ndarray, *, axes: tuple[int, ...]) -> np.ndarray:
     return found
 
 
-# Positions alone can't tell which of these mirrors happened; with orientations they can.
+# Positions alone do not show which of these mirrors it is; with orientations they do.
 _OR = "or the frame is left-handed"
 _SWAPS = ((f"the columns {'xyz'[i]!r} and {'xyz'[j]!r} look swapped, {_OR}", (i, j)) for i, j in _PAIRS)
 _TURNS = ((f"the column {axis!r} looks inverted in sign, {_OR}", (i,)) for i, axis in enumerate("xyz"))
@@ -107,7 +107,7 @@ class PlausiblePositions(Plausible):
 
 
 @dataclass(frozen=True)
-class PositionSensor(PlausiblePositions, Additive, Foreseeable):
+class PositionSensor(PlausiblePositions, Additive, Simulatable):
     """3D: the position of the target, shape (N, 3) [m], in the instrument's frame."""
 
     kind: ClassVar[str] = "position"
@@ -126,7 +126,7 @@ class PositionSensor(PlausiblePositions, Additive, Foreseeable):
         return cls(table.array("position"))
 
     @classmethod
-    def foreseen(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
+    def simulated(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
         return cls(poses[:, :, 3])
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -179,7 +179,7 @@ QUATERNION = Field(
 
 
 @dataclass(frozen=True)
-class PoseSensor(PlausiblePositions, Sensor, Foreseeable):
+class PoseSensor(PlausiblePositions, Sensor, Simulatable):
     """6D: position, shape (N, 3) [m], and orientation, shape (N, 3, 3), of the tool in the instrument's frame."""
 
     kind: ClassVar[str] = "pose"
@@ -199,7 +199,7 @@ class PoseSensor(PlausiblePositions, Sensor, Foreseeable):
         return cls(table.array("position"), rotation_matrices(table.array("quaternion")))
 
     @classmethod
-    def foreseen(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
+    def simulated(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
         return cls(poses[:, :, 3], poses[:, :, :3])
 
     def shifted(self, change: np.ndarray) -> Self:

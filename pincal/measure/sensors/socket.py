@@ -15,7 +15,7 @@ import numpy as np
 from pincal.measure.extrinsics import Extrinsics, by_target
 from pincal.measure.fields import Field, TableRows
 from pincal.measure.point_sensor import PointSensor, centred, index_of, solved
-from pincal.measure.sensor import Block, Foreseeable
+from pincal.measure.sensor import Block, Simulatable
 from pincal.measure.setup import NamedPoints, Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 
@@ -87,7 +87,7 @@ class Coincidences(PointSensor):
 
 
 @dataclass(frozen=True)
-class ContactSensor(Coincidences, Foreseeable):
+class ContactSensor(Coincidences, Simulatable):
     """3D: coincidence of the tool point with its socket; new sockets are judged by their means."""
 
     kind: ClassVar[str] = "socket"
@@ -105,7 +105,7 @@ class ContactSensor(Coincidences, Foreseeable):
         return cls(points, index_of(table, points, may_be_new=True))
 
     @classmethod
-    def foreseen(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
+    def simulated(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
         """Return the contacts of poses in sockets of unknown position, called socket_1, socket_2, ..."""
         assert places is not None, "contacts need places"
         points = poses[:, :, 3]
