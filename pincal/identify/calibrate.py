@@ -23,8 +23,8 @@ from pincal.identify.initial import begin
 from pincal.identify.noise import is_exact, rounding
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Earlier, Problem
+from pincal.identify.regions import has_instrument, prior_scale
 from pincal.identify.selection import CRITERIA
-from pincal.identify.shrinkage import has_instrument, prior_scale
 from pincal.identify.solve import SETTLED, Course, solve
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose

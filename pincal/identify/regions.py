@@ -1,10 +1,34 @@
-"""Regions of joint space: rows whose poses are near each other."""
+r"""Regions of joint space, and how far a robot may be from its URDF, by regions that are left out.
+
+Readings without an instrument (contacts, planes, gauges, sockets) see few directions at few places. What they do not see
+keeps its prior, and one that is wider than the robot's deviations lets errors of the contacts pass for geometry, which then
+does harm wherever nobody measured. The priors of geometry and elasticity are therefore multiplied by the factor by which
+rows of regions are predicted best from the others. With what all rows and the prior P say of the parameters about a point,
+information H + P and gradient b, their evidence is :math:`E = (b^T (H + P)^{-1} b - \log\det (H + P)) / 2`, and region r has
+the log-likelihood, given the others,
+
+.. math:: E(H, b) - E(H - H_r, b - b_r) - s_r / 2
+
+with its squares s_r at that point. Of factors whose likelihoods differ by less than a standard error of the difference over
+the regions the smallest counts (Breiman et al. 1984, Classification and Regression Trees, 3.4.3).
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from pincal.identify.beliefs import is_deviation
+from pincal.identify.fit import ModelFit
+from pincal.identify.normal import accumulate
+from pincal.identify.quadratic import Factor, Form
 from pincal.model.conditions import TURN
+
+# Factors that are tried, and regions of each station.
+_SCALES, _REGIONS = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001), 10
+# Standard deviation of what has no prior [m or rad], so that a region without which nothing is known of it has one.
+_ANYWHERE = 10.0
 
 
 def joint_regions(q: np.ndarray, most: int, seed: int = 0) -> np.ndarray:
@@ -37,3 +61,63 @@ def _at_one_turn(q: np.ndarray) -> np.ndarray:
         start = angles[gap] + 0.5 * (angles[(gap + 1) % len(angles)] - angles[gap]) % TURN
         folded[:, j] = np.mod(q[:, j] - start, TURN)
     return folded
+
+
+def has_instrument(fit: ModelFit) -> bool:
+    """Return whether something beside the robot and what it touches tells where any of its targets are."""
+    return any(station.sensor.base_symbols or station.sensor.is_on_tool for station in fit.problem.stations)
+
+
+def prior_scale(fit: ModelFit) -> float:
+    """Return the factor on the priors of geometry and elasticity, see above; 1 where there are too few regions to tell."""
+    free, sizes = fit.solution.free, np.minimum(fit.priors.sizes, _ANYWHERE)
+    regions, offsets = _regions(fit), np.where(np.isfinite(fit.priors.sizes), fit.values, 0.0)[free]
+    scaled, sizes = is_deviation(fit.problem, fit.options)[free], sizes[free] / _scale_of(fit, free)
+    if len(regions) < 2 or not scaled.any():
+        return 1.0
+    likely = np.array([_likelihoods(regions, np.where(scaled, sizes * scale, sizes), offsets) for scale in _SCALES])
+    behind = likely[np.argmax(likely.sum(axis=1))] - likely
+    doubt = behind.std(axis=1, ddof=1) * np.sqrt(len(regions))
+    return min(scale for scale, less, by in zip(_SCALES, behind.sum(axis=1), doubt, strict=True) if less <= by)
+
+
+def _scale_of(fit: ModelFit, free: np.ndarray) -> np.ndarray:
+    """Return the factors that the priors of a fit have, shape (F,)."""
+    scale = 1.0 if fit.options.prior_scale is None else fit.options.prior_scale
+    return np.asarray(np.where(is_deviation(fit.problem, fit.options), scale, 1.0)[free])
+
+
+def _regions(fit: ModelFit) -> list[tuple[Form, float]]:
+    """Return what the rows of each region say of the free parameters, and their squares."""
+    problem, solution, found = fit.problem, fit.solution, []
+    rank, n_free = np.cumsum(solution.free) - 1, int(solution.free.sum())
+    for (station, places, blocks), rows in zip(fit.stations, problem.rows, strict=True):
+        here, robust = solution.free[places], solution.weights[rows]
+        region, at, sigma = joint_regions(station.conditions.q, _REGIONS), rank[places[here]], solution.sigma[blocks]
+        for each in np.unique(region):
+            part = region == each
+            normal = accumulate(station.select(part), solution.values[places], here, robust[part])
+            own, H, g = replace(normal, believed=None).at(sigma), np.zeros((n_free, n_free)), np.zeros(n_free)
+            H[np.ix_(at, at)], g[at] = own.H, own.g
+            found.append((Form.of(H, g), float(np.sum(normal.squares / sigma**2))))
+    return found
+
+
+def _likelihoods(regions: list[tuple[Form, float]], sizes: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Return the log-likelihood of each region given the others, shape (R,).
+
+    Args:
+        regions: what each says of F parameters, and its squares.
+        sizes: shape (F,), standard deviations of the priors.
+        offsets: shape (F,), where the parameters stand.
+    """
+    H, b = sum(form.H for form, _ in regions), sum(form.g for form, _ in regions)
+    A, b = H + np.diag(sizes**-2.0), b - offsets / sizes**2
+
+    def evidence(A: np.ndarray, b: np.ndarray) -> float:
+        factor = Factor.of(A)
+        half = factor.half(b)
+        return 0.5 * (float(half @ half) - factor.log_det)
+
+    whole = evidence(A.copy(), b)
+    return np.array([whole - evidence(A - form.H, b - form.g) - 0.5 * square for form, square in regions])
