@@ -51,6 +51,23 @@ class CaveatKind(Enum):
         "noise is too small; uncertainties are scaled up accordingly"
     )
     NOISE_OVERSTATED = "the residuals are smaller than the declared noise allows: the declared noise is too large"
+    NO_INSTRUMENT = (
+        "no instrument saw the robot, so what its readings do not show stays as its description has it; the robot's "
+        "deviations from that are taken to be {factor:.2g} times as large as usual, by which regions of poses that are left "
+        "out are predicted best. Elsewhere the standard deviation of a predicted position falls {how}"
+    )
+    UNSEEN_DIRECTION = (
+        "all readings are within 10 degrees of {where} in the axes of {base}: nothing was measured across; vary the "
+        "directions of contact"
+    )
+    BLIND = (
+        "these readings tell little of {link}: the standard deviation of its predicted position in its workspace was "
+        "{before:.2g} mm and is {after:.2g} mm; do not use the model to correct its positions"
+    )
+    MOUNT_MOVED = (
+        "the readings alone move the mount of {joint} by {moved:.3g} mm, known to {sigma:.2g} mm: they do not hold it. "
+        "Measure in more directions, and at more places, or with an instrument"
+    )
     MASSES_FOUND = (
         "the robot description has no usable masses for {links} links: they were estimated with the compliances, "
         "{mass:.3g} kg in total, to {percent:.0f} %; predictions do not depend on their common factor"
@@ -107,12 +124,14 @@ class CaveatKind(Enum):
     )
 
 
-UNUSABLE = frozenset({CaveatKind.IMPLAUSIBLE, CaveatKind.MANY_OUTLIERS})
+UNUSABLE = frozenset({CaveatKind.IMPLAUSIBLE, CaveatKind.MANY_OUTLIERS, CaveatKind.MOUNT_MOVED})
 """What makes a calibration none, though it converged."""
 
 DOUBTS = UNUSABLE | {
     CaveatKind.FEW_READINGS,
     CaveatKind.OWN_POSE,
+    CaveatKind.UNSEEN_DIRECTION,
+    CaveatKind.BLIND,
     CaveatKind.NOT_CONVERGED,
     CaveatKind.NOISE_EXCEEDED,
     CaveatKind.CONTRADICTED,

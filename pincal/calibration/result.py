@@ -26,10 +26,12 @@ from pincal.calibration.caveats import (
     findings_on_replicates,
 )
 from pincal.calibration.held_out import LeftOut, StationRows, errors_held_out, headline_of
+from pincal.calibration.improvement import findings_without_instrument, improvements
 from pincal.calibration.moves import moves_of, spent_at
 from pincal.calibration.placing import moved
 from pincal.calibration.result_tables import ParameterRecord, ParameterRow, parameter_rows
 from pincal.identify.fit import ModelFit
+from pincal.identify.regions import has_instrument
 from pincal.identify.station import Station
 from pincal.measure.poses import SCATTER, replicate_groups
 from pincal.notes import Note, doubts_first, doubts_of
@@ -91,7 +93,9 @@ class Result(Outcome):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""
-        absent = {name for name in ("iso9283", "lack_of_fit", "stations") if getattr(self, name) in (None, UNSET)}
+        absent = {
+            name for name in ("iso9283", "lack_of_fit", "stations", "improvement") if getattr(self, name) in (None, UNSET)
+        }
         contents = {name: value for name, value in asdict(self).items() if name not in {*absent, "doubt", "shift"}}
         contents |= {"parameters": [row.to_dict() for row in self.parameters], "warnings": to_builtins(self.warnings)}
         return contents | {"verdict": self.verdict_of().value}
@@ -141,10 +145,12 @@ def result_of(
         for found in findings_on_replicates(lack, p_value)
     ]
     read = Readings.of(fit, [part.poses[0] for part in seen])
+    improved = () if has_instrument(fit) else improvements(fit)
     found = [
         *findings_on_plausibility(fit, [part.train for part in rows]),
         *findings_on_fit(fit, p_value),
         *findings_on_data(fit, read),
+        *findings_without_instrument(fit, improved),
         *_on_rows(seen, left_out),
         *on_replicates,
     ]
@@ -181,6 +187,7 @@ def result_of(
         iso9283=iso,
         lack_of_fit=lack,
         stations=tuple(_records(fit, seen, apart, again)) if len(seen) > 1 else UNSET,
+        improvement=improved or UNSET,
     )
 
 

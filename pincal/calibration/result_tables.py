@@ -15,7 +15,7 @@ from pincal.result_table import Cell, Column, Kind, RowTone, Table
 from pincal.robot.se3 import placed, rotation_vectors
 from pincal.units import Quantity, fixed, format_readable, show_sigma, show_unit, show_value
 from pincal.validate.accuracy import ANGLE_WORDS
-from pincal.validate.outcome import StationRecord
+from pincal.validate.outcome import Improvement, StationRecord
 
 PARTS = {"train": "fitted", "test": "held out", "regions": "held-out regions", "stretches": "held-out stretches"}
 """What the two parts of a data set are called."""
@@ -146,6 +146,15 @@ def station_table(stations: Sequence[StationRecord]) -> Table:
             numbers = (count, before, *others, error["mean_mm"])
             rows.append((station["name"], station["kind"], PARTS[part], *numbers))
     return Table("Mean error at each station [mm]", (*heads, *columns), tuple(rows))
+
+
+def improvement_table(regions: Sequence[Improvement]) -> Table:
+    """Return the predicted standard deviation of positions before and after, by link and region."""
+    heads = (Column("link", kind=Kind.NAME), Column("region", kind=Kind.LABEL), Column("poses", kind=Kind.NUMBER, show=str))
+    sizes = tuple(Column(name, "mm", Kind.NUMBER, fixed(3)) for name in ("before", "after"))
+    rows = tuple((of.link, of.region, of.poses, of.before_mm, of.after_mm) for of in regions)
+    note = "near, far, low and high: halves by distance from the axis of the base and by height, within the joints' limits"
+    return Table("Standard deviation of predicted positions", (*heads, *sizes), rows, (note,))
 
 
 def moved_table(stations: Sequence[StationRecord]) -> Table | None:

@@ -164,6 +164,8 @@ def print_result(result: Result, out: Console) -> None:
             if table is not None:
                 out.print(table)
     out.print(result_tables.error_table(result.error))
+    if result.improvement is not UNSET:
+        out.print(result_tables.improvement_table(result.improvement))
     print_replicates(result.iso9283, result.lack_of_fit, out)
     out.print(result_tables.parameter_table(result.parameters))
     print_notes(result.warnings, out)

@@ -130,6 +130,7 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     sections.setup,
     sections.accuracy,
     sections.stations,
+    sections.elsewhere,
     missing,
     sections.where,
     sections.moments,

@@ -13,6 +13,7 @@ from pincal.calibration.result import Result
 from pincal.calibration.result_tables import (
     correlation_table,
     error_table,
+    improvement_table,
     iso9283_table,
     moved_table,
     parameter_table,
@@ -233,6 +234,18 @@ def stations(subject: Subject) -> Section | None:
     if (again := repeated_table(records)) is not None:
         blocks += [heading("Repeated measurements of poses", "repeatability"), paragraph(REPEATED), again]
     return Section("stations", "Stations", tuple(blocks), "Stations")
+
+
+def elsewhere(subject: Subject) -> Section | None:
+    """How far predictions are improved where nobody measured; None where an instrument saw the robot."""
+    if subject.result.improvement is UNSET:
+        return None
+    text = (
+        "No instrument saw the robot. Before the calibration the standard deviation of a position is that of its priors, "
+        "afterwards that of what priors and readings leave unknown, both as an instrument would see them once it is placed."
+    )
+    blocks = (paragraph(text), improvement_table(subject.result.improvement))
+    return Section("elsewhere", "Where nobody measured", blocks, "Elsewhere")
 
 
 def _moved(records: Sequence[StationRecord]) -> Iterator[PageBlock]:
