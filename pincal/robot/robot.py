@@ -12,7 +12,9 @@ import numpy as np
 
 from pincal.errors import BadInputError, nearest_first
 from pincal.robot.arm_of_tree import TreeRequest, arm_model, arm_of_tree, path_between
+from pincal.robot.closure import Closure, Linkage
 from pincal.robot.dh import DhFrames
+from pincal.robot.kinematics import Kinematics
 from pincal.robot.link_path import LinkPath, above
 from pincal.robot.tree import Coupling, Mimic, UrdfTree
 from pincal.robot.urdf_file import find_file, parse_urdf, read_urdf
@@ -52,6 +54,8 @@ class Robot:
             reported, everything else of the library the positions of the URDF.
         parents: the joint that carries each joint, -1 for the base; default: each carries the next.
         ends: the links between which a reading is if nothing else is said; default: base and tip.
+        closures: what closes loops of its joints.
+        passive: names of the joints that follow from the others, as the loops have it.
     """
 
     name: str
@@ -74,6 +78,8 @@ class Robot:
     couplings: tuple[Coupling, ...] = ()
     parents: tuple[int, ...] = ()
     ends: LinkPath | None = None
+    closures: tuple[Closure, ...] = ()
+    passive: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.parents:
@@ -143,7 +149,8 @@ class Robot:
     @property
     def request(self) -> TreeRequest:
         """Which part of its URDF it is."""
-        return TreeRequest(self.tip, self.path.start, self.base, others=self.joint_names)
+        own = [self.joint_names[i] for i in self.own_joints] if self.passive else None
+        return TreeRequest(self.tip, self.path.start, self.base, own, others=self.joint_names)
 
     def between(self, start: str, tip: str) -> LinkPath:
         """Return the way between two links of the robot.
@@ -174,35 +181,73 @@ class Robot:
         """Return whether joint i carries joint k, directly or not."""
         return i in above(self.parents[k], self.parents)
 
+    @cached_property
+    def dependent(self) -> frozenset[str]:
+        """Names of the joints without a position of their own: those that mimic others, and the passive ones of loops."""
+        return frozenset(mimic.joint for mimic in self.mimics).union(self.passive)
+
     @property
     def own_joints(self) -> np.ndarray:
-        """Indices of the m joints that mimic none."""
-        driven = {mimic.joint for mimic in self.mimics}
-        return np.array([i for i, name in enumerate(self.joint_names) if name not in driven])
+        """Indices of the m joints that have a position of their own."""
+        return np.array([i for i, name in enumerate(self.joint_names) if name not in self.dependent])
+
+    @cached_property
+    def linkage(self) -> Linkage | None:
+        """Its loops; None if it has none."""
+        if not self.closures:
+            return None
+        kinematics = Kinematics.of(self)
+        passive = np.array([self.joint_names.index(name) for name in self.passive])
+        loop = {joint for closure in self.closures for joint, _ in closure.path.steps(self.parents)}
+        drivers = np.array(sorted(loop - set(passive.tolist())))
+        return Linkage(kinematics, self.closures, passive, drivers, self.lower, self.upper)
 
     def following(self, q: np.ndarray) -> np.ndarray:
-        """Return joint positions, shape (N, n), with each joint that mimics another where that one puts it."""
-        if not self.mimics:
+        """Return joint positions, shape (N, n), with each dependent joint where the others put it.
+
+        Loops that can't be closed come as near as they can, see :meth:`can_take`.
+        """
+        if not self.dependent:
             return q
         out, index = np.array(q, np.result_type(q, float)), self.joint_names.index
         for mimic in self.mimics:
             out[:, index(mimic.joint)] = mimic.multiplier * out[:, index(mimic.source)] + mimic.offset
-        return out
+        return out if self.linkage is None else self.linkage.closed(out)[0]
+
+    def can_take(self, q: np.ndarray) -> np.ndarray:
+        """Return at which positions, shape (N, n), loops close and passive joints keep to their limits, shape (N,)."""
+        if self.linkage is None:
+            return np.ones(len(q), bool)
+        found, passive = self.linkage.closed(q), self.linkage.passive
+        within = (found[0] >= self.lower) & (found[0] <= self.upper)
+        return np.asarray(found[1] & within[:, passive].all(axis=1))
 
     def spread(self, own: np.ndarray) -> np.ndarray:
-        """Return the positions of all joints, shape (N, n), from those of the joints that mimic none, shape (N, m)."""
-        if not self.mimics:
+        """Return the positions of all joints, shape (N, n), from those that have their own, shape (N, m)."""
+        if not self.dependent:
             return own
         q = np.zeros((len(own), self.n_joints))
         q[:, self.own_joints] = own
         return self.following(q)
 
-    def gathered(self, J: np.ndarray) -> np.ndarray:
-        """Return derivatives by the joints that mimic none, shape (..., m), from those by all joints, shape (..., n)."""
-        if not self.mimics:
+    def gathered(self, J: np.ndarray, q: np.ndarray | None = None) -> np.ndarray:
+        """Return derivatives by the joints that have positions of their own, shape (..., m).
+
+        Args:
+            J: those by all joints, shape (..., n); with loops shape (N, ..., n).
+            q: joint positions, shape (N, n); None if derivatives by others hold those by the passive joints of loops.
+        """
+        if not self.dependent:
             return J
-        moves = np.eye(self.n_joints)[:, self.own_joints]
-        return np.asarray(J @ (self.following(moves.T) - self.following(0.0 * moves.T)).T)
+        moves = np.eye(self.n_joints)
+        for mimic in self.mimics:
+            i, k = self.joint_names.index(mimic.joint), self.joint_names.index(mimic.source)
+            moves[i] = mimic.multiplier * moves[k]
+        if q is None or self.linkage is None:
+            return np.asarray(J @ moves[:, self.own_joints])
+        linkage, whole = self.linkage, np.tile(moves, (len(q), 1, 1))
+        whole[:, linkage.passive] = linkage.rates(q) @ moves[linkage.drivers]
+        return np.asarray(J @ whole[..., self.own_joints])
 
     def with_couplings(self, *couplings: Coupling | str) -> Robot:
         """Return the robot with joints whose controller reports a combination of positions.
@@ -318,5 +363,12 @@ class Robot:
         return middle - half, middle + half
 
     def random_configurations(self, n: int, rng: np.random.Generator) -> np.ndarray:
-        """Draw joint positions, shape (n, n_joints), uniform within the limits (within +-pi where there are none)."""
-        return self.following(np.asarray(rng.uniform(*self.joint_range(), (n, self.n_joints))))
+        """Draw joint positions, shape (n, n_joints), uniform within the limits (within +-pi where there are none).
+
+        Of robots with loops they are those at which these close and the passive joints keep to their limits.
+        """
+        found = self.following(np.asarray(rng.uniform(*self.joint_range(), (n, self.n_joints))))
+        while self.linkage is not None and not (is_there := self.can_take(found)).all():
+            again = rng.uniform(*self.joint_range(), (int(np.sum(~is_there)), self.n_joints))
+            found[~is_there] = self.following(again)
+        return found
