@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from xml.etree import ElementTree
 
@@ -10,8 +11,23 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from linkages import WAYS, four_bar, palletizer, rod_arm
+from test_model import (
+    EFFECTS,
+    TILTED,
+    Augmented,
+    central_differences,
+    chain_of,
+    conditions_of,
+    unit_of,
+    values_of,
+)
 
 from pincal.errors import PincalWarning, RobotFileError
+from pincal.model.catalogue.transmission import TransmissionError
+from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
+from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions
+from pincal.model.model import Model
+from pincal.model.sparse_basis import dense_rows
 from pincal.robot.robot import Robot
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
@@ -184,3 +200,106 @@ def test_the_assembly_is_that_of_the_urdf() -> None:
     np.testing.assert_allclose(q[0], 0.0, atol=1e-12)
     assert np.abs(np.diff(q, axis=0)).max() < 0.3
     np.testing.assert_allclose(q[-1, 1:] % (2 * np.pi), q[0, 1:] % (2 * np.pi), atol=1e-9)
+
+
+# --- the calibrated model ---------------------------------------------------------------------------------------------
+
+MODELS = {"palletizer": palletizer(), "rod arm, no parallelogram": rod_arm(skew=0.05)}
+
+
+@pytest.fixture(scope="module", params=MODELS)
+def looped(request: pytest.FixtureRequest) -> Robot:
+    """Return robots of one loop and of three, one of them no parallelogram."""
+    return Robot.from_urdf(MODELS[request.param])
+
+
+@pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
+@pytest.mark.parametrize("name", ["geometric", "all"])
+def test_zero_parameters_give_the_nominal_robot(
+    looped: Robot, name: str, moment_frame: MomentFrame, rng: np.random.Generator
+) -> None:
+    """The tip stands where Pinocchio has it, and stays where passive joints are said to stand elsewhere."""
+    model = Model(Chain.of(looped, moment_frame=moment_frame), EFFECTS[name])
+    conditions = conditions_of(looped, 9, rng, targets=1)
+    expected = looped.forward_kinematics(conditions.q)[:, :3]
+    passive = [looped.joint_names.index(joint) for joint in looped.passive]
+    conditions.q[:, passive] += rng.uniform(-0.05, 0.05, (9, len(passive)))
+
+    np.testing.assert_allclose(model.predict(np.zeros(model.n_parameters), conditions), expected, rtol=0.0, atol=CLOSED)
+
+
+@pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
+@pytest.mark.parametrize("name", ["geometric", "joint_elasticity", "bearing_elasticity", "all"])
+def test_the_jacobian_is_exact(looped: Robot, name: str, moment_frame: MomentFrame, rng: np.random.Generator) -> None:
+    """Lengths of rods, zeros of cranks, loads that loops hand on: all columns equal central differences."""
+    model = Model(chain_of(looped, moment_frame), EFFECTS[name])
+    conditions = conditions_of(looped, 6, rng)
+    values, unit = values_of(model, conditions, rng), unit_of(model, conditions)
+    poses, jacobian = model.linearise(values, conditions, rows=6)
+    numeric = central_differences(model, values, conditions, 1e-5 / unit)
+
+    np.testing.assert_array_equal(poses, model.predict(values, conditions))
+    np.testing.assert_allclose(jacobian / unit, numeric / unit, rtol=0.0, atol=1e-8 * np.abs(jacobian / unit).max())
+
+
+def test_moments_that_follow_the_bent_arm_have_slopes_to_second_order(looped: Robot, rng: np.random.Generator) -> None:
+    """At equilibrium only the product of two elastic rotations is left out of the columns: a millionth at 1 mrad."""
+    model = Model(chain_of(looped), EFFECTS["all"], equilibrium=True)
+    conditions = conditions_of(looped, 6, rng)
+    values, unit = 0.1 * values_of(model, conditions, rng), unit_of(model, conditions)
+    _, jacobian = model.linearise(values, conditions, rows=6)
+    numeric = central_differences(model, values, conditions, 1e-5 / unit)
+
+    np.testing.assert_allclose(jacobian / unit, numeric / unit, rtol=0.0, atol=1e-5 * np.abs(jacobian / unit).max())
+
+
+def test_shared_columns_are_those_of_their_coordinate(looped: Robot, rng: np.random.Generator) -> None:
+    """Curves on the crank's drive come as one column of its coordinate, in which passive joints follow."""
+    effects = (*ELASTIC, TransmissionError("joint_3", -0.5, 0.6))
+    model = Model(chain_of(looped), effects)
+    conditions = conditions_of(looped, 6, rng)
+    values, free = values_of(model, conditions, rng), np.ones(model.n_parameters, bool)
+    _, whole = model.linearise(values, conditions)
+    _, parts, shared = model.linearise_shared(values, conditions, free=free)
+    (group,) = shared
+    ((places, basis),) = group.families
+    dense = basis if isinstance(basis, np.ndarray) else dense_rows(basis)
+
+    np.testing.assert_allclose(parts[-1] * dense[:, None], whole[:, :, places].transpose(2, 1, 0), atol=CLOSED)
+
+
+@pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
+def test_drives_bear_what_the_potential_energy_costs(
+    looped: Robot, moment_frame: MomentFrame, rng: np.random.Generator
+) -> None:
+    """The moment about a drive of a loop is minus the slope of Pinocchio's potential energy, rods and hand included.
+
+    Passive joints bear nothing about their axes, and Pinocchio's constraints are closed on the deformed geometry.
+    """
+    chain = Chain.of(looped, moment_frame=moment_frame, gravity=TILTED)
+    model, h = Model(chain, GEOMETRIC), 1e-5
+    conditions = Conditions.at(looped.random_configurations(8, rng), payload=7.5, payload_centre=(0.08, -0.05, 0.22))
+    values = values_of(model, conditions, rng)
+    augmented = Augmented(chain, payload=7.5, centre=np.array([0.08, -0.05, 0.22]))
+    moments = model.static_moments(values, conditions)[:, 2::3]
+
+    def energy(q: np.ndarray) -> np.ndarray:
+        rows = model.coordinates(values, replace(conditions, q=q))
+        data = augmented.data
+        return np.array([pin.computePotentialEnergy(augmented.model, data, augmented.joints(row)) for row in rows])
+
+    for i, joint in enumerate(looped.joint_names):
+        step = h * np.eye(looped.n_joints)[i]
+        slope = (energy(conditions.q + step) - energy(conditions.q - step)) / (2.0 * h)
+        np.testing.assert_allclose(moments[:, i], -slope, atol=1e-7 * np.abs(moments).max(), err_msg=joint)
+        assert joint not in looped.passive or not moments[:, i].any()
+
+
+def test_names_of_parameters_are_those_that_loops_leave(looped: Robot) -> None:
+    """Passive joints have no zero and no drive; rods have a length, their pins a place on the links that go on."""
+    model = Model(Chain.of(looped), ELASTIC)
+    of_passive = {name.rsplit(".", 1)[1] for name in model.names if name.rsplit(".", 1)[0] in looped.passive}
+
+    assert not of_passive & {"theta", "k_z"} and "a" in of_passive
+    assert {f"{closure.name}.{symbol}" for closure in looped.closures for symbol in "xy"} <= set(model.names)
+    assert {"rod_foot.a", "joint_3.theta", "joint_3.k_z"} <= set(model.names) and "rod_foot.d" not in model.names

@@ -15,6 +15,7 @@ from pincal.model import kernels, walk
 from pincal.model.chain import Chain
 from pincal.model.kernel_inputs import Payload, Values
 from pincal.model.latest import Latest
+from pincal.model.loops import Loops
 from pincal.model.symbols import are_symbols
 from pincal.recorded import RECORDABLE, RECORDED, Recorded
 
@@ -204,7 +205,9 @@ def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool 
     varying = np.array(constant[chain.drives, None] + conditions.q.T, order="C")
     mass = np.require(conditions.payload, np.float64, ["C", "W"])
     payload = Payload(mass, np.array(conditions.payload_centre, float))
-    return np.asarray(kernels.static_moments(layout, Values(constant.copy(), slot, varying), payload).T)
+    values, loops = Values(constant.copy(), slot, varying), Loops.of(chain)
+    moments = kernels.static_moments(layout, values, payload)
+    return np.asarray((moments if loops is None else loops.borne(values, moments)).T)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ is left of the others is the play that the real joints have.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 # Closed to this [m, rad] is closed to rounding; a loop that does not come nearer than the second can't be closed.
 CLOSED, _OPEN = 1e-13, 1e-9
+# A pin nearer than this to the end of a rod is there [m].
+_AT_END = 1e-9
 # Known positions that others are reached from, and the longest step there [rad or m].
 _KNOWN, _STEP = 512, 0.25
 NEWTON, _LONGEST, _DAMPING = 30, 0.5, 1e-14
@@ -49,6 +52,15 @@ class Closure:
     def size(self) -> int:
         """Number R of its equations."""
         return {"point": 3, "axis": 5, "pose": 6}[self.kind]
+
+    def pinned(self, parents: Sequence[int]) -> int:
+        """Return on which link its place is one of its own: 1 where its path ends, -1 where it starts, 0 on neither.
+
+        At the end of a rod, a link that carries no other, it is where the link ends.
+        """
+        path = self.path
+        ends = ((path.tip_joint, path.T_joint_tip, 1), (path.start_joint, path.T_joint_start, -1))
+        return next((side for i, T, side in ends if i < 0 or i in parents or np.abs(T[:2, 3]).max() > _AT_END), 0)
 
     def residuals(self, T: np.ndarray) -> np.ndarray:
         """Return what it is open by, shape (N, R) [m, rad], where one frame stands at T in the other, (N, 3 or 4, 4)."""

@@ -192,6 +192,11 @@ class Robot:
         return np.array([i for i, name in enumerate(self.joint_names) if name not in self.dependent])
 
     @cached_property
+    def pins(self) -> tuple[Closure, ...]:
+        """The closures with a place of their own on a link, beside the length of a rod."""
+        return tuple(closure for closure in self.closures if closure.pinned(self.parents))
+
+    @cached_property
     def linkage(self) -> Linkage | None:
         """Its loops; None if it has none."""
         if not self.closures:
@@ -308,9 +313,10 @@ class Robot:
     @property
     def reach(self) -> float:
         """Length of its path stretched out [m]: an upper bound on the distance from S_0 to the tip."""
-        s = self.frames.parameters
+        on_path = [joint for joint, _ in self.path.steps(self.parents)]
+        s = self.frames.parameters[on_path]
         farthest = np.maximum(np.abs(self.lower), np.abs(self.upper))
-        travel = [far for far, kind in zip(farthest, self.joint_types, strict=True) if kind == "prismatic" and far < np.inf]
+        travel = [farthest[i] for i in on_path if self.joint_types[i] == "prismatic" and farthest[i] < np.inf]
         return float(np.hypot(s[:, 3], s[:, 4]).sum() + np.linalg.norm(self.frames.T_last_tip[:3, 3]) + sum(travel))
 
     def forward_kinematics(self, q: np.ndarray, path: LinkPath | None = None) -> np.ndarray:
