@@ -28,6 +28,8 @@ from pincal.robot.closure import CLOSED, Closure, least_step
 
 # From where the nominal arm closes, errors of millimetres need three steps; the last is one that begins nearer than this.
 _STEPS, _LAST = 12, 1e-8
+# Farther off [m, rad] steps are kept short.
+_NEAR = 0.1
 # What moves passive joints by less than this part of a unit moves nothing.
 _STILL = 1e-3
 # Poses in which it is looked at.
@@ -97,7 +99,8 @@ class Loops:
             open_by = float(np.abs(missing).max(initial=0.0))
             if open_by <= CLOSED:
                 break
-            values.varying[values.slot[self.follow]] -= least_step(C, missing).T
+            step = _solved(C, missing[..., None])[..., 0] if open_by < _NEAR else least_step(C, missing)
+            values.varying[values.slot[self.follow]] -= step.T
             if open_by < _LAST:
                 break
         return values
@@ -107,7 +110,7 @@ class Loops:
     ) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
         """Return what the loops are open by, shape (N, p), its derivatives by M coordinates, shape (N, p, M), and ends.
 
-        Of each walk these are where it ends, shape (N, 3, 4), and how that moves and turns, shape (N, 6, M).
+        Of each walk these are where it ends, shape (N, 3, 4), and how that moves and turns, shape (M, 6, N).
         """
         N, M = values.varying.shape[1], len(coordinates)
         constant, slot = values.constant.copy(), values.slot.copy()
@@ -120,9 +123,9 @@ class Loops:
         missing, derivatives, ends = [], [], []
         for walk in self.walks:
             T, _, J = kernels.evaluate(walk.layout, values, values, Places(here, here), _NO_LOAD, wanted)
-            T, J, rows = np.moveaxis(T, -1, 0), J.transpose(2, 1, 0), list(walk.closure.rows)
+            T, rows = np.moveaxis(T, -1, 0), list(walk.closure.rows)
             missing.append(walk.closure.residuals(T)[:, rows])
-            derivatives.append(walk.closure.derivatives(T, J)[:, rows])
+            derivatives.append(walk.closure.derivatives(T, J.transpose(2, 1, 0))[:, rows])
             ends.append((T, J))
         return np.concatenate(missing, axis=1), np.concatenate(derivatives, axis=1), ends
 
@@ -208,7 +211,7 @@ class Loops:
             change = -self._turned(at, on_rigid[2], forces, k)
             for q in range(p):
                 change -= D[at[k], q] * of_passive[q]
-            change = change + np.einsum("pn,mpn->mn", change[:p], D)
+            change = change + (change[:p] * D).sum(axis=1)
             c = int(compliances.coordinate[e])
             found[c] = found.get(c, 0.0) + compliances.rate[e] * change
         return found
@@ -219,22 +222,22 @@ class Loops:
         """Return forces at the pins, shape (N, p), times the second derivatives of the equations by k and others, (M, N)."""
         total, first = np.zeros((len(at), len(forces))), 0
         for walk, (T, J) in zip(self.walks, ends, strict=True):
-            force = np.zeros((len(forces), 6))
-            force[:, walk.closure.rows] = forces[:, first : first + len(walk.closure.rows)]
+            force = np.zeros((6, len(forces)))
+            force[walk.closure.rows, :] = forces[:, first : first + len(walk.closure.rows)].T
             first += len(walk.closure.rows)
             if k not in walk.order:
                 continue
-            place, turn, v, w = force[:, :3], force[:, 3:], J[:, :3], J[:, 3:]
-            v_k, w_k = v[..., at[k]], w[..., at[k]]
+            place, turn, v, w = force[:3], force[3:], J[:, :3], J[:, 3:]
+            v_k, w_k = v[at[k]], w[at[k]]
             # Of two coordinates the earlier one turns what the later one does.
-            behind = np.einsum("nxm,nx->mn", v, np.cross(place, w_k))
-            before = np.einsum("nxm,nx->mn", w, np.cross(v_k, place))
+            behind = (v * _cross(place, w_k)).sum(axis=1)
+            before = (w * _cross(v_k, place)).sum(axis=1)
             if walk.closure.kind == "axis":
-                z = T[:, :, 2]
-                behind += np.einsum("nxm,nx->mn", w, np.cross(z, np.cross(turn, w_k)))
-                before += np.einsum("nxm,nx->mn", w, np.cross(np.cross(w_k, z), turn))
+                z = T[:, :, 2].T
+                behind += (w * _cross(z, _cross(turn, w_k))).sum(axis=1)
+                before += (w * _cross(_cross(w_k, z), turn)).sum(axis=1)
             elif walk.closure.kind == "pose":
-                half = 0.5 * np.einsum("nxm,nx->mn", w, np.cross(turn, w_k))
+                half = 0.5 * (w * _cross(turn, w_k)).sum(axis=1)
                 behind, before = behind + half, before - half
             for other, m in at.items():
                 if other in walk.order:
@@ -285,6 +288,11 @@ def inert_coordinates(chain: Chain) -> frozenset[int]:
         known[chain.moment_frame] = frozenset([*still, *loops.follow.tolist(), *own])
     found: frozenset[int] = known[chain.moment_frame]
     return found
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the vector product of vectors in columns, shape (3, N)."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _with_terms(terms: Terms, more: list[tuple[int, int, bool, np.ndarray]]) -> Terms:

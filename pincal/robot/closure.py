@@ -75,8 +75,9 @@ class Closure:
             return J[:, :3]
         if self.kind == "pose":
             return J
-        turned = np.cross(J[:, 3:], T[:, :3, 2, None], axisa=1, axisb=1, axisc=1)
-        return np.concatenate([J[:, :3], turned[:, :2]], axis=1)
+        w, (x, y, z) = J[:, 3:], T[:, :3, 2].T[..., None]
+        turned = np.stack([w[:, 1] * z - w[:, 2] * y, w[:, 2] * x - w[:, 0] * z], axis=1)
+        return np.concatenate([J[:, :3], turned], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
