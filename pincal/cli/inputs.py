@@ -133,9 +133,7 @@ def load_table(robot: Robot, path: Path, *, options: TableOptions | None = None,
     """Return the measurements (or the joint positions alone) of a file for this arm."""
     require: Literal["measurement", "joints"] = "joints" if joints_only else "measurement"
     said = {} if options is None else vars(options)
-    return read_measurements(
-        path, robot.joint_names, **said, require=require, joint_types=robot.joint_types, mimics=robot.mimics
-    )
+    return read_measurements(path, robot, **said, require=require)
 
 
 def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -> Options:

@@ -35,6 +35,7 @@ from pincal.model.effect import Candidate, Effect, Family, Harmonic, Locus, Term
 from pincal.model.effects import Compliance
 from pincal.model.kernel_inputs import Payload, Values
 from pincal.model.latest import Latest
+from pincal.model.loops import borne_moments
 from pincal.model.model import Model
 from pincal.parameters import Parameter
 
@@ -147,7 +148,7 @@ def _moments_of_link(chain: Chain, conditions: Conditions, i: int) -> Iterator[n
     def moments_at(centre: np.ndarray) -> np.ndarray:
         centres[i] = centre
         layout = chain.layout._replace(masses=masses, centres=centres)
-        return np.asarray(kernels.static_moments(layout, values, no_load))
+        return borne_moments(chain, values, kernels.static_moments(layout, values, no_load))
 
     straight = moments_at(np.zeros(3))
     size = max(float(np.linalg.norm(robot.centres[i])), 0.2 * float(np.hypot(*robot.frames.parameters[i, 3:5])), 0.02)
@@ -314,9 +315,9 @@ def likely_maps(fit: ModelFit, joints: Sequence[str]) -> list[Effect]:
     the pairs of joints among which it was chosen.
     """
     situation, chain = situation_of(fit), fit.problem.chain
-    drives = [int(chain.drives[situation.joints.index(joint)]) for joint in joints]
+    drives = [int(chain.drives[chain.robot.joint_names.index(joint)]) for joint in joints]
     along, lever = seen_along(fit, np.array(drives))
-    columns = dict(zip(situation.joints, situation.conditions.q.T, strict=True))
+    columns = {joint: situation.positions(joint) for joint in situation.joints}
     splines = {name: _coarse(q) for name, q in columns.items() if np.ptp(q)}
     found: list[tuple[float, Sequence[Effect]]] = []
     for joint, b, v in zip(joints, along, lever, strict=True):

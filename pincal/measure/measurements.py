@@ -143,7 +143,8 @@ class Measurements(Recorded):
 
     def of_joints(self, robot: Robot) -> Measurements:
         """Return the table with the positions of the URDF's joints in place of what the controller reports."""
-        return replace(self, q=robot.from_reported(self.q)) if robot.couplings else self
+        q = robot.from_reported(self.q)
+        return self if q is self.q else replace(self, q=q)
 
     def _with(self, columns: Mapping[str, np.ndarray]) -> Measurements:
         readings = {name: columns[name] for name in self.readings}
@@ -324,7 +325,7 @@ def measurements(
 
     Args:
         joints: the robot, or the names of its n joints.
-        q: joint positions [rad], prismatic [m], shape (N, n); of a robot, joints that mimic another may be left out.
+        q: joint positions [rad], prismatic [m], shape (N, n); of a robot, joints that follow from others may be left out.
         source: name of the data for messages.
         columns: what was measured and recorded, by name, and fields of custom sensors; None is absent:
 
@@ -358,7 +359,7 @@ def measurements(
     given: dict[str, Any] = {"source": source, **columns}
     if isinstance(joints, Robot):
         rows = np.asarray(q, float)
-        if joints.mimics and rows.ndim == 2 and rows.shape[1] == len(joints.own_joints):
+        if joints.dependent and rows.ndim == 2 and rows.shape[1] == len(joints.own_joints):
             rows = joints.spread(rows)
         return measurements_from_arrays(joints.joint_names, rows, **given)
     return measurements_from_arrays(joints, q, **given)

@@ -15,7 +15,7 @@ from pincal.model import kernels, walk
 from pincal.model.chain import Chain
 from pincal.model.kernel_inputs import Payload, Values
 from pincal.model.latest import Latest
-from pincal.model.loops import Loops
+from pincal.model.loops import borne_moments
 from pincal.model.symbols import are_symbols
 from pincal.recorded import RECORDABLE, RECORDED, Recorded
 
@@ -205,9 +205,8 @@ def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool 
     varying = np.array(constant[chain.drives, None] + conditions.q.T, order="C")
     mass = np.require(conditions.payload, np.float64, ["C", "W"])
     payload = Payload(mass, np.array(conditions.payload_centre, float))
-    values, loops = Values(constant.copy(), slot, varying), Loops.of(chain)
-    moments = kernels.static_moments(layout, values, payload)
-    return np.asarray((moments if loops is None else loops.borne(values, moments)).T)
+    values = Values(constant.copy(), slot, varying)
+    return borne_moments(chain, values, kernels.static_moments(layout, values, payload)).T
 
 
 @dataclass(frozen=True)
@@ -231,19 +230,19 @@ class PoseSet:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints, from the base."""
-        return self.chain.robot.joint_names
+        """Names of the joints, from the base, without the passive ones of loops: they have no drive."""
+        return tuple(name for name in self.chain.robot.joint_names if name not in self.chain.robot.passive)
 
     @property
     def revolute(self) -> tuple[str, ...]:
-        """Names of the joints that turn."""
-        types = self.chain.robot.joint_types
-        return tuple(name for name, kind in zip(self.joints, types, strict=True) if kind != "prismatic")
+        """Names of those that turn."""
+        slides = dict(zip(self.chain.robot.joint_names, self.chain.robot.joint_types, strict=True))
+        return tuple(name for name in self.joints if slides[name] != "prismatic")
 
     def positions(self, joint: str) -> np.ndarray:
         """Return the positions of a joint, shape (N,) [rad or m]."""
-        return np.asarray(self.conditions.q[:, self.joints.index(joint)])
+        return np.asarray(self.conditions.q[:, self.chain.robot.joint_names.index(joint)])
 
     def moment(self, joint: str) -> np.ndarray:
         """Return the static moment about the axis of a joint on the nominal arm, shape (N,) [N m]."""
-        return np.asarray(self.moments[:, 3 * self.joints.index(joint) + 2])
+        return np.asarray(self.moments[:, 3 * self.chain.robot.joint_names.index(joint) + 2])

@@ -266,6 +266,18 @@ class Loops:
         )
 
 
+def closed_loops(chain: Chain, values: Values) -> Values:
+    """Return coordinates at some poses with passive joints, if the chain has any, where its loops close."""
+    loops = Loops.of(chain)
+    return values if loops is None else loops.closed(values)
+
+
+def borne_moments(chain: Chain, values: Values, moments: np.ndarray) -> np.ndarray:
+    """Return the moments that joints bear, shape (3 n, N), from those of the tree whose loops, if any, are open [N m]."""
+    loops = Loops.of(chain)
+    return moments if loops is None else loops.borne(values, moments)
+
+
 def inert_coordinates(chain: Chain) -> frozenset[int]:
     """Return the coordinates of joints and pins that change nothing, as loops have it.
 

@@ -25,7 +25,7 @@ from pincal.model.evaluated import (
     stacked,
 )
 from pincal.model.kernel_inputs import Compliances, Layout, MassTerms, Payload, Places, Terms, Values, Wanted
-from pincal.model.loops import Loops
+from pincal.model.loops import Loops, borne_moments, closed_loops
 from pincal.model.sparse_basis import Basis, joined_rows
 from pincal.parameters import Parameter
 
@@ -212,7 +212,7 @@ class Model:
         """Return the static moments n_x, n_y, n_z of each joint, shape (N, 3 n) [N m] (paper, Eq. (3))."""
         state = Evaluation.at(self, values, conditions)
         return np.asarray(
-            _borne(self.chain, state.rigid, kernels.static_moments(state.layout, state.rigid, state.payload)).T
+            borne_moments(self.chain, state.rigid, kernels.static_moments(state.layout, state.rigid, state.payload)).T
         )
 
     def coordinates(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
@@ -270,16 +270,16 @@ class Evaluation:
         plain, curves = _plain(model, conditions)
         if by_row.varied:
             plain, curves = [*plain, *(term for curve in curves for term in curve.terms())], []
-        rigid = _closed(model.chain, coordinates_of(model.chain, by_row, conditions, plain, curves))
+        rigid = closed_loops(model.chain, coordinates_of(model.chain, by_row, conditions, plain, curves))
         layout = laden(model.chain, model.bodies, by_row)
         if not any(effect.uses_moments for effect in model.effects):
             return cls(model, layout, plain, curves, by_row, rigid, rigid, np.empty((0, len(mass))), places, payload)
         deformed = rigid
         for _ in range(_EQUILIBRIUM_ROUNDS if model.equilibrium else 1):
             before = deformed
-            moments = _borne(model.chain, deformed, kernels.static_moments(layout, deformed, payload))
+            moments = borne_moments(model.chain, deformed, kernels.static_moments(layout, deformed, payload))
             elastic = _elastic(model, conditions, moments.T)
-            deformed = _closed(model.chain, coordinates_of(model.chain, by_row, conditions, plain + elastic, curves))
+            deformed = closed_loops(model.chain, coordinates_of(model.chain, by_row, conditions, plain + elastic, curves))
             change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0
             if np.max(change, initial=0.0) < _EQUILIBRIUM_TOLERANCE:
                 break
@@ -368,16 +368,6 @@ def _sighted(model: Model, values: np.ndarray, conditions: Conditions) -> Condit
         return conditions
     without = model.with_effects([effect for effect in model.effects if not effect.is_sighted])
     return replace(conditions, sighted=without.predict(values[~sighted], conditions)[:, :, 3])
-
-
-def _closed(chain: Chain, values: Values) -> Values:
-    loops = Loops.of(chain)
-    return values if loops is None else loops.closed(values)
-
-
-def _borne(chain: Chain, values: Values, moments: np.ndarray) -> np.ndarray:
-    loops = Loops.of(chain)
-    return moments if loops is None else loops.borne(values, moments)
 
 
 def _plain(model: Model, conditions: Conditions) -> Plain:

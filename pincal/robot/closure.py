@@ -28,7 +28,7 @@ CLOSED, _OPEN = 1e-13, 1e-9
 # A pin nearer than this to the end of a rod is there [m].
 _AT_END = 1e-9
 # Known positions that others are reached from, and the longest step there [rad or m].
-_KNOWN, _STEP = 512, 0.25
+_KNOWN, _STEP, _MOST_STEPS = 512, 0.25, 100
 NEWTON, _LONGEST, _DAMPING = 30, 0.5, 1e-14
 
 
@@ -156,7 +156,7 @@ class Linkage:
         """
         found, way = np.array(q, float), q[:, self.drivers] - drivers
         found[:, self.passive] = passive
-        steps = max(int(np.ceil(np.abs(way).max(initial=0.0) / _STEP)), 1)
+        steps = int(np.clip(np.ceil(np.abs(way).max(initial=0.0) / _STEP), 1, _MOST_STEPS))
         for part in np.arange(1, steps + 1) / steps:
             found[:, self.drivers] = drivers + part * way
             open_by = self._newton(found)

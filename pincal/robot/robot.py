@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,7 +17,7 @@ from pincal.robot.closure import Closure, Linkage
 from pincal.robot.dh import DhFrames
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.link_path import LinkPath, above
-from pincal.robot.tree import Coupling, Mimic, UrdfTree
+from pincal.robot.tree import Coupling, Mimic, UrdfTree, mimicked
 from pincal.robot.urdf_file import find_file, parse_urdf, read_urdf
 
 if TYPE_CHECKING:
@@ -186,10 +187,16 @@ class Robot:
         """Names of the joints without a position of their own: those that mimic others, and the passive ones of loops."""
         return frozenset(mimic.joint for mimic in self.mimics).union(self.passive)
 
-    @property
+    @cached_property
     def own_joints(self) -> np.ndarray:
-        """Indices of the m joints that have a position of their own."""
-        return np.array([i for i, name in enumerate(self.joint_names) if name not in self.dependent])
+        """Indices of the m joints that have a position of their own, from the base.
+
+        Where drives of loops stand side by side they are in the order of the numbers in their names, if all have one.
+        """
+        own = [i for i, name in enumerate(self.joint_names) if name not in self.dependent]
+        numbers = [int("".join(re.findall(r"\d+", self.joint_names[i])[-1:]) or -1) for i in own]
+        in_order = self.passive and min(numbers) >= 0 and len(set(numbers)) == len(numbers)
+        return np.array([own[k] for k in np.argsort(numbers)] if in_order else own)
 
     @cached_property
     def pins(self) -> tuple[Closure, ...]:
@@ -214,9 +221,7 @@ class Robot:
         """
         if not self.dependent:
             return q
-        out, index = np.array(q, np.result_type(q, float)), self.joint_names.index
-        for mimic in self.mimics:
-            out[:, index(mimic.joint)] = mimic.multiplier * out[:, index(mimic.source)] + mimic.offset
+        out = mimicked(q, self.joint_names, self.mimics)
         return out if self.linkage is None else self.linkage.closed(out)[0]
 
     def can_take(self, q: np.ndarray) -> np.ndarray:
@@ -289,7 +294,7 @@ class Robot:
 
     def from_reported(self, q: np.ndarray) -> np.ndarray:
         """Return the positions of the URDF's joints, shape (N, n), from those that the controller reports."""
-        return self.following(np.asarray(q @ self.combination.T)) if self.couplings else q
+        return self.following(np.asarray(q @ self.combination.T)) if self.couplings or self.passive else q
 
     def as_reported(self, q: np.ndarray) -> np.ndarray:
         """Return what the controller reports, and is commanded, at positions of the URDF's joints, shape (N, n)."""

@@ -38,6 +38,14 @@ class Mimic:
     offset: float
 
 
+def mimicked(q: np.ndarray, names: Sequence[str], mimics: Iterable[Mimic]) -> np.ndarray:
+    """Return the positions of named joints, shape (N, n), with those that mimic another where that one puts them."""
+    out = np.array(q, np.result_type(q, float))
+    for mimic in mimics:
+        out[:, names.index(mimic.joint)] = mimic.multiplier * out[:, names.index(mimic.source)] + mimic.offset
+    return out
+
+
 @dataclass(frozen=True)
 class Coupling:
     """A joint whose position as reported lacks a part of another's: it is what it reports plus ``factor`` times that one.
