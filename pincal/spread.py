@@ -175,7 +175,9 @@ class _Sender:
 
     def __init__(self, function: Callable[[Any], Any], executor: Executor, label: str) -> None:
         self.executor = executor
-        self._client, self._file = _dask_client(executor), None
+        # Of an executor that Dask's ``Client.get_executor`` made, the client.
+        of_dask = type(executor).__module__ == "distributed.cfexecutor"
+        self._client, self._file = vars(executor)["_client"] if of_dask else None, None
         if isinstance(executor, ThreadPoolExecutor):
             return
         if self._client is not None:
@@ -273,11 +275,6 @@ class _File:
         weakref.finalize(self, self.path.unlink, missing_ok=True)
         with open(place, "wb") as file:
             file.write(content)
-
-
-def _dask_client(executor: Executor) -> Any:
-    """Return the client of an executor that Dask's ``Client.get_executor`` made; None of any other."""
-    return vars(executor)["_client"] if type(executor).__module__ == "distributed.cfexecutor" else None
 
 
 def _held_by_dask(client: Any, function: Callable[[Any], Any]) -> Any:

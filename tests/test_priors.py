@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal, norm
 
 from pincal import GEOMETRIC, BadInputError, Options, Robot, calibrate, measurements_from_arrays
 from pincal.cli import pincal as command
-from pincal.identify.serial import Serial
+from pincal.identify.whitening import Serial
 from pincal.measure.measurements import Measurements
 from pincal.simulate import paper_positions
 from pincal.units import size_in

@@ -12,11 +12,10 @@ from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate, measurements_f
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.decisions import standard_errors
 from pincal.discover.run import run_discovery
-from pincal.identify.block_scatter import _largest_factor
-from pincal.identify.dependence import dependence, is_dependent, serial_noise
+from pincal.identify.dependence import _largest_factor, dependence, is_dependent, serial_noise
 from pincal.identify.fit import ModelFit
-from pincal.identify.serial import Serial
 from pincal.identify.split import ways_held_out
+from pincal.identify.whitening import Serial
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
 from pincal.simulate import paper_positions

@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal
 
 from pincal import GEOMETRIC, Measurements, Options, Robot
 from pincal import simulate as sim
-from pincal.calibration.calibrated_fit import Fit as CalibratedFit
+from pincal.calibration.calibrated_robot import Fit as CalibratedFit
 from pincal.calibration.calibrated_robot import load_model
 from pincal.discover.drive_curves import CurveSquares, smoothed
 from pincal.discover.levers import situation_of

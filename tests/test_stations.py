@@ -14,26 +14,25 @@ from machines import kuka as true_kuka
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
-from pincal.calibration.calibrated_fit import Fit as CalibratedFit
+from pincal.calibration.calibrated_robot import Fit as CalibratedFit
 from pincal.calibration.calibrated_robot import load_stations
 from pincal.calibration.result_tables import parameter_rows
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.errors import BadInputError
 from pincal.identify import equations
-from pincal.identify.batch import Batch
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.equations import Linearised
-from pincal.identify.explain import explain
+from pincal.identify.explain import Status, explain
 from pincal.identify.fit import ModelFit
 from pincal.identify.initial import place
 from pincal.identify.jacobian import Jacobian
+from pincal.identify.normal import Batch
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.posterior import Posterior, eliminate, posterior
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
-from pincal.identify.reasons import Status
-from pincal.identify.repeat import bootstrap, bootstrap_stations
 from pincal.identify.solve import Course, solve
+from pincal.identify.split import bootstrap, bootstrap_stations
 from pincal.measure.lens import Lens
 from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays
 from pincal.measure.setup import Setup

@@ -11,8 +11,7 @@ from placed_arms import measured, run, written
 from zeros_study import ARMS, CASES, corrections, drawn, tried
 
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated_fit import calibrate
-from pincal.calibration.calibrated_robot import load_model
+from pincal.calibration.calibrated_robot import calibrate, load_model
 from pincal.calibration.calibration import run_calibration
 from pincal.compensate.compensation import compensate_program
 from pincal.errors import BadInputError, MeasurementError

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.calibration.calibrated_fit import Fit, calibrate
+from pincal.calibration.calibrated_robot import Fit, calibrate
 from pincal.calibration.held_out import SplitBy, StationRows, leave_out_stations, require_several, split_rows, with_holdout
 from pincal.calibration.result import Result, result_of
 from pincal.calibration.result_tables import error_table

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from pincal.identify.calibrate import doubts_of_known
+from pincal.identify.choices import found_moments
 from pincal.identify.fit import ModelFit
-from pincal.identify.found_masses import found_moments
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.notes import Note, Severity
@@ -227,18 +227,15 @@ def findings_on_order(station: Station) -> list[Caveat]:
         # What sets one load apart from another may be elastic.
         loads = (station.conditions.payload == load for load in np.unique(station.conditions.payload))
         parts = [station.select(rows) for rows in loads if rows.sum() >= _ROWS] or [station]
-        steady = np.min([_steady(part) for part in parts], axis=0)
+        steady = np.full(station.conditions.q.shape[1], np.inf)
+        for q, position in ((part.conditions.q, part.position) for part in parts):
+            rank = np.argsort(np.argsort([*q.T, position], axis=1), axis=1)
+            correlation = np.abs(np.atleast_2d(np.corrcoef(rank))[-1, :-1])
+            steady = np.minimum(steady, np.where(np.ptp(q, axis=0) > 0.0, correlation, 0.0))
         if steady.max() > _STEADY:
             joint = station.model.chain.robot.joint_names[int(np.argmax(steady))]
             found.append(Caveat(CaveatKind.SORTED, {"joint": joint}, station.name))
     return found
-
-
-def _steady(station: Station) -> np.ndarray:
-    """Return how steadily each of n joints moved along the rows, as a rank correlation without its sign, shape (n,)."""
-    rank = np.argsort(np.argsort([*station.conditions.q.T, station.position], axis=1), axis=1)
-    moves = np.ptp(station.conditions.q, axis=0) > 0.0
-    return np.where(moves, np.abs(np.atleast_2d(np.corrcoef(rank))[-1, :-1]), 0.0)
 
 
 def findings_on_plausibility(fit: ModelFit, tables: Iterable[Measurements]) -> list[Caveat]:
@@ -267,35 +264,38 @@ def findings_on_outliers(
         common = in_common(station, values, table, rejected) or "no common cause was found"
         found = [Caveat(CaveatKind.MANY_OUTLIERS, figures | {"common": common}, station.name, tuple(lines))]
     elif (gathered := gathering_of(station, rejected)) is not None:
-        where = _words_of(station, gathered)
+        where, unit = "in one stretch of the table", _unit_of(station, gathered)
+        if unit:
+            low, high = ((np.degrees(x) if unit == "rad" else x) for x in (gathered.low, gathered.high))
+            where = f"where {gathered.variable} is {low:.4g} to {high:.4g} {'deg' if unit == 'rad' else unit}"
         here = table.rows[gathered.rows].tolist()
         figures = {"count": len(here), "rows": len(lines), "where": where, "lines": _listed(here)}
         found.append(Caveat(CaveatKind.GATHERED, figures, station.name, tuple(here)))
     if (bump := bump_in(station, values)) is not None:
-        found.append(_of_bump(station, bump, table))
+        assert bump.size is not None
+        per = _unit_of(station, bump)
+        scale = float(np.degrees(1.0)) if per == "rad" else 1e3
+        here = table.rows[bump.rows].tolist()
+        figures = {
+            "joint": bump.variable,
+            "low": scale * bump.low,
+            "high": scale * bump.high,
+            "unit": "deg" if per == "rad" else "mm",
+            "count": len(here),
+            "size": 1e3 * abs(bump.size),
+            "per": per,
+            "lines": _listed(here),
+        }
+        found.append(Caveat(CaveatKind.BUMP, figures, station.name, tuple(here)))
     if change := change_in(station, values, free, table.rows):
         found.append(Caveat(CaveatKind.STEP, {"line": change.line, "what": change}, station.name, (change.line,)))
     return found
 
 
-def _of_bump(station: Station, bump: Gathering, table: Measurements) -> Caveat:
-    assert bump.size is not None
-    robot, here = station.model.chain.robot, table.rows[bump.rows].tolist()
-    per = robot.joint_units[robot.joint_names.index(bump.variable)]
-    low, high = ((np.degrees(x) if per == "rad" else 1e3 * x) for x in (bump.low, bump.high))
-    where = {"joint": bump.variable, "low": low, "high": high, "unit": "deg" if per == "rad" else "mm"}
-    figures = {**where, "count": len(here), "size": 1e3 * abs(bump.size), "per": per, "lines": _listed(here)}
-    return Caveat(CaveatKind.BUMP, figures, station.name, tuple(here))
-
-
-def _words_of(station: Station, gathered: Gathering) -> str:
-    """Return where outliers gather."""
+def _unit_of(station: Station, gathered: Gathering) -> str:
+    """Return the unit of the joint that outliers gather along; empty if it is none."""
     robot = station.model.chain.robot
-    if gathered.variable not in robot.joint_names:
-        return "in one stretch of the table"
-    unit = robot.joint_units[robot.joint_names.index(gathered.variable)]
-    low, high = ((np.degrees(x) if unit == "rad" else x) for x in (gathered.low, gathered.high))
-    return f"where {gathered.variable} is {low:.4g} to {high:.4g} {'deg' if unit == 'rad' else unit}"
+    return dict(zip(robot.joint_names, robot.joint_units, strict=True)).get(gathered.variable, "")
 
 
 def findings_on_held_out(test: Station | None, values: np.ndarray, table: Measurements) -> list[Caveat]:

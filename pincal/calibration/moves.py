@@ -25,6 +25,7 @@ from pincal.identify.quadratic import Form, Quadratic
 from pincal.identify.selection import Scored, select_stepwise
 from pincal.model.effect import Family
 from pincal.parameters import Parameter
+from pincal.validate.outcome import MovedParameter
 
 # Chance that anything is said to have moved on a robot that is the same at all stations.
 _ALPHA = 0.01
@@ -44,23 +45,6 @@ _UNLIKELY = 1e-3
 _USUAL = 2.0 * np.log(10.0)
 # Parameters released at most, and stations beyond which none is looked for: work and memory grow with their square.
 _MOST, _MOST_STATIONS = 6, 100
-
-
-@dataclass(frozen=True)
-class ParameterChange:
-    """What a parameter of the robot is at a station.
-
-    Attributes:
-        parameter: the parameter.
-        change: by how much it is other than at the first station that tells; what a model has of a station alone: its value.
-        sigma: standard deviation of the change.
-        moved: whether it is another than at the station before, more surely than by chance.
-    """
-
-    parameter: Parameter
-    change: float
-    sigma: float
-    moved: bool
 
 
 @dataclass(frozen=True)
@@ -110,7 +94,8 @@ class _StationsInformation:
 
     def released(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return station and parameter of each value of its own, shape (n,), these values, and their covariance."""
-        station, parameter = (np.concatenate(part) for part in zip(*(self._where(p) for p in chosen), strict=True))
+        own = [np.flatnonzero(self.seen[:, p]) for p in chosen]
+        station, parameter = np.concatenate(own), np.repeat(chosen, list(map(len, own)))
         U = self.G[station, parameter]
         M = -U @ self.C @ U.T + np.where(station[:, None] == station, U[:, parameter], 0.0)
         # What moves at all stations alike is the fit's own: nothing but rounding is left of it here.
@@ -126,10 +111,6 @@ class _StationsInformation:
         station, parameter, values, _ = self.released(chosen)
         return float(values @ self.b[station, parameter])
 
-    def _where(self, p: int) -> tuple[np.ndarray, np.ndarray]:
-        station = np.flatnonzero(self.seen[:, p])
-        return station, np.full(len(station), p)
-
 
 def _inverse(M: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Return the inverse of a matrix that is positive definite up to rounding, which grows with the parameters of a fit.
@@ -144,13 +125,13 @@ def _inverse(M: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return np.asarray((spread / values) @ spread.T)
 
 
-def moves_of(fit: ModelFit) -> tuple[tuple[ParameterChange, ...], ...]:
+def moves_of(fit: ModelFit) -> tuple[tuple[MovedParameter, ...], ...]:
     """Return, for each of several stations, those parameters of the robot that are not the same at all of them."""
     n = len(fit.problem.stations)
     own = [list(_of_station(fit, k)) for k in range(n)]
     if n > _MOST_STATIONS:
         return tuple(map(tuple, own))
-    shared = np.flatnonzero(fit.solution.free & fit.problem.is_shared)
+    shared = shared_places(fit)
     told = _information_of(fit, shared)
     chosen = _moved(told)
     if chosen:
@@ -158,7 +139,7 @@ def moves_of(fit: ModelFit) -> tuple[tuple[ParameterChange, ...], ...]:
         for p in chosen:
             rows = np.flatnonzero(parameter == p)
             for k, change, sigma, moved in _course(station[rows], values[rows], covariance[np.ix_(rows, rows)]):
-                own[k].append(ParameterChange(fit.problem.parameters[shared[p]], change, sigma, moved))
+                own[k].append(_entry(fit.problem.parameters[shared[p]], change, sigma, moved))
     return tuple(map(tuple, own))
 
 
@@ -198,14 +179,20 @@ def information_at(fit: ModelFit, k: int, weights: np.ndarray | None = None) -> 
     square = float(normal.squares @ solution.sigma[blocks] ** -2.0 - step @ own.balance.form.H @ step)
     square -= float(own.precision @ step**2)
     readings = float(np.sum(weights > 0.0) * sum(block.size for block in station.sensor.blocks))
-    robots = problem.is_shared & solution.free
-    # A station that is alone shares all.
-    robots[places[station.is_own]] = False
-    shared = np.flatnonzero(robots)
+    shared = shared_places(fit)
     at = np.searchsorted(shared, places[free][~is_own])
     names = tuple(problem.parameters[place].name for place in shared[at])
     found = Quadratic(**vars(left), names=names, square=square, degrees=readings - spent)
     return StationInformation(found, at, spent)
+
+
+def shared_places(fit: ModelFit) -> np.ndarray:
+    """Return the places of the robot's parameters that are free, shape (F,)."""
+    robots = fit.problem.is_shared & fit.solution.free
+    for station, places in zip(fit.problem.stations, fit.problem.places, strict=True):
+        # A station that is alone shares all.
+        robots[places[station.is_own]] = False
+    return np.flatnonzero(robots)
 
 
 def spent_at(fit: ModelFit, k: int) -> float:
@@ -244,7 +231,7 @@ def _between(i: int, j: int, values: np.ndarray, covariance: np.ndarray) -> tupl
     return float(values[j] - values[i]), float(max(variance, 1e-300))
 
 
-def _of_station(fit: ModelFit, k: int) -> Iterator[ParameterChange]:
+def _of_station(fit: ModelFit, k: int) -> Iterator[MovedParameter]:
     """Yield what the model itself has of a joint at a station alone."""
     station, places = fit.problem.stations[k], fit.problem.places[k]
     model, sigma = station.model, fit.estimate.fitted_sigma
@@ -252,4 +239,8 @@ def _of_station(fit: ModelFit, k: int) -> Iterator[ParameterChange]:
         if effect.locus.station is not None and effect.locus.joint is not None:
             for local in range(span.start, span.stop):
                 place = places[local]
-                yield ParameterChange(model.parameters[local], float(fit.values[place]), float(sigma[place]), moved=True)
+                yield _entry(model.parameters[local], float(fit.values[place]), float(sigma[place]), True)
+
+
+def _entry(parameter: Parameter, change: float, sigma: float, moved: bool) -> MovedParameter:
+    return {"name": parameter.name, "unit": parameter.unit, "change": change, "sigma": sigma, "moved": moved}

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pincal.identify.explain import explain
+from pincal.identify.explain import Reason, Status, explain
 from pincal.identify.fit import ModelFit
-from pincal.identify.reasons import Reason, Status
 from pincal.parameters import Estimate, Parameter
 from pincal.result_table import Cell, Column, Kind, RowTone, Table
 from pincal.robot.se3 import placed, rotation_vectors
@@ -262,11 +261,7 @@ def correlation_table(correlations: Iterable[Mapping[str, Any]]) -> Table:
 
 
 def iso9283_table(iso: Mapping[str, Any]) -> Table:
-    """Return mean and largest pose accuracy AP and repeatability RP, position and each angle in rows of their own.
-
-    Args:
-        iso: ``iso9283`` of ``result.json``.
-    """
+    """Return mean and largest pose accuracy AP and repeatability RP, position and each angle in rows of their own."""
     heads = tuple(Column(name, kind=Kind.LABEL) for name in ("model", "poses", "unit"))
     sizes = tuple(
         Column(f"{name} {size}", kind=Kind.NUMBER, show=fixed(4)) for name in ("AP", "RP") for size in ("mean", "max")

@@ -40,7 +40,7 @@ _COMMANDS = {
     "update": "pincal.cli.new_rows",
     "simulate": "pincal.cli.simulate",
     "export": "pincal.cli.export",
-    "view": "pincal.cli.view",
+    "view": "pincal.cli.export",
 }
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import click
 
-from pincal.cli.arguments import Output, argument, group, option
+from pincal.cli.arguments import Output, argument, group, option, pair
 from pincal.measure.fields import TABLE_ENDINGS, TableOptions
 from pincal.units import GRAVITIES, LARGEST, SMALLEST, is_gravity, plain_number, unit_sizes
 
@@ -104,10 +104,11 @@ _COLUMNS = "'J1=joint_a1 [deg],...'"
 def columns(text: str) -> dict[str, str]:
     """Return columns and what they hold, ``NAME=MEANING`` separated by commas, as meanings by name."""
     found: dict[str, str] = {}
+    expected = f"NAME=MEANING, each name once, such as {_COLUMNS}"
     for part in text.split(","):
-        name, sign, meaning = (word.strip() for word in part.partition("="))
-        if not (sign and name and meaning) or name in found:
-            raise click.BadParameter(f"{part.strip()!r}; expected NAME=MEANING, each name once, such as {_COLUMNS}")
+        name, meaning = pair(part, expected)
+        if name in found:
+            raise click.BadParameter(f"{part.strip()!r}; expected {expected}")
         found[name] = meaning
     return found
 
@@ -345,15 +346,12 @@ class FitOptions:
 
     @property
     def priors(self) -> dict[str, float | str]:
-        """Priors by name or pattern: those that are told, then what is free, then what is held.
+        """Priors by name or pattern: those that are stated, then what is free, then what is held.
 
         Raises:
             click.UsageError: for one without a size.
         """
-        told = [text.partition("=") for text in self.prior]
-        if missing := [name for name, _, size in told if not size]:
-            raise click.UsageError(f"--prior {missing[0]}: no size; expected NAME=SIZE, such as '*.theta=2mrad'")
-        sizes: dict[str, float | str] = {name.strip(): size.strip() for name, _, size in told}
+        sizes: dict[str, float | str] = dict(pair(text, "NAME=SIZE, such as '*.theta=2mrad'") for text in self.prior)
         return sizes | dict.fromkeys(self.free, float("inf")) | dict.fromkeys(self.fix, 0.0)
 
 

@@ -92,8 +92,7 @@ def predict(arguments: PredictArguments) -> Exit:
 
     They are given in the instrument's frame, with their uncertainty.
     """
-    from pincal.cli.inputs import load_table
-    from pincal.cli.placement import find_place, print_doubt
+    from pincal.cli.inputs import find_place, load_table, print_doubt
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
 
@@ -162,7 +161,7 @@ def compensate(arguments: CompensateArguments) -> Exit:
 
     Of all that bring the real robot there, the closest to those given are chosen.
     """
-    from pincal.cli.placement import find_place, print_doubt
+    from pincal.cli.inputs import find_place, print_doubt
     from pincal.cli.progress import end_progress
     from pincal.compensate.targets import read_targets, run_compensation, unreached_turns
     from pincal.measure.table import write_table

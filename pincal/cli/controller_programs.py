@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from pincal.cli.arguments import option
+from pincal.cli.arguments import option, pair
 from pincal.cli.common import LENGTH
 
 if TYPE_CHECKING:
@@ -26,10 +26,7 @@ _WORLD, _FLANGE = "base", "tool0"
 
 
 def _named(text: str) -> tuple[str, str]:
-    name, sign, value = text.partition("=")
-    if not sign or not name.strip() or not value.strip():
-        raise click.BadParameter(f"{text!r}; expected NAME=X,Y,Z,... as the controller shows them")
-    return name.strip(), value
+    return pair(text, "NAME=X,Y,Z,... as the controller shows them")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -69,8 +69,8 @@ def demo(arguments: DemoArguments) -> Exit:
     from pincal.model.effects import ELASTIC, GEOMETRIC
     from pincal.report.plots.found import deviation_figure
     from pincal.robot.robot import Robot
-    from pincal.simulate.hidden import hidden_effect
     from pincal.simulate.paper_machine import PAYLOAD_COM, PaperMachine
+    from pincal.simulate.typical import hidden_effect
 
     robot, out, seed = Robot.from_urdf(kuka_urdf_path()), arguments.out, arguments.seed
     bad = PaperMachine(effects=(hidden_effect("gear_eccentricity", joint=_JOINT, order=2, size=_SIZE),))

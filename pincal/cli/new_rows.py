@@ -66,8 +66,7 @@ def validate(arguments: ValidateArguments) -> Exit:
     """
     from pincal.calibration.calibrated_robot import load_stations
     from pincal.calibration.validation import validate_rows
-    from pincal.cli.inputs import load_tables
-    from pincal.cli.placement import print_doubt
+    from pincal.cli.inputs import load_tables, print_doubt
     from pincal.measure.admit import check_table
 
     calibrated = load_stations(arguments.model)

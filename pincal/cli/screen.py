@@ -22,8 +22,7 @@ from pincal.calibration.result_tables import (
     station_table,
 )
 from pincal.design.health import HealthCheck
-from pincal.design.observability import SOURCES
-from pincal.design.pose_design import Design
+from pincal.design.pose_design import SOURCES, Design
 from pincal.design.study import RANDOM_DESIGNS
 from pincal.discover.policy import SIGHT
 from pincal.discover.precheck import DataReport, DetectabilityTable

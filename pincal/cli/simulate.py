@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_origin, get_type_hints
 
 import click
 import numpy as np
@@ -21,10 +21,9 @@ from pincal.errors import BadInputError, Exit, OutputError, nearest_first
 
 if TYPE_CHECKING:
     from pincal.robot.robot import Robot
-    from pincal.simulate.campaign import Campaign
     from pincal.simulate.effect import HiddenEffect
     from pincal.simulate.machine import TrueMachine
-    from pincal.simulate.setup import SensorSetup
+    from pincal.simulate.setup import Campaign, SensorSetup
 
 _EXAMPLES = """Examples:
   pincal simulate robot.urdf --poses 300 --out tracker.csv
@@ -68,12 +67,18 @@ def simulate(arguments: SimulateArguments) -> Exit:
     table = campaign.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
     names = {"robot": robot.name, "base": robot.base, "tip": robot.tip}
     seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
-    found = names | seeds | campaign.truth(machine, tip=robot.tip) | _weights(robot, machine)
+    found = names | seeds | campaign.truth(machine, tip=robot.tip)
+    drawn = [joint for joint in machine.names if joint in robot.unweighed]
+    # Of links to which the URDF gives no mass.
+    masses = {joint: float(machine.arm.masses[machine.names.index(joint)]) for joint in drawn}
+    found |= {"drawn_masses_kg": masses} if masses else {}
     origin, beside = {"made_by": provenance([Path(robot.source)])}, arguments.sensor
+    named = campaign.setup.points
+    points = {"point": np.array(list(named)), **dict(zip("xyz", np.array([*named.values()], float).T, strict=False))}
     _write_files({
         "--out": (arguments.out, lambda path: write_table(path, table)),
         "--truth": (arguments.truth, lambda path: _write_json(path, contents=found | origin)),
-        "--points-out": (beside.points_out, lambda path: write_table(path, _point_columns(campaign.setup))),
+        "--points-out": (beside.points_out, lambda path: write_table(path, points)),
         "--camera-out": (beside.camera_out, lambda path: _write_json(path, contents=found["camera"])),
     })  # fmt: skip
     rows = len(table[machine.names[0]])
@@ -109,18 +114,10 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
     )
 
 
-def _weights(robot: Robot, machine: TrueMachine) -> dict[str, Any]:
-    """Return the masses that were drawn because the URDF has none, as for JSON."""
-    drawn = [joint for joint in machine.names if joint in robot.unweighed]
-    found = {joint: float(machine.arm.masses[machine.names.index(joint)]) for joint in drawn}
-    return {"drawn_masses_kg": found} if found else {}
-
-
 def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> Campaign:
     from pincal.cli.inputs import load_table
-    from pincal.simulate.campaign import Campaign
-    from pincal.simulate.request import Repetition, Stream, poses_of_table, repeat_poses
-    from pincal.simulate.sensors import draw_setup
+    from pincal.simulate.request import Repetition, Stream, draw_setup, poses_of_table, repeat_poses
+    from pincal.simulate.setup import Campaign
 
     given = arguments.campaign
     conditions: dict[str, np.ndarray] = {}
@@ -194,12 +191,6 @@ def _noise(setup: SensorSetup) -> str:
     return f"{setup.sigma:g}px" if setup.kind == "camera_pixel" else f"{setup.sigma * 1e3:g}mm"
 
 
-def _point_columns(setup: SensorSetup) -> dict[str, np.ndarray]:
-    """Return the named points as a table with columns ``point x y z``."""
-    places = np.array([*setup.points.values()], float)
-    return {"point": np.array(list(setup.points)), **dict(zip("xyz", places.T, strict=True))}
-
-
 def _write_files(files: dict[str, tuple[Path | None, Callable[[Path], None]]]) -> None:
     """Write several files, all of them or none, each by its function; they are given by the options that name them."""
     wanted = {option: (path, write) for option, (path, write) in files.items() if path is not None}
@@ -227,8 +218,7 @@ def _write_json(path: Path, *, contents: dict[str, Any]) -> None:
 
 def effect_help() -> str:
     """Return the effects with their keys and units as lines of help."""
-    from pincal.simulate.effect import Scope
-    from pincal.simulate.hidden import HIDDEN_EFFECTS
+    from pincal.simulate.effect import HIDDEN_EFFECTS, Scope
 
     lines = []
     for name, kind in HIDDEN_EFFECTS.items():
@@ -256,7 +246,7 @@ def parse_effect(text: str, joints: tuple[str, ...]) -> tuple[str, dict[str, Any
         ('axis_wobble', {'joint': 'j2', 'size': 0.0001, 'order': 1, 'frame': 'after'})
     """
     from pincal.model.catalogue.candidates import effect_parts
-    from pincal.simulate.hidden import HIDDEN_EFFECTS
+    from pincal.simulate.effect import HIDDEN_EFFECTS
 
     name, pairs = effect_parts(text)
     if name not in HIDDEN_EFFECTS:
@@ -275,37 +265,23 @@ def parse_effect(text: str, joints: tuple[str, ...]) -> tuple[str, dict[str, Any
 
 
 def _read(text: str, kind: type[HiddenEffect], key: str, word: str) -> Any:
-    """Return the value of a key of an effect."""
+    """Return the value of a key of an effect, read as the type of its field."""
+    import msgspec
+
     from pincal.simulate.elastic import MOMENT_FRAMES
 
     choices = {"frame": ("before", "after"), "moment_frame": MOMENT_FRAMES}
     if key in choices and word not in choices[key]:
         raise BadInputError(f"effect {text!r}: {key}={word}; expected one of {', '.join(choices[key])}")
-    types = {field.name: str(field.type).removesuffix(" | None") for field in fields(kind)}
-    read, words = _READERS[types.get(key, "str")]
+    of = get_type_hints(kind)[key]
     try:
-        return read(word)
-    except (KeyError, ValueError):
-        raise BadInputError(f"effect {text!r}: {key}={word}; expected {words}") from None
+        found = msgspec.convert(word.split("/") if get_origin(of) is tuple else word, of, strict=False)
+    except msgspec.ValidationError:
+        found = math.nan
+    if isinstance(found, float | tuple) and not np.isfinite(found).all():
+        expected = _EXPECTED.get(of, "three numbers, as 1/0/0")
+        raise BadInputError(f"effect {text!r}: {key}={word}; expected {expected}")
+    return found
 
 
-def _number(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(text)
-    return value
-
-
-def _vector(text: str) -> tuple[float, ...]:
-    x, y, z = map(_number, text.split("/"))
-    return x, y, z
-
-
-# How the value of a field of a type is read, and what is expected.
-_READERS: dict[str, tuple[Callable[[str], Any], str]] = {
-    "float": (_number, "a number"),
-    "int": (int, "a whole number"),
-    "str": (str, "a name"),
-    "bool": ({"true": True, "false": False}.__getitem__, "true or false"),
-    "tuple[float, float, float]": (_vector, "three numbers, as 1/0/0"),
-}
+_EXPECTED = {float: "a number", int: "a whole number", bool: "true or false"}

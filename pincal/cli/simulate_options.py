@@ -29,7 +29,7 @@ from pincal.cli.common import (
 from pincal.errors import BadInputError
 
 if TYPE_CHECKING:
-    from pincal.simulate.sensors import SetupOptions
+    from pincal.simulate.request import SetupOptions
 
 
 _BESIDE, _CAMERAS = ("position", "pose", "distance"), ("camera_point", "camera_pixel")
@@ -61,26 +61,22 @@ class _LensType(click.ParamType[dict[str, float]]):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, float]:
         """Return values by name; a key or value that is invalid is bad input, which a plain function's would not be."""
-        return _lens(str(value))
+        from pincal.simulate.lens import Lens
 
-
-def _lens(text: str) -> dict[str, float]:
-    from pincal.simulate.lens import Lens
-
-    known, found = tuple(Lens().intrinsics), dict[str, float]()
-    for pair in text.split(","):
-        key, _, word = (part.strip() for part in pair.partition("="))
-        if key not in known:
-            raise BadInputError(f"lens {text!r}: no key {key!r}; expected of {', '.join(known)}, as key=value")
-        least = 1.0 if key in ("fx", "fy", "width", "height") else -math.inf
-        try:
-            found[key] = float(word)
-        except ValueError:
-            raise BadInputError(f"lens {text!r}: {key}={word}; expected a number") from None
-        if not math.isfinite(found[key]) or found[key] < least:
-            wanted = "finite number" if least < 1.0 else "number of at least 1"
-            raise BadInputError(f"lens {text!r}: {key}={word}; expected a {wanted}")
-    return found
+        known, found = tuple(Lens().intrinsics), dict[str, float]()
+        for pair in str(value).split(","):
+            key, _, word = (part.strip() for part in pair.partition("="))
+            if key not in known:
+                raise BadInputError(f"lens {value!r}: no key {key!r}; expected of {', '.join(known)}, as key=value")
+            least = 1.0 if key in ("fx", "fy", "width", "height") else -math.inf
+            try:
+                found[key] = float(word)
+            except ValueError:
+                found[key] = math.nan
+            if not math.isfinite(found[key]) or found[key] < least:
+                wanted = "finite number" if least < 1.0 else "number of at least 1"
+                raise BadInputError(f"lens {value!r}: {key}={word}; expected a {wanted}")
+        return found
 
 
 _SCALE, _COUNT = NumberType(0.0), click.IntRange(1, 100)
@@ -273,7 +269,7 @@ class SimulateArguments:
         Raises:
             UsageError: If the noise is not in the sensor's unit.
         """
-        from pincal.simulate.sensors import SetupOptions
+        from pincal.simulate.request import SetupOptions
 
         given = {field.name: getattr(self.sensor, field.name, None) for field in fields(SetupOptions)}
         wanted = SetupOptions(

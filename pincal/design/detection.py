@@ -22,9 +22,8 @@ from pincal.design.design_model import check_rig, frame_effects, nominal_values,
 from pincal.design.exchange import covariance
 from pincal.design.reach import SensorSetup
 from pincal.diagnosis.change_search import limit_for
-from pincal.diagnosis.changes import PossibleChange
 from pincal.diagnosis.excluded import detected_noncentrality
-from pincal.diagnosis.lineup import ChangeHypotheses
+from pincal.diagnosis.lineup import ChangeHypotheses, PossibleChange
 from pincal.diagnosis.row_evidence import Known, prior_root, rows_in_noise
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pincal.design.bodies import Bodies
+from pincal.design.collisions import Bodies
 from pincal.errors import BadInputError
 from pincal.robot.kinematics import Kinematics, joint_axis
 from pincal.robot.robot import Robot

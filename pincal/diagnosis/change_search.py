@@ -84,10 +84,15 @@ def search(lineup: ChangeHypotheses, *, alpha: float, degrees: float, apart: np.
         apart: places of rows that stand apart from all others wherever instrument and target are; default: none do.
     """
     state = _begun(lineup, alpha, degrees)
-    if apart is not None and len(apart) > 1 and state.are_rather(apart, state.best()):
-        if len(apart) >= _TOO_MANY * len(state.rows):
-            return replace(state, wrong_rows=tuple(apart.tolist()), is_undecided=True)
-        state = state.without(apart)
+    if apart is not None and len(apart) > 1:
+        # Wrong readings of some rows may explain more for what they cost than a change, or than nothing.
+        best, rest = state.best(), state.without(apart)
+        readings = sum(block.size for block in lineup.station.sensor.blocks)
+        cost = len(apart) * readings * state.price - (state.evidence.form.square - rest.evidence.form.square)
+        if cost < (0.0 if best is None else min(best.score.cost, 0.0)):
+            if len(apart) >= _TOO_MANY * len(state.rows):
+                return replace(state, wrong_rows=tuple(apart.tolist()), is_undecided=True)
+            state = rest
     most = _MOST + sum(change.belief is not None for change in lineup.changes)
     return select_stepwise(state, ChangeVerdict.offers, ChangeVerdict.after, most=most)
 
@@ -170,12 +175,14 @@ class ChangeVerdict:
 
     def offers(self) -> Iterator[Scored[NamedChange | int]]:
         """Yield the best change, and the row that is wrong if one is."""
-        best, row = self.best(), self.wrong_row()
-        if best is not None:
+        if (best := self.best()) is not None:
             yield Scored(best, best.score.cost)
-        if row is not None:
-            gain, rank = self.evidence.rows[row]
-            yield Scored(row, float(rank * self._price - gain))
+        rows = self.evidence.rows
+        chances = chdtrc(np.maximum(rows[:, 1], 1.0), rows[:, 0])
+        worst = int(np.argmin(chances))
+        if chances[worst] < _WRONG_ROW / len(rows) and len(rows) > _FEWEST_ROWS:
+            gain, rank = rows[worst]
+            yield Scored(worst, float(rank * self.price - gain))
 
     @cached_property
     def scores(self) -> list[ChangeScore]:
@@ -195,10 +202,11 @@ class ChangeVerdict:
         change = self.lineup.changes[i]
         if change.belief is not None:
             return ChangeScore(i, gain, rank, p_value, self.evidence.odds(self.lineup.places[i], change.belief))
-        return ChangeScore(i, gain, rank, p_value, rank * self._price - gain - _USUAL * change.is_usual)
+        return ChangeScore(i, gain, rank, p_value, rank * self.price - gain - _USUAL * change.is_usual)
 
     @cached_property
-    def _price(self) -> float:
+    def price(self) -> float:
+        """What a parameter costs (Schwarz's criterion)."""
         return float(np.log(len(self.lineup.station) * sum(block.size for block in self.lineup.station.sensor.blocks)))
 
     @cached_property
@@ -220,20 +228,17 @@ class ChangeVerdict:
         if not any(score.p_value < limit for score in self.scores):
             return None
         near = self.scores
-        if self._is_far(near[0]):
+        places = self.lineup.places[near[0].change]
+        step = self.evidence.estimate(places, self.lineup.changes[near[0].change].belief)
+        shift = self.lineup.motion(self.values)[:, :, places] @ step
+        if np.linalg.norm(shift, axis=1).max() > _LINEAR:
+            # So far that squares to first order are not enough.
             near = sorted((self._tried(score) for score in near[:_MOST_TRIED]), key=lambda score: score.cost)
         chosen = next((score for score in near if score.p_value < limit), None)
         if chosen is None:
             return None
         likes = (score for score in near if score is not chosen and score.cost < chosen.cost + EQUIVALENT)
         return NamedChange(chosen, min(1.0, chosen.p_value * len(self.scores) / _FOR_CHANGES), tuple(likes))
-
-    def _is_far(self, score: ChangeScore) -> bool:
-        """Return whether a change is so large that squares to first order are not enough."""
-        places = self.lineup.places[score.change]
-        step = self.evidence.estimate(places, self.lineup.changes[score.change].belief)
-        shift = self.lineup.motion(self.values)[:, :, places] @ step
-        return bool(np.linalg.norm(shift, axis=1).max() > _LINEAR)
 
     def _tried(self, score: ChangeScore) -> ChangeScore:
         if self.lineup.changes[score.change].belief is not None:
@@ -265,20 +270,6 @@ class ChangeVerdict:
         if not 0.0 < part < _MOST_OF_NOISE:
             return False
         return bool(left / (1.0 - part) + n * np.log(1.0 - part) < left)
-
-    def wrong_row(self) -> int | None:
-        """Return the row that contradicts all others, if one does."""
-        rows = self.evidence.rows
-        chances = chdtrc(np.maximum(rows[:, 1], 1.0), rows[:, 0])
-        worst = int(np.argmin(chances))
-        return worst if chances[worst] < _WRONG_ROW / len(rows) and len(rows) > _FEWEST_ROWS else None
-
-    def are_rather(self, rows: np.ndarray, step: NamedChange | None) -> bool:
-        """Return whether wrong readings of some rows explain more for what they cost than a change, or than nothing."""
-        readings = sum(block.size for block in self.lineup.station.sensor.blocks)
-        rest = self.without(rows).evidence
-        cost = len(rows) * readings * self._price - (self.evidence.form.square - rest.form.square)
-        return bool(cost < (0.0 if step is None else min(step.score.cost, 0.0)))
 
     def without(self, row: int | np.ndarray) -> ChangeVerdict:
         """Return the search without a row, or without some."""

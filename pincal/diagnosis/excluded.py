@@ -10,8 +10,7 @@ import numpy as np
 from scipy.special import fdtri, ncfdtr
 
 from pincal.diagnosis.change_search import ChangeVerdict, NamedChange
-from pincal.diagnosis.changes import PossibleChange
-from pincal.identify.quadratic import Quadratic
+from pincal.diagnosis.lineup import PossibleChange
 from pincal.identify.station import Station
 from pincal.io.diagnosis_file import ExcludedEntry
 
@@ -31,9 +30,7 @@ _SEEN = 1e-6
 def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[ExcludedEntry]:
     """Yield what would have been noticed beside what was found: each parameter, each effect, from which size on.
 
-    Args:
-        verdict: what was found, perhaps nothing as the rows can't tell.
-        searched: what the search came to.
+    What was found may be nothing, as the rows can't tell.
     """
     lineup, found = verdict.lineup, searched.evidence.form
     taken = {lineup.changes[i].heading for i in verdict.happened}
@@ -44,13 +41,15 @@ def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[Exclud
         key = (*change.heading, change.parameters if change.effect is None else None)
         if change.parts or change.heading in taken or len(units) > 1 or key in listed:
             continue
-        worst = _weakest(found, places)
-        if worst is None:
+        # The direction in which a change shows least.
+        rank = found.gain(places)[1]
+        strengths, directions = np.linalg.eigh(found.H[np.ix_(places, places)])
+        if rank < len(places) or strengths[0] <= _SEEN * strengths[-1]:
             continue
-        rank, strength, direction = worst
-        smallest = float(np.sqrt(detected_noncentrality(rank, verdict.degrees + found.degrees, searched.limit) / strength))
+        detected = detected_noncentrality(rank, verdict.degrees + found.degrees, searched.limit)
+        smallest = float(np.sqrt(detected / strengths[0]))
         listed.add(key)
-        shift = np.linalg.norm(motion[:, :, places] @ direction, axis=1).max()
+        shift = np.linalg.norm(motion[:, :, places] @ directions[:, 0], axis=1).max()
         yield ExcludedEntry(
             effect=change.name,
             joint=change.joint,
@@ -60,15 +59,6 @@ def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[Exclud
             unit=units.pop(),
             tip_mm=float(1e3 * smallest * shift),
         )
-
-
-def _weakest(found: Quadratic, places: np.ndarray) -> tuple[int, float, np.ndarray] | None:
-    """Return rank, non-centrality of a change of size 1 in the direction that shows least, and this direction."""
-    rank = found.gain(places)[1]
-    strengths, directions = np.linalg.eigh(found.H[np.ix_(places, places)])
-    if rank < len(places) or strengths[0] <= _SEEN * strengths[-1]:
-        return None
-    return rank, float(strengths[0]), directions[:, 0]
 
 
 @lru_cache(maxsize=256)

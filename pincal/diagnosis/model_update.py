@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
-from pincal.calibration.covered import with_means
 from pincal.calibration.placing import Placed
-from pincal.diagnosis.changes import belief_of
+from pincal.diagnosis.lineup import belief_of
 from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, changes_since, doubts_about, relocated
 from pincal.errors import BadInputError, ChangedRobotError, IdentificationError, nearest_first
 from pincal.identify.calibrate import fit_tables
-from pincal.identify.fingerprints import together
 from pincal.identify.options import Options
+from pincal.identify.station import together
 from pincal.measure.measurements import Measurements
 from pincal.measure.registry import blocks_of
 from pincal.model.effect import Effect
@@ -116,7 +115,6 @@ def _taken_in(
         setup=replace(model.setup, points={}),
         earlier=earlier,
     )
-    rows = with_means(measurements, arm, model.covered.days)
-    found = CalibratedModel.of(fit_tables(arm.chain.robot, rows, options))
+    found = CalibratedModel.of(fit_tables(arm.chain.robot, model.of_its_day(measurements), options))
     covered, marks = model.covered.over(found.covered), together(model.rows, found.rows)
     return replace(found, covered=covered, rows=marks, provenance=model.provenance)

@@ -19,12 +19,11 @@ from pincal.diagnosis.lineup import ChangeHypotheses, Refitted
 from pincal.diagnosis.redrawn_curves import redrawn_curves
 from pincal.diagnosis.row_evidence import Known
 from pincal.errors import BadInputError, MeasurementError
-from pincal.identify.fingerprints import count, fingerprints, known_rows, together
 from pincal.identify.fit import Priors
 from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
 from pincal.identify.solve import solve
-from pincal.identify.station import Station
+from pincal.identify.station import Station, count, fingerprints, known_rows, together
 from pincal.io.diagnosis_file import (
     ChangedParameter,
     ChangeEntry,
@@ -143,21 +142,34 @@ def diagnose(
         verdict = verdict.none()
     lineup, happened = verdict.lineup, verdict.happened
     posterior = lineup.reidentify(happened, lineup.release(happened, verdict.values))
-    reidentified = _reidentified(model, verdict, posterior)
+    reidentified = lineup.robot
+    if happened:
+        # With what changed found and nothing else released.
+        rows = together(model.rows, fingerprints(lineup.station))
+        reidentified = replace(lineup.reidentified(happened, posterior), rows=rows)
     station = reidentified.readings(measurements)
     after = error_summary(station, reidentified.values)
     _refuse_strange(model, measurements, after["rms_mm"], _HOPELESS)
     session, kept = Path(measurements.source).stem, np.ones(len(measurements), bool)
     kept[list(verdict.wrong_rows)] = False
     curves = redrawn_curves(placed, measurements, kept=kept, session=session)
+    changes = list(_entries(verdict, posterior, session))
+    if curves is not None:
+        # Those of curves among themselves in the order of what they bring on the new rows.
+        order = [entry.joint for entry in curves.joints]
+        ranked = iter(sorted((c for c in changes if c.curve_rms is not None), key=lambda c: order.index(str(c.joint))))
+        changes = [change if change.curve_rms is None else next(ranked) for change in changes]
+    # Of several stations the nearest.
+    ways = [moved(before, reidentified) for before in calibrated.models.values()]
+    way = min(ways, key=lambda way: np.inf if way.instrument is None else way.instrument)
     found = DiagnosisFile(
         changed=verdict.changed,
         p_value=verdict.p_value,
         alpha=alpha,
-        changes=_ranked(tuple(_entries(verdict, posterior, session)), curves),
+        changes=tuple(changes),
         excluded=tuple(excluded(verdict, searched)),
         gap={"before": error_summary(placed.station, placed.values), "after": after},
-        station=_moved(calibrated, reidentified),
+        station=MovedEntry(**way.to_dict()),
         rows=len(measurements),
         warnings=doubts_first([*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, measurements)]),
         curves=curves,
@@ -235,15 +247,6 @@ def _refuse_strange(model: CalibratedModel, measurements: Measurements, rms_mm: 
         )
 
 
-def _reidentified(model: CalibratedModel, verdict: ChangeVerdict, posterior: Refitted) -> CalibratedModel:
-    """Return the robot at the new station, with what changed found and nothing else released."""
-    lineup, happened = verdict.lineup, verdict.happened
-    if not happened:
-        return lineup.robot
-    rows = together(model.rows, fingerprints(lineup.station))
-    return replace(lineup.reidentified(happened, posterior), rows=rows)
-
-
 def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
     """Yield what is to be said where most of the error goes with a curve that the calibration had not seen everywhere."""
     if curves is None:
@@ -255,15 +258,6 @@ def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
             f"curve of {best.joint}, which the calibration had determined in {100 * best.seen:.0f} % of these rows: "
             "elsewhere this is not a change; pincal update --anew adds the rows"
         )
-
-
-def _ranked(changes: tuple[ChangeEntry, ...], curves: CurvesEntry | None) -> tuple[ChangeEntry, ...]:
-    """Return changes with those of curves among themselves in the order of what they bring on the new rows."""
-    if curves is None:
-        return changes
-    order = [entry.joint for entry in curves.joints]
-    brings = iter(sorted((c for c in changes if c.curve_rms is not None), key=lambda c: order.index(str(c.joint))))
-    return tuple(change if change.curve_rms is None else next(brings) for change in changes)
 
 
 def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Iterator[ChangeEntry]:
@@ -315,12 +309,6 @@ def _parameters(verdict: ChangeVerdict, change: int, posterior: Refitted) -> Ite
         before = parameter.nominal + float(lineup.start[place])
         moved_by = float(posterior.changes[k])
         yield parameter.name, ChangedParameter(before, before + moved_by, float(posterior.sigma[k]), parameter.unit)
-
-
-def _moved(calibrated: Calibrated, after: CalibratedModel) -> MovedEntry:
-    """Return how far instrument and target are from where they stood: of several stations, from the nearest."""
-    ways = [moved(before, after) for before in calibrated.models.values()]
-    return MovedEntry(**min(ways, key=lambda way: np.inf if way.instrument is None else way.instrument).to_dict())
 
 
 def _notes(verdict: ChangeVerdict, measurements: Measurements) -> Iterator[Note | str]:

@@ -295,10 +295,9 @@ def unnamed_given(fit: ModelFit, names: Sequence[Effect], search: Search) -> lis
     if search.nameless is not None and not search.nameless:
         return []
     chain, conditions = fit.problem.chain, fit.problem.conditions
-    joints = chain.robot.joint_names
+    joints = chain.robot.measured_joints
     likeliest = names[0].locus.joint if names else None
-    at = joints.index(likeliest) if likeliest in joints else None
-    near = joints if at is None else joints[max(at - 1, 0) : at + 2]
+    near = tuple(j for j in joints if chain.robot.are_neighbours(j, likeliest)) if likeliest in joints else joints
     likes = {_place(effect) for effect in names if effect.locus.joint in joints and effect.locus.joint not in near}
     beyond = nameless_candidates(chain, conditions, [joint for joint in joints if joint in {of for of, *_ in likes}])
     further = (effect for effect in beyond if _place(effect) in likes)

@@ -39,12 +39,12 @@ from pincal.discover.steps import (
     about_itself,
     worded,
 )
-from pincal.identify.block_scatter import with_blocks
 from pincal.identify.calibrate import Tolerance, refit
 from pincal.identify.choices import deviance
+from pincal.identify.dependence import with_blocks
 from pincal.identify.fit import Ending, ModelFit, without
 from pincal.identify.normal import block_rows
-from pincal.measure.sampling import sample_rows
+from pincal.measure.extrinsics import sample_rows
 from pincal.model.catalogue.ripple import resolution_of
 from pincal.model.effect import Curve, Effect, ExponentialDrift, Harmonic
 from pincal.units import format_small

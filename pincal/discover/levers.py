@@ -315,7 +315,7 @@ def likely_maps(fit: ModelFit, joints: Sequence[str]) -> list[Effect]:
     the pairs of joints among which it was chosen.
     """
     situation, chain = situation_of(fit), fit.problem.chain
-    drives = [int(chain.drives[chain.robot.joint_names.index(joint)]) for joint in joints]
+    drives = [int(chain.drives[situation.index(joint)]) for joint in joints]
     along, lever = seen_along(fit, np.array(drives))
     columns = {joint: situation.positions(joint) for joint in situation.joints}
     splines = {name: _coarse(q) for name, q in columns.items() if np.ptp(q)}

@@ -256,7 +256,8 @@ def _orthonormal(A: np.ndarray) -> np.ndarray:
 def _spots(chain: Chain) -> dict[Spot, int]:
     """Return the coordinates of the chain in which a disagreement may act."""
     found: dict[Spot, int] = {}
-    for i, joint in enumerate(chain.robot.joint_names):
+    for joint in chain.robot.measured_joints:
+        i = chain.robot.joint_names.index(joint)
         found |= {(joint, "drive", 0): int(chain.drives[i])}
         found |= {(joint, axis, 0): chain.joint(i, axis) for axis in ("gamma_x", "gamma_y")}
     found |= {(None, "base", k): chain.base(symbol) for k, symbol in enumerate(FRAME_SYMBOLS)}
@@ -266,7 +267,7 @@ def _spots(chain: Chain) -> dict[Spot, int]:
 
 def _candidates(fit: ModelFit, moved: dict[Spot, np.ndarray]) -> Iterator[_Candidate]:
     """Yield places with nothing taken up; ``moved`` tells how the readings move."""
-    names, conditions = fit.model.chain.robot.joint_names, fit.station.conditions
+    names, conditions = fit.model.chain.robot.measured_joints, fit.station.conditions
     slow = [v for v in ("payload", "temperature", "time") if varies(conditions.column(v))]
     bases = {v: _basis(_variable(fit, None, v), WHERE.slow_pieces) for v in slow}
     bases |= {name: _basis(_variable(fit, name, name), WHERE.pieces) for name in names}

@@ -40,9 +40,9 @@ from pincal.discover.steps import (
 )
 from pincal.identify.calibrate import Tolerance, refit, reweighted_by_order
 from pincal.identify.choices import deviance
-from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import is_dependent, serial_noise, with_serial
 from pincal.identify.fit import ModelFit
+from pincal.identify.selection import CRITERIA
 from pincal.model.chain import MomentFrame
 from pincal.model.effect import Curve, Effect
 from pincal.validate.midway import change_in

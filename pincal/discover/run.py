@@ -24,7 +24,7 @@ from typing import Any, Literal, TypedDict, Unpack
 import msgspec
 import numpy as np
 
-from pincal.calibration.calibrated_fit import Fit as CalibratedFit
+from pincal.calibration.calibrated_robot import Fit as CalibratedFit
 from pincal.calibration.calibration import Calibration, run_calibration
 from pincal.calibration.held_out import LeftOut, as_measured, leave_out_stations
 from pincal.calibration.result import result_of

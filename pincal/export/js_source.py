@@ -13,11 +13,9 @@ import numpy as np
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.compensate.compensation import middle_of_range
 from pincal.compensate.robot_frames import base_in_instrument, nominal_robot
-from pincal.export.exported import FORMATS, Exported, Format
-from pincal.export.formulas import Formulas, formulas_of
+from pincal.export.exported import FORMATS, Exported, Format, as_comment, checked_poses, filled, header, notes_on, placed_in
+from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.export.numpy_source import numpy_source, refuse_wrong
-from pincal.export.source import as_comment, checked_poses, filled, header, notes_on, placed_in
-from pincal.export.statements import Language, written
 from pincal.robot.kinematics import Kinematics
 from pincal.units import SIZES, UNITS
 
@@ -51,7 +49,6 @@ class CorrectorPage(Format):
     meaning: ClassVar[str] = "a page that corrects programs in any browser, offline"
 
     def export(self, calibrated: CalibratedModel) -> Exported:
-        """Return the page."""
         import jinja2
 
         placed_in(calibrated, self.frame)

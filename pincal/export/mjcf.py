@@ -58,7 +58,6 @@ class MujocoModel(Format):
     of_robot: ClassVar[bool] = True
 
     def export(self, calibrated: CalibratedModel) -> Exported:
-        """Return the file."""
         model, values = calibrated.model, calibrated.model_values
         robot = model.chain.robot
         springs = _springs(model, values)

@@ -15,23 +15,20 @@ from scipy.special import chdtri
 
 from pincal.errors import BadInputError, MeasurementError, nearest_first
 from pincal.identify.beliefs import excited_of, is_frame, of_stations, priors_of, released_of
-from pincal.identify.block_scatter import with_blocks
-from pincal.identify.choices import best_of, required_features, some_rows_of
-from pincal.identify.criteria import CRITERIA
-from pincal.identify.dependence import is_dependent, serial_noise, with_serial
+from pincal.identify.choices import along_gauge, best_of, required_features, some_rows_of, weight_of
+from pincal.identify.dependence import is_dependent, serial_noise, with_blocks, with_serial
 from pincal.identify.earlier import Earlier
 from pincal.identify.equations import Linearised
-from pincal.identify.exact import is_exact, rounding
 from pincal.identify.fit import FitStage, ModelFit, Solution, carried
-from pincal.identify.found_masses import along_gauge, weight_of
 from pincal.identify.initial import begin
+from pincal.identify.noise import is_exact, rounding
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Problem
+from pincal.identify.selection import CRITERIA
 from pincal.identify.solve import SETTLED, Course, solve
-from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
-from pincal.measure.sensor import KnownParameters
+from pincal.measure.sensor import KnownParameters, Sensor
 from pincal.measure.table import stations_of
 from pincal.model.catalogue.bearing_features import without_idle_features
 from pincal.model.catalogue.masses import with_masses
@@ -75,26 +72,11 @@ _LAST_STAGES = {
 def fit_tables(
     robot: Robot, measurements: Tables, options: Options | None = None, *, executor: Executor | None = None
 ) -> ModelFit:
-    """Identify a robot's deviations from measured poses.
+    """Identify a robot's deviations from measured poses; arguments and errors as of :func:`pincal.calibrate`.
 
-    Several tables are several stations: set-ups of an instrument and its targets, of the same kind or not. Each has base,
-    targets and noise of its own, and all share the robot.
-
-    Args:
-        robot: the arm.
-        measurements: training rows, one table or several, perhaps by the names of their stations (default: station_1 and
-            so on); hold rows back before the call to validate on them.
-        options: how to calibrate; defaults as documented there.
-        executor: computes what each of several stations contributes (default: one after the other, here). Results do not
-            depend on it.
-
-    Returns:
-        The fit; look at ``solution.exit``. See :func:`pincal.calibrate` for an example.
-
-    Raises:
-        MeasurementError: if the rows are too few to determine the parameters and the noise.
+    Tables that come without the names of their stations are station_1 and so on. Results do not depend on the executor.
     """
-    tables = _by_pose(measurements)
+    tables = {name: by_pose(table) for name, table in tables_of(measurements).items()}
     options = _completed(robot, options, tables)
     fit = with_bearings(_rescaled(_fitted(robot, tables, options, executor)))
     _refuse_too_few(tables, fit)
@@ -116,11 +98,6 @@ def tables_of(measurements: Tables) -> dict[str, Measurements]:
     if not tables:
         raise BadInputError("no tables of measurements; expected one or more")
     return tables
-
-
-def _by_pose(measurements: Tables) -> dict[str, Measurements]:
-    """Return the poses of each station by its name, as :func:`tables_of`."""
-    return {name: by_pose(table) for name, table in tables_of(measurements).items()}
 
 
 def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurements]) -> Options:
@@ -190,16 +167,13 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
     Raises:
         BadInputError: as :func:`calibrate`.
     """
-    tables = _by_pose(measurements)
+    tables = {name: by_pose(table) for name, table in tables_of(measurements).items()}
     options = _completed(robot, options, tables)
     fit = _in_best_frame(_fitted(robot, tables, options, None))
     problem, nominal, fitted = fit.problem, fit.nominal, fit.solution
     free = released_of(problem, options) & excited_of(problem)
     found = Linearised(problem, nominal.values, free, fitted.weights, fit.priors.sizes).equations(fitted.sigma)
-    # The expected data agree with the nominal geometry: nothing pulls away from it.
-    expected = replace(found, form=replace(found.form, g=np.zeros_like(found.form.g)), values=np.zeros_like(found.values))
-    nothing = np.zeros(len(free), bool)
-    outlook = replace(fitted, values=nominal.values, equations=expected, free=free, at_bound=nothing)
+    outlook = replace(fitted, values=nominal.values, equations=found, free=free, at_bound=np.zeros(len(free), bool))
     return replace(fit, solution=outlook)
 
 
@@ -316,23 +290,20 @@ def _is_missed(fit: ModelFit, released: np.ndarray) -> tuple[bool, Linearised]:
     if is_exact(wide.whole, sizes[found.free]):
         # The least deviation counts, and is lost in the rounding of H.
         return bool(np.any(fitted.estimated > rounding(problem))), found
-    gain = wide.gain(np.ones(len(wide.values), bool)) - wide.gain(fitted.free[found.free])
+    gain = wide.gain(np.ones(len(wide.shared), bool)) - wide.gain(fitted.free[found.free])
     return bool(gain > chdtri(int(held.sum()), CRITERIA.unexcited)), found
 
 
 def doubts_of_known(fit: ModelFit) -> tuple[str, ...]:
     """Return what to say if the readings contradict what was given of the sensor, which the fit held (a score test)."""
-    sensors = [station.sensor for station in fit.problem.stations]
-    doubts = [sensor.doubt for sensor in sensors if isinstance(sensor, KnownParameters) and sensor.is_given]
-    held = of_stations(fit.problem, _given)
+
+    def given(sensor: Sensor) -> bool:
+        return isinstance(sensor, KnownParameters) and sensor.is_given
+
+    held = of_stations(fit.problem, lambda s: s.sensors(s.sensor.fixed if given(s.sensor) else False))
+    doubts = [s.sensor.doubt for s in fit.problem.stations if isinstance(s.sensor, KnownParameters) and given(s.sensor)]
     is_doubted = held.any() and _is_missed(fit, fit.solution.free | held)[0]
     return tuple(dict.fromkeys(doubts)) if is_doubted else ()
-
-
-def _given(station: Station) -> np.ndarray:
-    """Return which parameters of a station's sensor were given, shape (P,)."""
-    sensor = station.sensor
-    return station.sensors(sensor.fixed if isinstance(sensor, KnownParameters) and sensor.is_given else False)
 
 
 def _refuse_too_few(tables: dict[str, Measurements], fit: ModelFit) -> None:

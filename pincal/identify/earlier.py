@@ -11,7 +11,7 @@ is such a term about zero, beside the priors of its heights.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -26,19 +26,22 @@ _LEAST = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Earlier:
-    """A normal distribution of K parameters of a robot.
+    """A normal distribution of K parameters, or what is believed of them beside the prior of each: (x - m)^T H (x - m).
 
     Attributes:
         names: the parameters.
-        mean: shape (K,).
-        information: shape (K, K), the inverse of the covariance.
-        sigma: shape (K,), standard deviations.
+        mean: shape (K,), m.
+        information: shape (K, K), H, of a distribution the inverse of its covariance.
+        sigma: shape (K,), standard deviations, if the priors about zero are part of it already; None for what stands beside
+            them.
+        places: shape (K,), where the parameters stand in a problem's table.
     """
 
     names: tuple[str, ...]
     mean: np.ndarray
     information: np.ndarray
-    sigma: np.ndarray
+    sigma: np.ndarray | None
+    places: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
 
     @classmethod
     def of(cls, estimate: Estimate) -> Earlier:
@@ -71,23 +74,6 @@ class Earlier:
         names = tuple(name for name, is_kept in zip(self.names, kept, strict=True) if is_kept)
         return Earlier(names, mean, H, np.sqrt(np.diag(C)))
 
-
-class Belief(NamedTuple):
-    """A term :math:`(x - m)^T H (x - m)` of a problem.
-
-    Attributes:
-        places: shape (K,), where the parameters x stand in the problem's table.
-        mean: shape (K,), m.
-        information: shape (K, K), H.
-        sigma: shape (K,), standard deviations of x, if the priors about zero are part of it already; None for a term beside
-            them.
-    """
-
-    places: np.ndarray
-    mean: np.ndarray
-    information: np.ndarray
-    sigma: np.ndarray | None = None
-
     def taken_back(self, sizes: np.ndarray) -> np.ndarray:
         """Return the sizes of the priors that are part of it, shape (K,), inf for none, given those of all parameters."""
         return np.full(len(self.places), np.inf) if self.sigma is None else sizes[self.places]
@@ -101,7 +87,7 @@ class Beliefs(NamedTuple):
         is_remembered: shape (P,), which parameters are known from an earlier fit.
     """
 
-    terms: tuple[Belief, ...]
+    terms: tuple[Earlier, ...]
     is_remembered: np.ndarray
 
     def recalled(self, values: np.ndarray) -> np.ndarray:
@@ -115,11 +101,11 @@ class Beliefs(NamedTuple):
     def widened(self, sizes: np.ndarray) -> np.ndarray:
         """Return sizes of priors, shape (P,), no smaller than these, beyond which no earlier fit says less than nothing."""
         found = sizes.copy()
-        for places, _, information, sigma in self.terms:
-            if sigma is not None:
-                wide = np.maximum(sizes[places], sigma)
-                least = float(np.linalg.eigvalsh(information * np.outer(wide, wide)).min(initial=1.0))
-                found[places] = wide / np.sqrt(np.clip(least, 1e-6, 1.0))
+        for term in self.terms:
+            if term.sigma is not None:
+                wide = np.maximum(sizes[term.places], term.sigma)
+                least = float(np.linalg.eigvalsh(term.information * np.outer(wide, wide)).min(initial=1.0))
+                found[term.places] = wide / np.sqrt(np.clip(least, 1e-6, 1.0))
         return found
 
     def square(self, values: np.ndarray, sizes: np.ndarray) -> float:

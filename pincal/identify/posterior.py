@@ -152,7 +152,7 @@ class Eliminated:
     def effective(self, covariance: np.ndarray) -> np.ndarray:
         """Return how many parameters the data spend on them, shape () or (S,), for the covariance of all shared ones."""
         mine = covariance[np.ix_(self.shared, self.shared)]
-        variance = _diagonal(self.alone.covariance) + np.sum((self.carried @ mine) * self.carried, axis=-1)
+        variance = np.einsum("...ii->...i", self.alone.covariance) + np.sum((self.carried @ mine) * self.carried, axis=-1)
         # Without a prior a parameter is spent as far as the data determine it.
         return np.asarray(self.alone.frame_rank + np.sum(self.alone.has_prior - variance * self.precision, axis=-1))
 
@@ -260,7 +260,7 @@ class Balance:
         """Of frames' H the inverse over what is determined, its rank, and variances of (1 m, 1 rad)^2 along the rest."""
         frames = self._parts[1]
         H = self.form.H[..., frames[:, None], frames]
-        scale = 1.0 / np.sqrt(np.maximum(_diagonal(H), 1e-300))
+        scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", H), 1e-300))
         values, vectors = np.linalg.eigh(H * _outer(scale))
         seen = (values > NULL * np.maximum(np.max(values, axis=-1, initial=0.0), 1e-300)[..., None])[..., None, :]
         axes = scale[..., :, None] * vectors
@@ -325,10 +325,6 @@ def eliminate(form: Form, own: np.ndarray, sizes: np.ndarray, offsets: np.ndarra
         carried, step = balance.determined.covariance @ across, balance.determined.step
         left = replace(left, H=left.H - _turned(across) @ carried, g=left.g - _times(_turned(across), step))
     return left.sum(), Eliminated(balance, carried, own, np.arange(len(shared)))
-
-
-def _diagonal(matrix: np.ndarray) -> np.ndarray:
-    return np.diagonal(matrix, axis1=-2, axis2=-1)
 
 
 def _turned(matrix: np.ndarray) -> np.ndarray:

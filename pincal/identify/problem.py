@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.identify.batch import Batch, Work, runs
-from pincal.identify.earlier import Belief, Beliefs, Earlier
+from pincal.identify.earlier import Beliefs, Earlier
+from pincal.identify.normal import Batch, Work, runs
 from pincal.identify.station import Station
-from pincal.measure.sampling import sample_rows
+from pincal.measure.extrinsics import sample_rows
 from pincal.measure.sensor import Block
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions, joined_conditions, part_of
@@ -66,26 +66,24 @@ class Problem:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All P parameters; those of one of several stations have its name before their own."""
+        """All P parameters; those of one of several stations have its name before their own, or that of their set-up."""
         first = self.stations[0]
         if len(self.stations) == 1:
             return first.parameters
         # Of all stations the robot's parameters are the same, in the same order.
-        own = (p.at(station.name) for station in self.stations for p in compress(station.parameters, station.is_own))
-        return (*compress(first.parameters, ~first.is_own), *own)
+        own = (p.at(s.owner(p)) for s in self.stations for p in compress(s.parameters, s.is_own))
+        return (*compress(first.parameters, ~first.is_own), *{p.name: p for p in own}.values())
 
     @cached_property
     def places(self) -> tuple[np.ndarray, ...]:
         """For each station, where its parameters stand in the table."""
         if len(self.stations) == 1:
             return (np.arange(len(self.stations[0].parameters)),)
-        end = int(np.count_nonzero(~self.stations[0].is_own))
         places = []
         for station in self.stations:
             own = station.is_own
             local = np.cumsum(~own) - 1
-            local[own] = end + np.arange(np.count_nonzero(own))
-            end += int(np.count_nonzero(own))
+            local[own] = [self._index[p.at(station.owner(p)).name] for p in compress(station.parameters, own)]
             places.append(local)
         return tuple(places)
 
@@ -97,9 +95,10 @@ class Problem:
     @cached_property
     def is_shared(self) -> np.ndarray:
         """Which parameters are left when those of single stations among several are eliminated, shape (P,)."""
-        found = np.ones(len(self.parameters), bool)
-        for station, places in zip(self.stations, self.places, strict=True):
-            found[places] = ~station.is_own | (len(self.stations) == 1)
+        if len(self.stations) == 1:
+            return np.ones(len(self.parameters), bool)
+        found = np.bincount(np.concatenate(self.places), minlength=len(self.parameters)) > 1
+        found[: int(np.count_nonzero(~self.stations[0].is_own))] = True
         return found
 
     @cached_property
@@ -112,13 +111,14 @@ class Problem:
         if self.earlier is not None:
             known = self.earlier.known_zero(np.array([name not in self._index for name in self.earlier.names], bool))
             places = np.array([self._index[name] for name in known.names], int)
-            terms.append(Belief(places, known.mean, known.information, known.sigma))
+            terms.append(replace(known, places=places))
             is_remembered[places] = True
         for effect in self.effects:
             if (information := effect.smoothness()) is not None:
                 places = self.places_at(effect)
                 if np.all(self.is_shared[places] & ~is_remembered[places]):
-                    terms.append(Belief(places, np.zeros(len(places)), information))
+                    names = tuple(self.parameters[place].name for place in places)
+                    terms.append(Earlier(names, np.zeros(len(places)), information, None, places))
         return Beliefs(tuple(terms), is_remembered)
 
     @cached_property
@@ -158,15 +158,9 @@ class Problem:
 
     def readings(self, robust: np.ndarray) -> np.ndarray:
         """Return how many readings of each block count by robust weights of all rows, shape (blocks,)."""
-        counts, (station, size) = robust > 0.0, self._of_blocks
-        return np.asarray(np.array([np.count_nonzero(counts[rows]) for rows in self.rows])[station] * size)
-
-    @cached_property
-    def _of_blocks(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of each block of readings its station, by number, and its components, shape (blocks,)."""
-        pairs = [(k, block.size) for k, station in enumerate(self.stations) for block in station.sensor.blocks]
-        station, size = np.array(pairs).T
-        return station, size
+        counts = [np.count_nonzero(robust[rows]) for rows in self.rows]
+        pairs = zip(counts, self.stations, strict=True)
+        return np.concatenate([count * station.block_sizes for count, station in pairs])
 
     @cached_property
     def largest_basis(self) -> tuple[np.ndarray, np.ndarray]:
@@ -202,12 +196,7 @@ class Problem:
         return {name: value for name, value in vars(self).items() if name != "_spans"}
 
     def with_effects(self, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None) -> Problem:
-        """Return the same readings with other effects beside base and tool.
-
-        Args:
-            effects: what may deviate.
-            moment_frame: where moments are taken and bend the arm; default: as it is.
-        """
+        """Return the same readings with other effects beside base and tool."""
         stations = []
         for station in self.stations:
             frames = [effect for effect in station.model.effects if isinstance(effect, BaseFrame | ToolFrame)]

@@ -15,9 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.identify.equations import Linearised
-from pincal.identify.exact import MOST_EXACT, is_exact, polish, rounding
 from pincal.identify.fit import MOST_STEPS, Ending, Priors, Solution
-from pincal.identify.noise import Judge, Judgement, Loss, Noise
+from pincal.identify.noise import MOST_EXACT, Judge, Judgement, Loss, Noise, is_exact, polish, rounding
 from pincal.identify.problem import Problem
 from pincal.units import readable_unit
 
@@ -344,7 +343,8 @@ class _Fit:
         memory.damping = damping
         if any(trial.succeeds(step * 0.5**k) for k in range(_HALVINGS)):
             return trial.there
-        return trial.given_up()
+        # Those fits stay here that no step made better.
+        return here if trial.is_open.all() else trial.at(np.zeros(len(step)))
 
 
 class _Trial:
@@ -354,30 +354,27 @@ class _Trial:
 
     Attributes:
         there: the latest point.
+        is_open: which fits still look for a step.
     """
 
     def __init__(self, fit: _Fit, here: Linearised, sigma: np.ndarray, limits: np.ndarray, memory: _Memory) -> None:
         self._fit, self._here, self._sigma, self._limits, self._memory = fit, here, sigma, limits, memory
-        self._group, self._is_open, self._is_refused = here.group_of[fit.free], np.ones(len(limits), bool), False
+        self._group, self.is_open, self._is_refused = here.group_of[fit.free], np.ones(len(limits), bool), False
         self.there = here
 
     def succeeds(self, step: np.ndarray) -> bool:
         """Try a step, shape (F,); return whether all fits have one now that does not make them worse."""
         doubtful = self._is_refused or self._memory.was_refused
-        self.there = self._at(step, is_doubtful=doubtful)
-        self._is_open &= self.there.objectives(self._sigma) > self._limits
-        if self._is_open.any():
+        self.there = self.at(step, is_doubtful=doubtful)
+        self.is_open &= self.there.objectives(self._sigma) > self._limits
+        if self.is_open.any():
             self._is_refused = True
             return False
         self._memory.was_refused = self._is_refused
         return True
 
-    def given_up(self) -> Linearised:
-        """Return the point where those fits stay that no step made better."""
-        return self._here if self._is_open.all() else self._at(np.zeros(len(self._group)))
-
-    def _at(self, step: np.ndarray, *, is_doubtful: bool = False) -> Linearised:
+    def at(self, step: np.ndarray, *, is_doubtful: bool = False) -> Linearised:
         """Return the point where the fits that still look for a step take this one."""
         here, free, values = self._here, self._fit.free, self.there.values.copy()
-        values[free] = np.where(self._is_open[self._group], here.values[free] + step, values[free])
+        values[free] = np.where(self.is_open[self._group], here.values[free] + step, values[free])
         return self._fit._linearised(values, here.robust, self._sigma, is_doubtful=is_doubtful)

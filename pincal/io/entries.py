@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import Field, fields
 from typing import Annotated, Any, Literal
 
@@ -14,6 +13,7 @@ import pincal.model.catalogue  # noqa: F401
 from pincal.errors import nearest_first
 from pincal.io.arrays import (
     ArrayShape,
+    BranchTransforms,
     LimitNumbers,
     Matrix,
     Numbers,
@@ -36,6 +36,7 @@ from pincal.model.effects import Effect
 from pincal.model.model import Model
 from pincal.parameters import Parameter
 from pincal.robot.dh import DhFrames
+from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
 from pincal.robot.tree import Coupling, Mimic
 
@@ -52,6 +53,44 @@ class FramesEntry(Record, frozen=True, kw_only=True):
     parameters: Annotated[Matrix, ArrayShape("joints", 6)]
     T_base_link: Transforms
     T_last_tip: Transform
+    branches: Annotated[tuple[int, ...], ArrayShape("branches")] = ()
+    T_branch_first: Annotated[BranchTransforms | None, ArrayShape("branches", 4, 4)] = None
+
+    @classmethod
+    def of_frames(cls, frames: DhFrames) -> FramesEntry:
+        """Return the entry of frames."""
+        return cls.like(frames, T_branch_first=frames.T_branch_first if frames.branches else None)
+
+    def frames(self) -> DhFrames:
+        """Return the frames."""
+        found = msgspec.structs.asdict(self)
+        return DhFrames(**found | ({} if self.branches else {"T_branch_first": np.zeros((0, 4, 4))}))
+
+
+class PathEntry(Record, frozen=True, kw_only=True):
+    """The links between which readings are, see :class:`pincal.robot.link_path.LinkPath`."""
+
+    start: str
+    tip: str
+    start_joint: int
+    tip_joint: int
+    T_joint_start: Transform
+    T_joint_tip: Transform
+
+    @classmethod
+    def of_path(cls, path: LinkPath | None) -> PathEntry | None:
+        """Return the entry of a path."""
+        return None if path is None else cls.like(path)
+
+    def path(self, n_joints: int, key: str) -> LinkPath:
+        """Return the path of a robot of so many joints.
+
+        Raises:
+            Fault: below ``key``, for a joint that it does not have.
+        """
+        if not all(-1 <= joint < n_joints for joint in (self.start_joint, self.tip_joint)):
+            raise Fault("names no joints", f"numbers from -1 to {n_joints - 1}", key=key)
+        return LinkPath(**msgspec.structs.asdict(self))
 
 
 class RobotEntry(Record, frozen=True, kw_only=True):
@@ -79,11 +118,15 @@ class RobotEntry(Record, frozen=True, kw_only=True):
     urdf: str | None = None
     mimics: tuple[Mimic, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    parents: tuple[int, ...] = ()
+    ends: PathEntry | None = None
+    unmeasured: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.joint_names:
             raise Fault("has no entries", "at least one joint", key=".joint_names")
+        self._check_tree()
         driven = {mimic.joint for mimic in self.mimics}
         for k, mimic in enumerate(self.mimics):
             if mimic.joint not in self.joint_names or mimic.source not in set(self.joint_names) - driven:
@@ -97,6 +140,18 @@ class RobotEntry(Record, frozen=True, kw_only=True):
         except UnicodeEncodeError as error:
             raise Fault(f"is no text ({error.reason})", "the text of a URDF, or null", key=".urdf") from None
 
+    def _check_tree(self) -> None:
+        """Refuse joints that are not carried by the base or an earlier joint, and branches that are not there."""
+        n, branches = len(self.joint_names), self.frames.branches
+        parents = self.parents or tuple(range(-1, n - 1))
+        if len(parents) != n or any(not -1 <= parent < i for i, parent in enumerate(parents)):
+            raise Fault("are no tree of the joints", "for each joint an earlier one, or -1 for the base", key=".parents")
+        following = dict(zip(reversed(parents), reversed(range(n)), strict=True))
+        if list(branches) != [i for i, parent in enumerate(parents) if following[parent] != i]:
+            raise Fault("do not fit the tree", "the joints that are not the first on their link", key=".frames.branches")
+        if (self.frames.T_branch_first is None) != (not branches):
+            raise Fault("do not fit the branches", "a transform for each branch", key=".frames.T_branch_first")
+
     def urdf_bytes(self) -> bytes:
         """Return the URDF as it was read; bytes that are no UTF-8 are in the file as escapes."""
         return (self.urdf or "").encode("utf-8", "surrogateescape")
@@ -105,12 +160,15 @@ class RobotEntry(Record, frozen=True, kw_only=True):
     def of_robot(cls, robot: Robot) -> RobotEntry:
         """Return the entry of a robot."""
         urdf = robot.urdf.decode("utf-8", "surrogateescape")
-        return cls.like(robot, frames=FramesEntry.like(robot.frames), urdf=urdf)
+        parents = () if robot.is_serial else robot.parents
+        ends = PathEntry.of_path(robot.ends)
+        return cls.like(robot, frames=FramesEntry.of_frames(robot.frames), urdf=urdf, parents=parents, ends=ends)
 
     def robot(self) -> Robot:
         """Return the robot."""
-        frames = DhFrames(**msgspec.structs.asdict(self.frames))
-        return Robot(**msgspec.structs.asdict(self) | {"frames": frames, "urdf": self.urdf_bytes()})
+        ends = None if self.ends is None else self.ends.path(len(self.joint_names), ".ends")
+        made = {"frames": self.frames.frames(), "urdf": self.urdf_bytes(), "ends": ends}
+        return Robot(**msgspec.structs.asdict(self) | made)
 
 
 class ChainEntry(Record, frozen=True, kw_only=True):
@@ -125,6 +183,12 @@ class ChainEntry(Record, frozen=True, kw_only=True):
     targets: Annotated[tuple[str, ...], ArrayShape("targets")]
     tool_rotations: Rotations
     bearing_heights: Annotated[Numbers, ArrayShape("joints")] | None = None
+    ends: PathEntry | None = None
+
+    @classmethod
+    def of_chain(cls, chain: Chain) -> ChainEntry:
+        """Return the entry of a chain."""
+        return cls.like(chain, ends=PathEntry.of_path(chain.ends))
 
 
 class ModelEntry(Record, frozen=True, kw_only=True):
@@ -146,7 +210,7 @@ class ModelEntry(Record, frozen=True, kw_only=True):
     @classmethod
     def of_model(cls, model: Model) -> ModelEntry:
         """Return the entry of a model."""
-        return cls.like(model, robot=RobotEntry.of_robot(model.chain.robot), chain=ChainEntry.like(model.chain))
+        return cls.like(model, robot=RobotEntry.of_robot(model.chain.robot), chain=ChainEntry.of_chain(model.chain))
 
     def model(self) -> Model:
         """Return the model."""
@@ -160,6 +224,7 @@ def model_of(robot: Robot, chain: ChainEntry, effects: tuple[Effect, ...], *, eq
         Fault: below ``key``, if an effect is of a joint or symbol that the robot does not have.
     """
     given, n = msgspec.structs.asdict(chain), robot.n_joints
+    given["ends"] = None if chain.ends is None else chain.ends.path(n, f"{key}.chain.ends")
     if chain.bearing_heights is None:
         given["bearing_heights"] = np.zeros(n)
     elif len(chain.bearing_heights) != n:
@@ -236,24 +301,24 @@ class SetupEntry(Record, frozen=True, kw_only=True):
         )
 
 
-def restored(kind: Any, value: Any) -> Any:
-    """Return the array or effect that a value of a JSON file stands for."""
-    return array_of(value) if kind is np.ndarray else effect_from_entry(value)
-
-
 def restoring() -> Hook:
-    """Return a function like :func:`restored` that also unpacks matrices, all together of no more bytes than a file has."""
+    """Return a function that returns the array or effect that a value of a JSON file stands for.
+
+    Matrices that it unpacks take no more bytes, all together, than a file has.
+    """
     left = MOST_BYTES
 
-    def with_packed(kind: Any, value: Any) -> Any:
+    def restored(kind: Any, value: Any) -> Any:
         nonlocal left
-        if kind is not np.ndarray or not isinstance(value, str):
-            return restored(kind, value)
+        if kind is not np.ndarray:
+            return effect_from_entry(value)
+        if not isinstance(value, str):
+            return array_of(value)
         found = unpacked(value, left)
         left -= found.nbytes
         return found
 
-    return with_packed
+    return restored
 
 
 def plain(value: Any) -> Any:
@@ -274,11 +339,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, Effect):
         return effect_to_entry(value)
     return value.tolist() if isinstance(value, np.ndarray) else msgspec.to_builtins(value)
-
-
-def known_effects() -> Mapping[str, type[Effect]]:
-    """Return the registered effects by name, those of plugins among them."""
-    return EFFECTS.known()
 
 
 def effect_to_entry(effect: Effect) -> dict[str, Any]:
@@ -302,7 +362,7 @@ def effect_from_entry(entry: Any) -> Effect:
     """
     if not isinstance(entry, dict):
         raise Fault(what_is(entry, "an object"), "an object")
-    name, known = entry.get("name"), known_effects()
+    name, known = entry.get("name"), EFFECTS.known()
     if "name" not in entry:
         raise Fault(MISSING, "this key", key=".name")
     if not isinstance(name, str):

@@ -197,13 +197,7 @@ def _excess(content: bytes) -> str:
 
 
 def explained(error: msgspec.ValidationError, loaded: Callable[[], Any], wanted: Any) -> tuple[str, str, str]:
-    """Return the place of an error of the decoder, what is wrong there and what was expected, in words.
-
-    Args:
-        error: the error.
-        loaded: returns what was read, in Python's types.
-        wanted: the type that was wanted.
-    """
+    """Return the place of an error of the decoder, what is wrong there and what was expected, in words."""
     message = str(error)
     found = _PLACE.search(message)
     place = found["place"].removeprefix("$").removeprefix(".") if found else ""

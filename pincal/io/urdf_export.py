@@ -149,12 +149,7 @@ def _with_tip(text: bytes, tree: UrdfTree, robot: Robot, T_tip_calibrated: np.nd
 
 
 def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
-    """Say what a file of the rigid geometry leaves to ``model.json``.
-
-    Args:
-        model: the model.
-        what: the format of the file.
-    """
+    """Say what a file of the rigid geometry leaves to ``model.json``."""
     names = [effect.name for effect in model.effects]
     elastic = [
         effect.name

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pincal.errors import MeasurementError, PincalWarning, nearest_first, warn
+from pincal.errors import MeasurementError, PincalWarning, few, nearest_first, warn
 from pincal.measure.measurements import Measurements, sensor_like, sensor_of
 from pincal.measure.sensor import Excluded, Grouped, Plausible
 from pincal.measure.setup import Setup
@@ -158,9 +158,8 @@ def _kept(measurements: Measurements, excluded: Iterable[Excluded]) -> Measureme
         kept &= ~part.rows
         if part.rows.any():
             lines = measurements.rows[part.rows]
-            listed = ", ".join(str(line) for line in lines[:_LISTED]) + (" ..." if len(lines) > _LISTED else "")
-            text = f"{measurements.source}: {len(lines)} rows {part.reason} and are left out: lines {listed}"
-            warn(text)
+            listed = few(lines, _LISTED)
+            warn(f"{measurements.source}: {len(lines)} rows {part.reason} and are left out: lines {listed}")
     return measurements if kept.all() else measurements.select(kept)
 
 
@@ -284,10 +283,9 @@ def check_rows(measurements: Measurements, *, minimum: int) -> None:
         raise MeasurementError(f"{source}: all {count} rows have the same joint values; expected different poses")
     lines = _duplicate_lines(measurements)
     if lines:
-        first = ", ".join(str(line) for line in lines[:_LISTED_LINES]) + (", ..." if len(lines) > _LISTED_LINES else "")
         warn(
-            f"{source}: {len(lines)} rows repeat an earlier row in every column (line {first}); copies add "
-            "weight but no information: delete them unless they were measured"
+            f"{source}: {len(lines)} rows repeat an earlier row in every column (line {few(lines, _LISTED_LINES)}); "
+            "copies add weight but no information: delete them unless they were measured"
         )
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pincal.errors import MeasurementError, warn
+from pincal.errors import MeasurementError, few, needed, warn
 from pincal.measure.heading import TableHead, find_heading, names_joints
 from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
 
@@ -70,12 +70,9 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
 
 def _lines(path: Path, named: str | None, joints: Collection[str]) -> list[tuple[int, tuple[Any, ...]]]:
     """Return number and cells of each line that has some, comments left out; tell of what else the workbook has."""
-    try:
+    install = "'pincal[excel]', or save the table as CSV"
+    with needed("openpyxl", f"{path.name}: Excel files", install=install, error=MeasurementError):
         import openpyxl
-    except ImportError as error:
-        raise MeasurementError(
-            f"{path.name}: Excel files need openpyxl; run pip install 'pincal[excel]', or save the table as CSV"
-        ) from error
     try:
         with zipfile.ZipFile(path) as parts:
             check_unpacked(path, sum(part.file_size for part in parts.infolist()))
@@ -89,7 +86,8 @@ def _lines(path: Path, named: str | None, joints: Collection[str]) -> list[tuple
                 if found := list(_filled(sheet, path)):
                     first = first or (sheet, found)
                     others.append(sheet)
-                    if named is not None or _has_joints(found, joints):
+                    texts = ([str(cell) for cell in cells if cell is not None] for _, cells in found[:_LOOKED_AT])
+                    if named is not None or any(names_joints(cells, joints) for cells in texts):
                         first = sheet, found
                         others += sheets[sheets.index(sheet) + 1 :]
                         break
@@ -98,16 +96,16 @@ def _lines(path: Path, named: str | None, joints: Collection[str]) -> list[tuple
             _tell_hidden(first[0], {row for row, _ in first[1]}, path.name)
             others.remove(first[0])
             if named is None and others:
-                _tell_others(first[0], others, path.name)
+                listed = ", ".join(sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in others)
+                warn(
+                    f"{path.name}: worksheet {first[0].title} is read; worksheets {listed} are not read (--sheet NAME reads "
+                    "another one)"
+                )
             return first[1]
     except (OSError, MeasurementError):
         raise
     except Exception as error:  # Whatever a broken archive does to the libraries below.
         raise MeasurementError(f"{path.name}: can't be read ({error}); expected an Excel workbook") from error
-
-
-def _has_joints(lines: Sequence[tuple[int, tuple[Any, ...]]], joints: Collection[str]) -> bool:
-    return any(names_joints([str(cell) for cell in cells if cell is not None], joints) for _, cells in lines[:_LOOKED_AT])
 
 
 def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
@@ -134,8 +132,7 @@ def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
 def _tell_hidden(sheet: Any, rows: set[int], name: str) -> None:
     """Warn of a worksheet that is hidden, and of those of its rows that are."""
     if sheet.sheet_state != "visible":
-        text = f"{name}: the visible worksheets are empty; the hidden one {sheet.title} is read"
-        warn(text)
+        warn(f"{name}: the visible worksheets are empty; the hidden one {sheet.title} is read")
     # In this mode openpyxl keeps none of the attributes of rows.
     with sheet._get_source() as source:
         text = source.read()
@@ -145,17 +142,10 @@ def _tell_hidden(sheet: Any, rows: set[int], name: str) -> None:
         if _HIDDEN.search(tag[1]) and (row := int(number[1]) if number else place) in rows:
             hidden.append(row)
     if hidden:
-        first = ", ".join(map(str, hidden[:_LISTED])) + (", ..." if len(hidden) > _LISTED else "")
         warn(
-            f"{name}: {len(hidden)} rows of worksheet {sheet.title} are hidden, by a filter perhaps (line {first}), and "
-            "read like the others; delete them to leave them out"
+            f"{name}: {len(hidden)} rows of worksheet {sheet.title} are hidden, by a filter perhaps (line "
+            f"{few(hidden, _LISTED)}), and read like the others; delete them to leave them out"
         )
-
-
-def _tell_others(read: Any, others: Sequence[Any], name: str) -> None:
-    """Warn of the worksheets that are not read."""
-    listed = ", ".join(sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in others)
-    warn(f"{name}: worksheet {read.title} is read; worksheets {listed} are not read (--sheet NAME reads another one)")
 
 
 def _has_cells(cells: Sequence[Any]) -> bool:

@@ -28,6 +28,9 @@ class Rule:
 
 FINITE = Rule("a finite number", np.isfinite)
 POSITIVE = Rule(f"a number > 0, at least {SMALLEST:g}", lambda value: np.isfinite(value) & (value >= SMALLEST))
+NOT_NEGATIVE = Rule(
+    f"0 or a number > 0, at least {SMALLEST:g}", lambda value: np.isfinite(value) & ((value == 0.0) | (value >= SMALLEST))
+)
 SIGN = Rule("-1, 0 or 1", lambda value: np.isin(value, (-1, 0, 1)))
 
 
@@ -68,6 +71,7 @@ _RECORDED = {name: variable.quantity for name, variable in RECORDABLE.items() if
 CONDITIONS = {"point": POINT} | {
     name: Field(name, (name,), quantity) for name, quantity in ({"target": "name"} | _RECORDED | {"station": "name"}).items()
 }
+CONDITIONS |= {f"{end}_link": Field(f"{end}_link", (end,), "name") for end in ("from", "to")}
 """What a table can say of a pose beside the readings."""
 
 SIGMA = Field("sigma", ("sigma",), "noise", POSITIVE)
@@ -118,8 +122,9 @@ class Schema:
         joint_names: the joints, each with a column of its own and perhaps one for the direction of approach and for the
             position commanded or read back beside it.
         joint_types: "revolute" or "prismatic" for each joint, which says the units it may have; all revolute if empty.
-        own_joints: those with positions of their own, whose columns are needed; all if empty.
-        following: puts the others, which may be absent, where they follow, in positions of shape (N, n).
+        own_joints: those with positions of their own; all if empty. The others may be absent.
+        following: puts the others where they follow, in positions of shape (N, n).
+        resting: joints that may be absent, with the positions where they rest then [rad or m].
         may_lack_joints: whether a table without any joint is allowed.
         options: what the user says of it.
     """
@@ -129,6 +134,7 @@ class Schema:
     joint_types: tuple[str, ...] = ()
     own_joints: tuple[str, ...] = ()
     following: Callable[[np.ndarray], np.ndarray] = np.copy
+    resting: Mapping[str, float] = field(default_factory=dict)
     may_lack_joints: bool = False
     options: TableOptions = field(default_factory=TableOptions)
 
@@ -145,6 +151,11 @@ class Schema:
             own_joints=tuple(robot.joint_names[i] for i in robot.own_joints),
             following=robot.following,
         )
+
+    @property
+    def needed_joints(self) -> tuple[str, ...]:
+        """The joints whose columns are needed."""
+        return tuple(name for name in self.own_joints if name not in self.resting)
 
     def quantities(self, *, source: str) -> dict[str, str]:
         """Return the physical quantity of every column that a table may have; joints that clash with a field are refused."""

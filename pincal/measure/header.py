@@ -244,7 +244,7 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
     joints = schema.joint_names
     if schema.may_lack_joints and not columns.keys() & set(joints):
         joints = ()
-    check_joints([name for name in schema.own_joints if joints and name not in columns], unknown, sheet)
+    check_joints([name for name in schema.needed_joints if joints and name not in columns], unknown, sheet)
     readings = [part for part in schema.fields if part.name not in CONDITIONS and part != SIGMA]
     told = {*columns, *(rotations(schema.fields).columns if orientation else ())}
     flag = next((label for label in unknown if label.name.casefold() in FLAGS), None)

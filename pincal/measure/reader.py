@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from pincal.errors import MeasurementError, warn
-from pincal.measure import bag_sheet, excel_sheet, parquet_sheet
 from pincal.measure.approach import BY_COLUMNS, agreeing, completed, moves_of_table, tells_order
+from pincal.measure.excel_sheet import ENDINGS, open_excel
 from pincal.measure.fields import CONDITIONS, OF_EACH_JOINT, OTHERS, Field, Schema, TableOptions
 from pincal.measure.header import (
     check_joints,
@@ -30,6 +30,7 @@ from pincal.measure.header import (
 )
 from pincal.measure.joined import Log, held_rows, join
 from pincal.measure.nested_sheet import nested_kind, open_nested
+from pincal.measure.recordings import is_bag, is_dataset, open_bag, open_dataset, open_parquet
 from pincal.measure.sheet import FrameSheet, Sheet, read_cells
 from pincal.measure.text_sheet import open_text
 
@@ -60,18 +61,18 @@ def open_sheet(
         MeasurementError: for a file that is empty, binary, or not of this format.
     """
     ending = path.suffix.lower()
-    if bag_sheet.is_bag(path):
-        return bag_sheet.open_bag(path, ignore=ignore, only_joints=only_joints, joints=joints)
-    if parquet_sheet.is_dataset(path):
-        return parquet_sheet.open_dataset(path)
+    if is_bag(path):
+        return open_bag(path, ignore=ignore, only_joints=only_joints, joints=joints)
+    if is_dataset(path):
+        return open_dataset(path)
     with path.open("rb") as file:
         head = file.read(4)
     if ending == ".parquet" or head == b"PAR1":
-        return parquet_sheet.open_parquet(path)
+        return open_parquet(path)
     if kind := nested_kind(path):
         return open_nested(path, kind)
-    if ending in excel_sheet.ENDINGS or head == b"PK\x03\x04":
-        return excel_sheet.open_excel(path, sheet=sheet, joints=joints)
+    if ending in ENDINGS or head == b"PK\x03\x04":
+        return open_excel(path, sheet=sheet, joints=joints)
     if ending in _OTHERS:
         raise MeasurementError(f"{path.name}: {ending} is not read; save the table as .xlsx or CSV")
     return open_text(path, joints)
@@ -137,6 +138,11 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
         values = {name: value for name, value in values.items() if name not in header.orientation.columns}
         values |= zip(rotations(schema.fields).columns, found.T, strict=True)
     joints = header.joints
+    resting = [name for name in schema.resting if name in joints and name not in values]
+    values |= {name: np.full(len(rows), schema.resting[name]) for name in resting}
+    if resting:
+        at = ", ".join(f"{name} at {schema.resting[name]:g}" for name in resting)
+        warn(f"{path.name}: no column for {len(resting)} joints off the paths of these rows, which rest: {at}")
     if joints and (missing := [name for name in joints if name not in values]):
         values |= _followers(schema, values, missing)
     if joints and header.readings and "time" in values and part is None and not schema.may_lack_joints:
@@ -274,7 +280,7 @@ def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
         labels = unignored(renamed(log.labels, options.columns, source=path.name, others=sheet.labels), options.ignore)
         labels = with_joints(labels, schema, quantities, source=path.name)
         columns, unknown = matched(labels, told, {}, source=path.name)
-        check_joints([name for name in schema.own_joints if name not in columns], unknown, log)
+        check_joints([name for name in schema.needed_joints if name not in columns], unknown, log)
         values, _ = read_cells(log, tuple(columns.values()))
     mine = unignored(renamed(sheet.labels, options.columns, source=source, others=log.labels), options.ignore)
     found, _ = matched(mine, quantities, {}, source=source)

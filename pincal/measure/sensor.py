@@ -4,7 +4,7 @@ A sensor knows the target's pose in the instrument's frame and nothing of robots
 goes through :class:`Sensor`, so that a sensor needs no other place than its own file.
 
 What only some sensors have is a class of its own to inherit from: :class:`OwnParameters`, :class:`KnownParameters`,
-:class:`Grouped`, :class:`Foreseeable`, :class:`Plausible`.
+:class:`Grouped`, :class:`Divided`, :class:`Foreseeable`, :class:`Plausible`.
 """
 
 from __future__ import annotations
@@ -259,7 +259,6 @@ class Additive(Sensor):
 
     @final
     def shifted(self, change: np.ndarray) -> Self:
-        """Return readings that differ by ``change``, shape (m, N)."""
         name = self.fields[0].name
         shifted: dict[str, Any] = {name: getattr(self, name) + (change[0] if len(change) == 1 else change.T)}
         return replace(self, **shifted)  # type: ignore[type-var]
@@ -326,6 +325,19 @@ class Grouped(ABC):
     @abstractmethod
     def unscorable_rows(cls, table: TableRows, setup: Setup) -> Iterator[Excluded]:
         """Yield rows by which a calibration that knew ``setup`` can't be judged."""
+
+
+class Divided(ABC):
+    """A sensor whose rows may belong to several stations, as they are between different links, or read differently."""
+
+    @classmethod
+    @abstractmethod
+    def parts(cls, table: Any) -> Iterator[tuple[str, Any]]:
+        """Yield what kind of rows each part has, in a word, and the part, a table with its links.
+
+        Raises:
+            MeasurementError: for rows that do not tell the links.
+        """
 
 
 class Foreseeable(ABC):

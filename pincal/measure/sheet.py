@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from pincal.errors import MeasurementError, warn
+from pincal.errors import MeasurementError, few, warn
 from pincal.units import expected_number, in_si, is_possible
 
 if TYPE_CHECKING:
@@ -126,7 +126,6 @@ class FrameSheet(Sheet):
         return frame, np.arange(self.start + 2, self.start + frame.height + 2) if self.rows is None else self.rows
 
     def first_cells(self, index: int, count: int) -> list[str]:
-        """Return the first cells; of lists none."""
         import polars as pl
 
         if self.frame.collect_schema().dtypes()[index].is_nested():
@@ -195,8 +194,7 @@ def _with_readings(
     for reason, which in lost.items():
         if (which & ~gone).any():
             lines = rows[which & ~gone]
-            listed = ", ".join(map(str, lines[:_NAMED])) + (", ..." if len(lines) > _NAMED else "")
-            warn(f"{sheet.path.name}: {len(lines)} of {len(rows)} rows {reason} and are left out: line {listed}")
+            warn(f"{sheet.path.name}: {len(lines)} of {len(rows)} rows {reason} and are left out: line {few(lines, _NAMED)}")
         gone |= which
     if gone.all():
         raise MeasurementError(

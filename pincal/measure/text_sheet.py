@@ -51,7 +51,6 @@ class TextSheet(Sheet):
         return _read_regular(self, columns) or _read_lines(self, columns)
 
     def first_cells(self, index: int, count: int) -> list[str]:
-        """Return the first cells."""
         return [row[index] if index < len(row) else "" for row in self._first_rows[:count]]
 
     @cached_property

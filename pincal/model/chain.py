@@ -49,6 +49,8 @@ _KIND = {
     "s_x": 0, "s_y": 1, "theta": 2, "gamma_z": 2, "h": 5, "gamma_y": 1, "gamma_x": 0, "d": 5, "a": 3, "alpha": 0,
     "rx": 0, "ry": 1, "rz": 2, "x": 3, "y": 4, "z": 5,
 }  # fmt: skip
+# Paths of one robot that are kept.
+_MOST_PATHS = 64
 # A joint nearer than this to the origin of its frame is there [m].
 _AT_ORIGIN = 1e-6
 # Columns of DhFrames.parameters.
@@ -120,6 +122,15 @@ class Chain:
             known[moment_frame] = replace(self, moment_frame=moment_frame, bearing_heights=heights[moment_frame])
             known[moment_frame].__dict__["_in_frames"] = known
         return known[moment_frame]
+
+    def between(self, start: str, tip: str) -> Chain:
+        """Return the same robot's chain between two links, see :meth:`pincal.robot.robot.Robot.between`."""
+        if (start, tip) == (self.path.start, self.path.tip):
+            return self
+        paths = self.kept.about("paths", self.robot, most=_MOST_PATHS)
+        if (start, tip) not in paths:
+            paths[start, tip] = self.robot.between(start, tip)
+        return replace(self, ends=paths[start, tip])
 
     def with_references(self, base_rotation: np.ndarray, tool_rotations: np.ndarray) -> Chain:
         """Return the same chain about other reference orientations of base and tools."""
@@ -218,7 +229,7 @@ class Chain:
     @cached_property
     def layout(self) -> Layout:
         """The chain's constant part as arrays for the compiled loops."""
-        routes = self.kept.about("routes", self.robot, self.path)
+        routes = self.kept.about("routes", self.robot, self.path, most=_MOST_PATHS)
         if self.moment_frame not in routes:
             routes[self.moment_frame] = self._routes(self.path)
         return Layout(

@@ -52,7 +52,7 @@ class Compliance(Discoverable):
     @final
     def parts(self, chain: Chain) -> tuple[Self, ...]:
         """Return the compliance of each joint by itself."""
-        return tuple(replace(self, joints=(joint,)) for joint in self.joints or chain.robot.joint_names)
+        return tuple(replace(self, joints=(joint,)) for joint in self.joints or chain.robot.measured_joints)
 
     @final
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -75,7 +75,7 @@ class Compliance(Discoverable):
     def _places(self, chain: Chain) -> list[tuple[int, str, int]]:
         """Return joint, axis and coordinate, those left out that loops make meaningless."""
         names, inert = chain.robot.joint_names, inert_coordinates(chain)
-        joints = range(len(names)) if self.joints is None else [names.index(name) for name in self.joints]
+        joints = [names.index(name) for name in (chain.robot.measured_joints if self.joints is None else self.joints)]
         places = [(i, axis, chain.joint(i, f"gamma_{axis}")) for i in joints for axis in self.axes]
         return [place for place in places if place[2] not in inert]
 

@@ -56,6 +56,12 @@ class Conditions(Recorded):
         n = len(q)
         return cls(q, np.zeros(n, int), np.full(n, float(payload)), np.array(list(payload_centre), float))
 
+    @classmethod
+    def of_everything(cls, n_joints: int) -> Conditions:
+        """Return the conditions of one pose with all that may be recorded, all of it zero."""
+        recorded = {name: np.zeros((1, n_joints) if of.of_joints else 1) for name, of in RECORDED.items()}
+        return replace(cls.at(np.zeros((1, n_joints))), **recorded, sighted=np.ones((1, 3)))
+
     def __len__(self) -> int:
         return len(self.q)
 
@@ -230,19 +236,24 @@ class PoseSet:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints, from the base, without the passive ones of loops: they have no drive."""
-        return tuple(name for name in self.chain.robot.joint_names if name not in self.chain.robot.passive)
+        """Names of the joints that readings can be about, from the base, without the passive ones of loops."""
+        robot = self.chain.robot
+        return tuple(name for name in robot.measured_joints if name not in robot.passive)
 
     @property
     def revolute(self) -> tuple[str, ...]:
-        """Names of those that turn."""
-        slides = dict(zip(self.chain.robot.joint_names, self.chain.robot.joint_types, strict=True))
-        return tuple(name for name in self.joints if slides[name] != "prismatic")
+        """Names of the joints that turn."""
+        types = dict(zip(self.chain.robot.joint_names, self.chain.robot.joint_types, strict=True))
+        return tuple(name for name in self.joints if types[name] != "prismatic")
+
+    def index(self, joint: str) -> int:
+        """Return the place of a joint in the columns of the poses."""
+        return self.chain.robot.joint_names.index(joint)
 
     def positions(self, joint: str) -> np.ndarray:
         """Return the positions of a joint, shape (N,) [rad or m]."""
-        return np.asarray(self.conditions.q[:, self.chain.robot.joint_names.index(joint)])
+        return np.asarray(self.conditions.q[:, self.index(joint)])
 
     def moment(self, joint: str) -> np.ndarray:
         """Return the static moment about the axis of a joint on the nominal arm, shape (N,) [N m]."""
-        return np.asarray(self.moments[:, 3 * self.chain.robot.joint_names.index(joint) + 2])
+        return np.asarray(self.moments[:, 3 * self.index(joint) + 2])

@@ -70,12 +70,14 @@ class _Geometry(Effect):
         return tuple(Term(p, k) for p, (_, _, k) in enumerate(self._places(chain)))
 
     def _places(self, chain: Chain) -> Iterator[tuple[str, str, int]]:
-        """Yield element, symbol and coordinate, those left out that loops make meaningless."""
+        """Yield element, symbol and coordinate of what readings can be about."""
         robot, inert = chain.robot, inert_coordinates(chain)
-        for i, kind in enumerate(robot.joint_types):
+        for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_types, strict=True)):
+            if name in robot.unmeasured:
+                continue
             symbols = self.sliding if kind == "prismatic" else self.turning
             mount = self.branching if i in robot.frames.branches else ()
-            places = ((robot.joint_names[i], symbol, chain.joint(i, symbol)) for symbol in (*mount, *symbols))
+            places = ((name, symbol, chain.joint(i, symbol)) for symbol in (*mount, *symbols))
             yield from (place for place in places if place[2] not in inert)
         pins = ((pin.name, symbol, chain.pin(i, symbol)) for i, pin in enumerate(robot.pins) for symbol in self.branching)
         yield from (place for place in pins if place[2] not in inert)

@@ -145,9 +145,10 @@ class Loops:
 
     def followed(
         self,
+        layout: Layout,
         rigid: Values,
         deformed: Values,
-        moments: np.ndarray,
+        payload: Payload,
         terms: Terms,
         compliances: Compliances,
         *,
@@ -156,9 +157,10 @@ class Loops:
         """Return terms and compliances with what they do through the passive joints.
 
         Args:
+            layout: the chain, with masses.
             rigid: coordinates that moments are computed on.
             deformed: coordinates of the deformed arm.
-            moments: shape (3 n, N), static moments of the open tree; not used without compliances [N m].
+            payload: mass beyond the tip.
             terms: what parameters do to coordinates.
             compliances: how coordinates follow moments.
             equilibrium: whether moments follow what is elastic.
@@ -170,7 +172,9 @@ class Loops:
         on_rigid = self._motion(rigid, ks)
         D = _solved(on_rigid[1][..., :p], -on_rigid[1]).transpose(2, 1, 0)
         bent = D if rigid is deformed else self.rates(deformed, ks)
-        direct = self._direct(at, on_rigid, D, moments, compliances)
+        felt = any(n % 3 == 2 and n // 3 in self.drives for n in compliances.moment.tolist())
+        loads = kernels.static_moments(layout, rigid, payload)[3 * self.passive + 2] if felt else np.empty((0, 0))
+        direct = self._direct(at, on_rigid, D, loads, compliances) if felt else {}
         found: list[tuple[int, int, bool, np.ndarray]] = []
         for e in range(len(terms.coordinate)):
             k, column = int(terms.coordinate[e]), int(terms.parameter[e])
@@ -195,16 +199,13 @@ class Loops:
         at: dict[int, int],
         on_rigid: tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]],
         D: np.ndarray,
-        moments: np.ndarray,
+        loads: np.ndarray,
         compliances: Compliances,
     ) -> dict[int, np.ndarray]:
         """Return by how much elastic coordinates follow others as loops hand loads on otherwise: by coordinate, (M, N)."""
         p, found = len(self.follow), dict[int, np.ndarray]()
         entries = [e for e, n in enumerate(compliances.moment) if n % 3 == 2 and int(n) // 3 in self.drives]
-        if not entries:
-            return found
-        loads = moments[3 * self.passive + 2].T
-        forces = _solved(on_rigid[1][..., :p].swapaxes(1, 2), loads[..., None])[..., 0]
+        forces = _solved(on_rigid[1][..., :p].swapaxes(1, 2), loads.T[..., None])[..., 0]
         of_passive = [self._turned(at, on_rigid[2], forces, k) for k in self.follow.tolist()]
         for e in entries:
             k = self.drives[int(compliances.moment[e]) // 3]

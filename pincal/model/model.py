@@ -28,6 +28,7 @@ from pincal.model.kernel_inputs import Compliances, Layout, MassTerms, Payload, 
 from pincal.model.loops import Loops, borne_moments, closed_loops
 from pincal.model.sparse_basis import Basis, joined_rows
 from pincal.parameters import Parameter
+from pincal.robot.link_path import above
 
 # The moments of a bent arm differ from those of a straight one by about 1e-3, so each round gains three digits; a soft
 # arm needs more, and the Jacobian as many sweeps again.
@@ -116,6 +117,24 @@ class Model:
         )
 
     @cached_property
+    def is_felt(self) -> np.ndarray:
+        """Which parameters move the tip other than by what joints off the path do to the loads of those on it, (P,)."""
+        if self.chain.on_path.all():
+            return np.ones(self.n_parameters, bool)
+        robot, chain = self.chain.robot, self.chain
+        moves = np.zeros(chain.size, bool)
+        moves[[*chain.layout.path.coordinate, *(loops.coordinates if (loops := Loops.of(chain)) else ())]] = True
+        found = np.zeros(self.n_parameters, bool)
+        state = Evaluation.at(self, np.zeros(self.n_parameters), Conditions.of_everything(robot.n_joints))
+        for p, term in state.terms:
+            found[p] |= moves[term.coordinate]
+        for curve in state.curves:
+            found[curve.parameters] |= moves[curve.coordinate]
+        for body in self.bodies:
+            found[body.parameter] |= any(chain.on_path[i] for i in above(body.joint, robot.parents))
+        return found
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return tuple(parameter.name for parameter in self.parameters)
@@ -194,8 +213,7 @@ class Model:
         n_columns = int(columns.max(initial=-1)) + 1
         terms, compliances = state.kernel_terms(columns, coordinates, n_columns), state.compliances()
         if (loops := Loops.of(self.chain)) is not None:
-            moments = kernels.static_moments(state.layout, state.rigid, state.payload)
-            at = state.rigid, state.deformed, moments
+            at = state.layout, state.rigid, state.deformed, state.payload
             terms, compliances = loops.followed(*at, terms, compliances, equilibrium=self.equilibrium)
         wanted = Wanted(
             terms,
@@ -211,9 +229,8 @@ class Model:
     def static_moments(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the static moments n_x, n_y, n_z of each joint, shape (N, 3 n) [N m] (paper, Eq. (3))."""
         state = Evaluation.at(self, values, conditions)
-        return np.asarray(
-            borne_moments(self.chain, state.rigid, kernels.static_moments(state.layout, state.rigid, state.payload)).T
-        )
+        moments = kernels.static_moments(state.layout, state.rigid, state.payload)
+        return borne_moments(self.chain, state.rigid, moments).T
 
     def coordinates(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the coordinates of the chain on the bent arm, shape (N, K) [rad or m]."""

@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from pincal.diagnosis.robot_diagnosis import Diagnosis
-from pincal.io.diagnosis_file import ChangedParameter, ChangeEntry, ChangeName, CurvesEntry, DiagnosisFile
+from pincal.io.diagnosis_file import ChangeEntry, ChangeName, CurvesEntry, DiagnosisFile
 from pincal.parameters import split_name
 from pincal.report.blocks import (
     Section,
@@ -71,14 +71,11 @@ def sizes(change: ChangeEntry) -> str:
     if change.curve_rms is not None:
         unit = next(iter(change.parameters.values())).unit
         return f"its curve is another by {format_small(change.curve_rms, unit)} rms"
-    surest = sorted(change.parameters.items(), key=lambda item: -_sureness(item[1]))[:_SHOWN]
+    moved = [(name, p.after - p.before, p.sigma, p.unit) for name, p in change.parameters.items()]
+    moved.sort(key=lambda one: -abs(one[1]) / one[2] if one[2] else 0.0)
     return ", ".join(
-        f"{name} by {format_small(p.after - p.before, p.unit)} ± {format_small(p.sigma, p.unit)}" for name, p in surest
+        f"{name} by {format_small(by, unit)} ± {format_small(sigma, unit)}" for name, by, sigma, unit in moved[:_SHOWN]
     )
-
-
-def _sureness(parameter: ChangedParameter) -> float:
-    return abs(parameter.after - parameter.before) / parameter.sigma if parameter.sigma else 0.0
 
 
 def change_table(changes: Iterable[ChangeEntry]) -> Table:
@@ -202,7 +199,9 @@ def _least_offsets(found: DiagnosisFile) -> str:
 def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:
     """Return ``report.html`` of a diagnosis."""
     found, robot = diagnosis.found, diagnosis.model.model.chain.robot
-    made = (_answer(found), _changes(found), _curves(found), _noticed(found, robot.joint_names), _station(found))
+    drives = None if found.curves is None else (curve_table(found.curves),)
+    curves = None if drives is None else Section("curves", "Curves of the drives", drives, label="Curves")
+    made = (_answer(found), _changes(found), curves, _unchanged(found, robot.joint_names), _station(found))
     return render(
         f"Diagnosis of {robot.name}",
         f"{found.rows} new poses compared with the calibrated robot",
@@ -262,25 +261,15 @@ def _changes(found: DiagnosisFile) -> Section | None:
     return Section("changes", "What has changed", (paragraph(text),), label="What has changed")
 
 
-def _curves(found: DiagnosisFile) -> Section | None:
-    if found.curves is None:
-        return None
-    return Section("curves", "Curves of the drives", (curve_table(found.curves),), label="Curves")
-
-
-def _noticed(found: DiagnosisFile, joint_names: Sequence[str]) -> Section | None:
+def _unchanged(found: DiagnosisFile, joint_names: Sequence[str]) -> Section | None:
     if not found.excluded:
         return None
     words = (
         "Smallest size of each change that would have been detected with a probability of 90 %, as the largest motion of "
         "the target in these poses."
     )
-    return Section(
-        "noticed",
-        "What has not changed",
-        (paragraph(words), excluded_table(found, joint_names)),
-        label="What has not changed",
-    )
+    blocks = (paragraph(words), excluded_table(found, joint_names))
+    return Section("noticed", "What has not changed", blocks, label="What has not changed")
 
 
 def _station(found: DiagnosisFile) -> Section:

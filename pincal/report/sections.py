@@ -20,7 +20,8 @@ from pincal.calibration.result_tables import (
     shown_parameters,
     station_table,
 )
-from pincal.identify.found_masses import FoundMoments, found_moments
+from pincal.errors import few
+from pincal.identify.choices import FoundMoments, found_moments
 from pincal.report.blocks import (
     PageBlock,
     Section,
@@ -160,8 +161,7 @@ def _data(subject: Subject) -> Markup:
 def _rows_of(rows: StationRows, outliers: Sequence[int]) -> Markup:
     train, test = rows.train, rows.test
     other = len(test) and test.source != train.source
-    lines = ", ".join(map(str, outliers[:_LISTED])) + " ..." * (len(outliers) > _LISTED)
-    rejected = f", {len(outliers)} rejected as outliers (line {lines})" if outliers else ""
+    rejected = f", {len(outliers)} rejected as outliers (line {few(outliers, _LISTED)})" if outliers else ""
     held = rich(" from {}", code(test.source)) if other else ""
     name = rich("<b>{}</b>: ", rows.name) if rows.name else ""
     counts = (len(train), len(test), held, rejected)
@@ -223,12 +223,13 @@ def stations(subject: Subject) -> Section | None:
             " Left out: the model of the other stations, with only the placement of this one fitted to it. That is the "
             "accuracy to expect on another day."
         )
-    pairs = [_before_and_after(record, subject.part) for record in records]
-    drawn = glance([
-        (f"{record['name']}: mean error", pair, (f"{pair[0]:.3f}", f"{pair[1]:.4f} mm"))
-        for record, pair in zip(records, pairs, strict=True)
-    ])  # fmt: skip
-    blocks: list[PageBlock] = [paragraph(text), arranged("glance", *drawn), station_table(records), *_moved(records)]
+    shown = []
+    for record in records:
+        nominal, calibrated = (by_part.get(subject.part, by_part["train"]) for by_part in record["error"].values())
+        # Of a station that was left out, by the model of the others.
+        before, after = nominal["mean_mm"], record.get("left_out", calibrated)["mean_mm"]
+        shown.append((f"{record['name']}: mean error", (before, after), (f"{before:.3f}", f"{after:.4f} mm")))
+    blocks: list[PageBlock] = [paragraph(text), arranged("glance", *glance(shown)), station_table(records), *_moved(records)]
     if (again := repeated_table(records)) is not None:
         blocks += [heading("Repeated measurements of poses", "repeatability"), paragraph(REPEATED), again]
     return Section("stations", "Stations", tuple(blocks), "Stations")
@@ -252,12 +253,6 @@ def _moved(records: Sequence[StationRecord]) -> Iterator[PageBlock]:
     )
     yield table
     yield figures("moved", course_drawings(records))
-
-
-def _before_and_after(record: StationRecord, part: str) -> tuple[float, float]:
-    """Return the mean error of the nominal robot and of the model [mm], of the model of the others if it is known."""
-    nominal, calibrated = (by_part.get(part, by_part["train"]) for by_part in record["error"].values())
-    return nominal["mean_mm"], record.get("left_out", calibrated)["mean_mm"]
 
 
 def where(subject: Subject) -> Section:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from pincal.identify.reasons import Status
+from pincal.identify.explain import Status
 from pincal.io.discovery_file import Bootstrap, EffectName, Findings, FoundEffect
 from pincal.model.effect_registry import meaning_of
 from pincal.units import readable_unit
@@ -90,15 +90,12 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
         )
         words.append(f"({entry.shape or 'curve'}{order} of {of}{across})")
     elif (entry.order or 1) != 1:
-        words.append(_order_words(entry))
+        if isinstance(entry, FoundEffect) and entry.resolution is not None:
+            middle = sum((entry.order or 0.0, *entry.beside)) / (1 + len(entry.beside))
+            words.append(f"order {middle:.1f} \u00b1 {entry.resolution:.1f}")
+        else:
+            words.append(f"order {entry.order}")
     return " ".join(words)
-
-
-def _order_words(entry: EffectName) -> str:
-    if not isinstance(entry, FoundEffect) or entry.resolution is None:
-        return f"order {entry.order}"
-    middle = sum((entry.order or 0.0, *entry.beside)) / (1 + len(entry.beside))
-    return f"order {middle:.1f} \u00b1 {entry.resolution:.1f}"
 
 
 def line_words(entry: FoundEffect) -> str:

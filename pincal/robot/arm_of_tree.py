@@ -64,9 +64,11 @@ def arm_of_tree(tree: UrdfTree, request: TreeRequest, *, mass: float | None) -> 
     base, start = _stand(tree, tip, request)
     ends = [(start, tip), *request.paths]
     joints = _moving_joints(tree, base, ends, request.others)
+    passed = {joint.name for pair in ends for way in _checked_path(tree, base, *pair) for joint in way}
     if mass is not None and not _LIGHTEST <= mass <= LARGEST:
         raise BadInputError(f"mass of the robot is {mass} kg; expected {_LIGHTEST:g} to {LARGEST:g} kg")
-    return _attributes(tree, joints, base, ends, mass=mass, recorded=request.joints)
+    unmeasured = tuple(joint.name for joint in joints if joint.name not in tree.with_loops(passed))
+    return _attributes(tree, joints, base, ends, mass=mass, recorded=request.joints) | {"unmeasured": unmeasured}
 
 
 def _stand(tree: UrdfTree, tip: str, request: TreeRequest) -> tuple[str, str]:
@@ -246,7 +248,7 @@ def _attributes(
         "source": tree.source,
         "mimics": mimics,
         "parents": parents,
-        "ends": way,
+        "ends": None if way.is_whole(len(path)) and way.start == base else way,
         "closures": linkage.closures if linkage else (),
         "passive": tuple(names[i] for i in linkage.passive) if linkage else (),
     }

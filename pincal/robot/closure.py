@@ -88,16 +88,20 @@ class Linkage:
         kinematics: the arm with its loops open.
         closures: what closes them.
         passive: shape (p,), the joints that follow.
-        drivers: shape (d,), the other joints of the loops.
         lower, upper: shape (n,), joint limits [rad or m].
     """
 
     kinematics: Kinematics
     closures: tuple[Closure, ...]
     passive: np.ndarray
-    drivers: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
+
+    @cached_property
+    def drivers(self) -> np.ndarray:
+        """The other joints of the loops, shape (d,)."""
+        loop = {joint for closure in self.closures for joint, _ in closure.path.steps(self.kinematics.parents)}
+        return np.array(sorted(loop.difference(self.passive.tolist())))
 
     @cached_property
     def rows(self) -> np.ndarray:
@@ -147,6 +151,12 @@ class Linkage:
         nearest = tree.query(q[:, self.drivers])[1]
         found, is_closed, sides = self._led(q, drivers[nearest], passive[nearest])
         return found, is_closed & (sides == side)
+
+    def can_take(self, q: np.ndarray) -> np.ndarray:
+        """Return at which positions, shape (N, n), loops close and passive joints keep to their limits, shape (N,)."""
+        found, is_closed = self.closed(q)
+        within = (found >= self.lower) & (found <= self.upper)
+        return np.asarray(is_closed & within[:, self.passive].all(axis=1))
 
     def _led(self, q: np.ndarray, drivers: np.ndarray, passive: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Lead the loops to joint positions, shape (N, n), from known ones, shape (N, d) and (N, p), in short steps.

@@ -34,6 +34,10 @@ class LinkPath:
         ]
         return replace(self, T_joint_start=placed[0], T_joint_tip=placed[1])
 
+    def is_whole(self, n_joints: int) -> bool:
+        """Whether it leads from the base itself to a link on the last of so many joints."""
+        return (self.start_joint, self.tip_joint) == (-1, n_joints - 1) and np.array_equal(self.T_joint_start, np.eye(4))
+
     def steps(self, parents: Sequence[int]) -> list[tuple[int, int]]:
         """Return the joints on the way, each with 1 where it is passed along and -1 where it is passed backwards.
 

@@ -55,6 +55,7 @@ class Robot:
             reported, everything else of the library the positions of the URDF.
         parents: the joint that carries each joint, -1 for the base; default: each carries the next.
         ends: the links between which a reading is if nothing else is said; default: base and tip.
+        unmeasured: names of joints off all paths, whose motion changes only what the others bear.
         closures: what closes loops of its joints.
         passive: names of the joints that follow from the others, as the loops have it.
     """
@@ -79,6 +80,7 @@ class Robot:
     couplings: tuple[Coupling, ...] = ()
     parents: tuple[int, ...] = ()
     ends: LinkPath | None = None
+    unmeasured: tuple[str, ...] = ()
     closures: tuple[Closure, ...] = ()
     passive: tuple[str, ...] = ()
 
@@ -173,10 +175,25 @@ class Robot:
         """Number of moving joints."""
         return len(self.joint_names)
 
+    @property
+    def measured_joints(self) -> tuple[str, ...]:
+        """Names of the joints that a path passes: those that readings can be about."""
+        return tuple(name for name in self.joint_names if name not in self.unmeasured)
+
+    @property
+    def is_serial(self) -> bool:
+        """Whether each joint carries the next."""
+        return self.parents == tuple(range(-1, self.n_joints - 1))
+
     def next_joint(self, i: int) -> int | None:
         """Return the joint at the end of link i (from 0); None if it carries none, or several."""
         carried = [k for k, parent in enumerate(self.parents) if parent == i]
         return carried[0] if len(carried) == 1 else None
+
+    def are_neighbours(self, joint: str, other: str) -> bool:
+        """Return whether two joints are the same one, or one carries the other directly."""
+        i, k = self.joint_names.index(joint), self.joint_names.index(other)
+        return i == k or self.parents[i] == k or self.parents[k] == i
 
     def carries(self, i: int, k: int) -> bool:
         """Return whether joint i carries joint k, directly or not."""
@@ -208,29 +225,18 @@ class Robot:
         """Its loops; None if it has none."""
         if not self.closures:
             return None
-        kinematics = Kinematics.of(self)
         passive = np.array([self.joint_names.index(name) for name in self.passive])
-        loop = {joint for closure in self.closures for joint, _ in closure.path.steps(self.parents)}
-        drivers = np.array(sorted(loop - set(passive.tolist())))
-        return Linkage(kinematics, self.closures, passive, drivers, self.lower, self.upper)
+        return Linkage(Kinematics.of(self), self.closures, passive, self.lower, self.upper)
 
     def following(self, q: np.ndarray) -> np.ndarray:
         """Return joint positions, shape (N, n), with each dependent joint where the others put it.
 
-        Loops that can't be closed come as near as they can, see :meth:`can_take`.
+        Loops that can't be closed come as near as they can, see :meth:`pincal.robot.closure.Linkage.can_take`.
         """
         if not self.dependent:
             return q
         out = mimicked(q, self.joint_names, self.mimics)
         return out if self.linkage is None else self.linkage.closed(out)[0]
-
-    def can_take(self, q: np.ndarray) -> np.ndarray:
-        """Return at which positions, shape (N, n), loops close and passive joints keep to their limits, shape (N,)."""
-        if self.linkage is None:
-            return np.ones(len(q), bool)
-        found, passive = self.linkage.closed(q), self.linkage.passive
-        within = (found[0] >= self.lower) & (found[0] <= self.upper)
-        return np.asarray(found[1] & within[:, passive].all(axis=1))
 
     def spread(self, own: np.ndarray) -> np.ndarray:
         """Return the positions of all joints, shape (N, n), from those that have their own, shape (N, m)."""
@@ -379,7 +385,7 @@ class Robot:
         Of robots with loops they are those at which these close and the passive joints keep to their limits.
         """
         found = self.following(np.asarray(rng.uniform(*self.joint_range(), (n, self.n_joints))))
-        while self.linkage is not None and not (is_there := self.can_take(found)).all():
+        while self.linkage is not None and not (is_there := self.linkage.can_take(found)).all():
             again = rng.uniform(*self.joint_range(), (int(np.sum(~is_there)), self.n_joints))
             found[~is_there] = self.following(again)
         return found

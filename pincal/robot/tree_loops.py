@@ -134,10 +134,8 @@ def linkage_of(
     Raises:
         RobotFileError: if the loops can't be closed or moved, or their joints do not follow from those with readings.
     """
-    paths = [closure.path.steps(kinematics.parents) for closure in closures]
-    loop = sorted({joint for steps in paths for joint, _ in steps})
-    nothing = np.empty(0, int)
-    free = Linkage(kinematics, tuple(closures), nothing, np.array(loop), *limits)
+    free = Linkage(kinematics, tuple(closures), np.empty(0, int), *limits)
+    loop = free.drivers.tolist()
     where = f"in the loop closed by {', '.join(closure.name for closure in closures)}"
     if (gap := float(np.abs(free.equations(free.assembled()[None])[0]).max())) > _LOOSE:
         raise RobotFileError(
@@ -175,7 +173,7 @@ def linkage_of(
         for a, closure in zip(starts, closures, strict=False)
     ]
     used = [closure for closure in used if closure.rows]
-    return Linkage(kinematics, tuple(used), np.array(passive), np.array(drivers), *limits)
+    return Linkage(kinematics, tuple(used), np.array(passive), *limits)
 
 
 def linkage_notes(linkage: Linkage, choice: Choice) -> tuple[str, ...]:

@@ -18,6 +18,9 @@ import numpy as np
 from pincal.simulate.arm import Arm
 from pincal.simulate.state import Deformation, Loads, Poses
 
+HIDDEN_EFFECTS: dict[str, type[HiddenEffect]] = {}
+"""The hidden effects of pincal, by the names that discovery reports."""
+
 WINDUP = 1e-3
 """Typical wind-up of a drive under the largest moment of the arm [rad]."""
 
@@ -72,6 +75,12 @@ class HiddenEffect(ABC):
     joint: str | None = None
     size: float = 0.0
 
+    def __init_subclass__(cls) -> None:
+        """List an effect of pincal by its name."""
+        super().__init_subclass__()
+        if "effect" in vars(cls) and cls.__module__.startswith("pincal."):
+            HIDDEN_EFFECTS[cls.effect] = cls
+
     @classmethod
     def typical_joints(cls, arm: Arm) -> list[str]:
         """Return the joints at which the effect is typical: all, unless the class says otherwise."""
@@ -110,7 +119,6 @@ class DriveEffect(DeformingEffect):
     """An effect that moves one joint along its own freedom."""
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Add the motion to the position of the joint."""
         joint = arm.index(self.joint)
         deformation.joint[:, joint] += self._motion(joint, poses, loads)
 

@@ -15,11 +15,20 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm, read_arm
-from pincal.simulate.chain import build_chain, configurations, gravity_loads, place
 from pincal.simulate.effect import DeformingEffect, HiddenEffect
-from pincal.simulate.elastic import BearingElasticity, JointElasticity
-from pincal.simulate.state import Deformation, Equilibrium, Loads, Poses, broadcast_copy, poses_of
-from pincal.simulate.surroundings import PayloadError
+from pincal.simulate.elastic import BearingElasticity, JointElasticity, PayloadError
+from pincal.simulate.state import (
+    Deformation,
+    Equilibrium,
+    Loads,
+    Poses,
+    broadcast_copy,
+    build_chain,
+    configurations,
+    gravity_loads,
+    place,
+    poses_of,
+)
 
 # Acceleration of gravity in the base frame of an upright robot [m/s^2].
 _GRAVITY = (0.0, 0.0, -9.81)

@@ -38,7 +38,6 @@ class MeasurementScale(ReadingEffect):
     typical_size: ClassVar[float] = 2e-5
 
     def as_read(self, position: np.ndarray) -> np.ndarray:
-        """Return longer positions."""
         return (1.0 + self.size) * position
 
 
@@ -67,7 +66,6 @@ class InstrumentAzimuth(_Circle):
     effect: ClassVar[str] = "instrument_azimuth"
 
     def as_read(self, position: np.ndarray) -> np.ndarray:
-        """Return positions at the azimuth that is read."""
         azimuth, elevation, distance = spherical(position)
         return cartesian(self._read(azimuth), elevation, distance)
 
@@ -79,7 +77,6 @@ class InstrumentElevation(_Circle):
     effect: ClassVar[str] = "instrument_elevation"
 
     def as_read(self, position: np.ndarray) -> np.ndarray:
-        """Return positions at the elevation that is read."""
         azimuth, elevation, distance = spherical(position)
         return cartesian(azimuth, self._read(elevation), distance)
 
@@ -138,7 +135,6 @@ class InstrumentRange(ReadingEffect):
     typical_size: ClassVar[float] = 2e-5
 
     def as_read(self, position: np.ndarray) -> np.ndarray:
-        """Return positions farther away."""
         azimuth, elevation, distance = spherical(position)
         return cartesian(azimuth, elevation, distance + self.size)
 

@@ -18,12 +18,11 @@ from pincal.identify.options import Options
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Course, likeliest_values
 from pincal.identify.station import Station
+from pincal.measure.extrinsics import sample_rows
 from pincal.measure.measurements import Measurements
-from pincal.measure.sampling import sample_rows
 from pincal.model.effects import GEOMETRIC, JointOffset
 from pincal.robot.robot import Robot
-from pincal.validate.cures import Correction, TableCorrection, cures, scaled
-from pincal.validate.zeros import shifts_found, typical_left
+from pincal.validate.cures import Correction, TableCorrection, cures, scaled, shifts_found, typical_left
 
 # Nominal error, relative to the reach, from which a mix-up is looked for; errors of real robots are a fifth of it and less.
 _SUSPICIOUS = 0.01

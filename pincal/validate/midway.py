@@ -21,8 +21,8 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import chdtri
 
 from pincal.identify.station import Station
-from pincal.measure.sampling import sample_rows
-from pincal.validate.motion_fields import MotionField, fields_of_joints, fields_of_setup
+from pincal.measure.extrinsics import sample_rows
+from pincal.validate.gathered import MotionField, fields_of_joints, fields_of_setup
 
 # Fewest rows on either side of a step.
 _EACH = 10

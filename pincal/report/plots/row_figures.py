@@ -12,7 +12,7 @@ from scipy.special import chdtr
 
 from pincal.report.plots import style
 from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, WIDTH, dress, legend, log_axis, panel, thinned
-from pincal.report.row_errors import RowErrors
+from pincal.report.subject import RowErrors
 
 _MODELS = (("before", BEFORE), ("after", AFTER))
 # Bins of a histogram over the whole logarithmic axis.
