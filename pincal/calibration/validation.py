@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any, Literal
 
 import numpy as np
@@ -13,6 +13,7 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.covered import curves_at
 from pincal.calibration.placing import FrameShift, Placed, expected_noise, place_station
 from pincal.errors import BadInputError
+from pincal.identify.initial import links_of
 from pincal.identify.options import Options
 from pincal.identify.station import Station, known_rows, together
 from pincal.measure.admit import scorable, scorable_rows, usable_rows
@@ -157,7 +158,7 @@ def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, na
                 f"{measurements.source}: these rows do not match the chosen station: sensor, target, points or columns "
                 "differ"
             )
-        return refitted(models[0])
+        return refitted(_anywhere(models))
     _, model, table, station, sigma = min(stands, key=lambda stand: stand[0])
 
     def misfit(sigma: np.ndarray, robust: np.ndarray) -> Misfit:
@@ -187,6 +188,14 @@ def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, na
     return as_calibrated(before, doubt=doubt_of(table, placed), note=note if is_moved else "", of_day=placed.notes)
 
 
+def _anywhere(models: Sequence[CalibratedModel]) -> CalibratedModel:
+    """Return the robot for rows of no station that it was calibrated at: where it has several arms, by what all covered."""
+    first, *others = models
+    if not first.model.chain.robot.links:
+        return first
+    return replace(first, covered=reduce(lambda a, b: a.over(b), (model.covered for model in others), first.covered))
+
+
 def _stands(
     models: Sequence[CalibratedModel], measurements: Measurements
 ) -> Iterator[tuple[float, CalibratedModel, Measurements, Station, np.ndarray]]:
@@ -197,6 +206,8 @@ def _stands(
     """
     for model in models:
         chain = model.model.chain
+        if links_of(measurements, chain.robot.path) != (chain.path.start, chain.path.tip):
+            continue
         if len(chain.targets) > 1 and not set(map(str, measurements.target)) <= set(chain.targets):
             continue
         needs = {column for effect in model.model.effects if effect.scope == "station" for column in effect.needs}

@@ -232,6 +232,56 @@ class TableArguments:
         )
 
 
+def station_links(text: str) -> tuple[str, str, str]:
+    """Return the name of a station, and the links between which its readings are."""
+    words = tuple(word.strip() for word in text.rsplit(":", 2))
+    if len(words) != 3 or not all(words):
+        raise click.BadParameter(f"{text!r}; expected NAME:FROM:TO, such as left:base_link:left_hand")
+    return words
+
+
+def resting(text: str) -> tuple[str, float]:
+    """Return a joint and the position where it rests [rad or m]."""
+    joint, value = pair(text, "JOINT=POSITION, such as torso_lift=0.1m or head_1=20deg")
+    units = {**ANGLES, **_LENGTHS}
+    return joint, _signed(value, units)
+
+
+def _signed(text: str, units: dict[str, float]) -> float:
+    unit = next((unit for unit in sorted(units, key=len, reverse=True) if text.endswith(unit)), "")
+    try:
+        return plain_number(text.removesuffix(unit)) * units.get(unit, 1.0)
+    except ValueError:
+        raise click.BadParameter(f"{text!r}; expected a position such as 0.1m, 20deg or 0.35 (rad or m)") from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkOptions:
+    """Between which links readings are, where these are not base and tip."""
+
+    start: str | None = option(
+        "Link from which readings are seen, such as that of a camera on the robot.",
+        metavar="LINK",
+        name="--from",
+        words="the base; or the column from",
+    )
+    to: str | None = option("Link that readings are about; the same as --tip.", metavar="LINK", words="the column to")
+    stations: tuple[tuple[str, str, str], ...] = option(
+        "Links between which the readings of one station or table are.",
+        (),
+        metavar="NAME:FROM:TO",
+        name="--station",
+        type=station_links,
+    )
+    rest: tuple[tuple[str, float], ...] = option(
+        "Position of a joint that has no column and moves nothing that is read.",
+        (),
+        metavar="JOINT=POSITION",
+        type=resting,
+        words="zero",
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class InputOptions:
     """A robot and tables of measurements."""
@@ -244,6 +294,7 @@ class InputOptions:
     )
     tip: str | None = tip_option(words="from the joint columns")
     base: str | None = base_option(words="root of the URDF, or where the joints of the table begin")
+    links: LinkOptions = group("Links")
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     mass: float | None = mass_option()
     couplings: tuple[str, ...] = coupling_option()

@@ -14,7 +14,7 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.calibrated_robot import load_stations
 from pincal.calibration.placing import place_station, without_absent
 from pincal.calibration.validation import doubt_of
-from pincal.cli.common import CalibrationOptions, InputOptions, PlaceOptions, SetupOptions
+from pincal.cli.common import CalibrationOptions, InputOptions, LinkOptions, PlaceOptions, SetupOptions
 from pincal.cli.progress import log_step
 from pincal.errors import BadInputError
 from pincal.identify.options import Options, StationOptions
@@ -24,6 +24,7 @@ from pincal.measure.admit import check_table, usable_rows
 from pincal.measure.fields import TableOptions
 from pincal.measure.instruments import InstrumentNoise
 from pincal.measure.measurements import Measurements
+from pincal.measure.reader import links_of_rows
 from pincal.measure.setup import KnownDistance, Setup, read_distances, read_points
 from pincal.measure.table import joint_columns, read_measurements, stations_of
 from pincal.model.catalogue.candidates import find_effect
@@ -34,6 +35,7 @@ from pincal.model.model import Model
 from pincal.robot.arm_of_tree import TreeRequest
 from pincal.robot.mastering import remastered
 from pincal.robot.robot import Robot
+from pincal.robot.tree import MOVING_TYPES, UrdfTree
 from pincal.robot.urdf_file import find_file, read_urdf
 from pincal.units import readable_unit
 
@@ -76,7 +78,7 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     """
     log_step("reading robot and tables")
     robot = load_robot(source)
-    tables = load_tables(robot, source.data, options=source.table.options)
+    tables = load_tables(robot, source.data, options=source.table.options, links=source.links)
     setup = chosen.setup
     given = [path for path in (source.table.joints, setup.points, setup.distances, setup.camera) if path is not None]
     options = options_of(chosen, tables)
@@ -114,32 +116,98 @@ def as_stated(robot: Robot, *, signs: Sequence[str], couplings: Sequence[str]) -
 
 
 def _described(source: InputOptions) -> Robot:
-    """Return the arm as its URDF has it."""
+    """Return the robot as its URDF has it: the joints between the links that the tables are about."""
     tree = read_urdf(find_file(source.robot), xacro_args=dict(source.xacro_args))
-    if source.tip is not None:
-        return Robot.from_tree(tree, TreeRequest(source.tip, base=source.base), mass=source.mass)
     known = {joint.name for joint in tree.joints}
-    joints = joint_columns(source.data[0], known, source.table.options)
-    return Robot.from_tree(tree, TreeRequest(base=source.base, joints=joints or None), mass=source.mass)
+    tip, start = source.tip or source.links.to, source.links.start
+    paths, recorded = list[tuple[str | None, str | None]](), dict[str, None]()
+    given = {name: (start, tip) for name, start, tip in source.links.stations}
+    joints: dict[Path, tuple[str, ...]] = {}
+    for path in source.data:
+        joints[path] = joint_columns(path, known, source.table.options)
+        recorded |= dict.fromkeys(joints[path])
+        pairs = [given[path.stem]] if path.stem in given else links_of_rows(path, source.table.options)
+        # The end of a chain that the columns of the table are of, if nothing says otherwise.
+        ends = [(first or start, last or tip or _tip_of(tree, joints[path])) for first, last in pairs]
+        paths += [pair for pair in ends if pair not in paths]
+    paths += [pair for pair in given.values() if pair not in paths]
+    (start, tip), *others = paths
+    is_plain = not others and start is None
+    if is_plain and not (source.tip or source.links.to):
+        wanted = TreeRequest(base=source.base, joints=joints[source.data[0]] or None)
+        return Robot.from_tree(tree, wanted, mass=source.mass)
+    base = source.base or tree.root
+    further = [(first or base, str(last)) for first, last in others]
+    beyond = [name for name in recorded if any(joint.name == name and joint.kind in MOVING_TYPES for joint in tree.joints)]
+    told = tuple(recorded) if tree.loops else None
+    wanted = TreeRequest(tip, start, source.base, told, paths=further, others=beyond)
+    return Robot.from_tree(tree, wanted, mass=source.mass)
 
 
-def load_tables(robot: Robot, paths: Iterable[Path], *, options: TableOptions | None = None) -> dict[str, Measurements]:
+def _tip_of(tree: UrdfTree, joints: Sequence[str]) -> str:
+    """Return the link at the end of the chain of the joints that a table has, as far as they are one."""
+    return tree.default_tip(joints or None)
+
+
+def load_tables(
+    robot: Robot, paths: Iterable[Path], *, options: TableOptions | None = None, links: LinkOptions | None = None
+) -> dict[str, Measurements]:
     """Return the measurements of each station, named by its file or by a column ``station``.
 
     Raises:
-        BadInputError: for a file that is invalid, or two stations of one name.
+        BadInputError: for a file that is invalid, or two stations of one name; or if a joint on the way between the links
+            of a row has no column.
     """
-    files = tuple(paths)
+    files, links = tuple(paths), links or LinkOptions()
     if options is not None and len(files) > 1:
         options = replace(options, shares_log=True)
-    return stations_of([(path.stem, load_table(robot, path, options=options)) for path in files])
+    tables = [(path.stem, load_table(robot, path, options=options, links=links)) for path in files]
+    return stations_of([(name, _between(table, name, links)) for name, table in tables])
 
 
-def load_table(robot: Robot, path: Path, *, options: TableOptions | None = None, joints_only: bool = False) -> Measurements:
-    """Return the measurements (or the joint positions alone) of a file for this arm."""
+def _between(table: Measurements, name: str, links: LinkOptions) -> Measurements:
+    """Return a table with the links that the command line gives its rows."""
+    names = np.full(len(table), name) if table.station is None else table.station
+    for station, start, tip in links.stations:
+        if (rows := names == station).any():
+            table = _with_links(table, rows, start, tip)
+    return table
+
+
+def _with_links(table: Measurements, rows: np.ndarray, start: str, tip: str) -> Measurements:
+    """Return a table with these links at some rows, shape (N,)."""
+    nothing = np.full(len(table), "", object)
+    first, last = (nothing if of is None else of.astype(object) for of in (table.from_link, table.to_link))
+    return replace(table, from_link=np.where(rows, start, first).astype(str), to_link=np.where(rows, tip, last).astype(str))
+
+
+def load_table(
+    robot: Robot,
+    path: Path,
+    *,
+    options: TableOptions | None = None,
+    joints_only: bool = False,
+    links: LinkOptions | None = None,
+) -> Measurements:
+    """Return the measurements (or the joint positions alone) of a file for this robot.
+
+    Of a robot with several arms a table that names no links is about the first one of whose joints it has all columns.
+    """
     require: Literal["measurement", "joints"] = "joints" if joints_only else "measurement"
-    said = {} if options is None else vars(options)
-    return read_measurements(path, robot, **said, require=require)
+    reading, links = options or TableOptions(), links or LinkOptions()
+    given = [(start, tip) for name, start, tip in links.stations if name == path.stem]
+    pairs, chosen = given or links_of_rows(path, reading) if robot.links else [(None, None)], None
+    if pairs == [(None, None)] and robot.links:
+        there = set(joint_columns(path, robot.joint_names, reading))
+        ways = ((None, None), *robot.links)
+        chosen = next((way for way in ways if there.issuperset(robot.joints_between(*way))), None)
+        pairs = pairs if chosen is None else [chosen]
+    needed = {name for pair in pairs for name in robot.joints_between(*pair)}
+    own = [robot.joint_names[i] for i in robot.own_joints]
+    resting = {name: 0.0 for name in own if name not in needed} | dict(links.rest)
+    table = read_measurements(path, robot, **vars(reading), require=require, resting=resting)
+    is_default = chosen is None or chosen == (None, None)
+    return table if is_default else _with_links(table, np.ones(len(table), bool), *map(str, chosen or ()))
 
 
 def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -> Options:

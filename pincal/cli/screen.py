@@ -128,7 +128,8 @@ def _noise_of(noise: Mapping[str, Any], kind: str) -> str:
         >>> _noise_of({"sigma_m": 5e-5}, "position"), _noise_of({"sigma_m": 5e-5}, "distance")
         ('mean 0.0798 mm, 0.0500 mm per coordinate', 'mean 0.0399 mm, 0.0500 mm per coordinate')
     """
-    size = next((block.size for block in blocks_of(kind)), 0)
+    # Of several kinds the first is that of the figure.
+    size = next((block.size for block in blocks_of(kind.partition(" and ")[0])), 0)
     if "sigma_m" not in noise or size not in _MEAN_DISTANCE:
         return noise_words(noise)
     return f"mean {1e3 * noise['sigma_m'] * _MEAN_DISTANCE[size]:.4f} mm, {noise_words(noise)}"
@@ -136,7 +137,8 @@ def _noise_of(noise: Mapping[str, Any], kind: str) -> str:
 
 def _arm(robot: Robot) -> str:
     """Return which arm was taken, and how to take another."""
-    return f"{robot.name}, {robot.n_joints} joints from {robot.base} to {robot.tip} (--tip takes another link)"
+    ways = "; ".join(f"{start} to {tip}" for start, tip in ((robot.path.start, robot.tip), *robot.links))
+    return f"{robot.name}, {robot.n_joints} joints from {ways} (--tip takes another link)"
 
 
 def _errors(by_part: Mapping[str, Mapping[str, float]], name: str) -> str:

@@ -22,6 +22,7 @@ from pincal.model.chain import Chain
 from pincal.model.effects import BaseFrame, ToolFrame
 from pincal.model.model import Model
 from pincal.parameters import FRAME_SYMBOLS, carried_over
+from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import placed as placed_frame
 
@@ -118,9 +119,9 @@ class _Models:
         return first.with_chain(model.chain)
 
 
-def links_of(measurements: Measurements, chain: Chain) -> tuple[str, str]:
-    """Return the links between which all rows of a table are; default: those of a chain."""
-    ends = zip((measurements.from_link, measurements.to_link), (chain.path.start, chain.path.tip), strict=True)
+def links_of(measurements: Measurements, path: LinkPath) -> tuple[str, str]:
+    """Return the links between which all rows of a table are; default: those of a path."""
+    ends = zip((measurements.from_link, measurements.to_link), (path.start, path.tip), strict=True)
     start, tip = (default if column is None else str(column[0]) for column, default in ends)
     return start, tip
 
@@ -132,10 +133,8 @@ def place_setups(
 
     That is where the station with the most rows has it.
     """
-    largest: dict[str, str] = {}
-    for name, table in tables.items():
-        if table.setup and len(table) > len(tables.get(largest.get(table.setup, ""), ())):
-            largest[table.setup] = name
+    by_rows = sorted(tables, key=lambda name: len(tables[name]))
+    largest = {tables[name].setup: name for name in by_rows}
     first = {n: t for n, t in tables.items() if not t.setup or largest[t.setup] == n}
     placed = dict(zip(first, place_arm(arm, values, first, options=options), strict=True))
     for name, table in tables.items():
@@ -195,7 +194,7 @@ def _candidates(
     if len(measurements) == 0:
         raise MeasurementError(f"{measurements.source}: no rows to calibrate with")
     targets = tuple(str(t) for t in np.unique(measurements.target))
-    arm = models.arm(arm, targets, links_of(measurements, arm.chain))
+    arm = models.arm(arm, targets, links_of(measurements, arm.chain.path))
     centre, instrument = np.array(options.payload_centre), options.instrument
     rows = station_of(arm, measurements, centre, options.setup, name=name, instrument=instrument)
     some = rows.sample(_ROWS)

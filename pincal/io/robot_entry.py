@@ -122,6 +122,7 @@ class RobotEntry(Record, frozen=True, kw_only=True):
     parents: tuple[int, ...] = ()
     ends: PathEntry | None = None
     unmeasured: tuple[str, ...] = ()
+    links: tuple[tuple[str, str], ...] = ()
     closures: tuple[ClosureEntry, ...] = ()
     passive: tuple[str, ...] = ()
 

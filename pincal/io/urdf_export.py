@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pincal.errors import PincalWarning, RobotFileError
 from pincal.io.urdf_text import Origin, append_frame, read_origins, rpy_of, write_origins
-from pincal.model.augmented import joint_placements
+from pincal.model.augmented import link_placements
 from pincal.model.chain import Chain
 from pincal.model.effect import Family
 from pincal.model.effects import GEOMETRIC, Conditions
 from pincal.model.model import Model
+from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
 from pincal.robot.tree import MOVING_TYPES, UrdfJoint, UrdfTree
 from pincal.robot.urdf_file import parse_urdf
@@ -64,7 +66,8 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
         RobotFileError: if there is no URDF, it is not that of the robot, or its tip is not where the model has it.
 
     Example:
-        >>> from pincal.robot.robot import Robot
+        >>> from pincal.robot.link_path import LinkPath
+    from pincal.robot.robot import Robot
         >>> robot = Robot.from_urdf("ur10", tip="tool0")
         >>> model = Model(Chain.of(robot), GEOMETRIC)
         >>> values = np.zeros(model.n_parameters)
@@ -77,56 +80,75 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
     if not text:
         raise RobotFileError("the model holds no URDF; expected its text: give the file that the robot was loaded from")
     tree = parse_urdf(text, source=robot.source)
-    values = model.own(np.asarray(values, float))
-    before, after = _placements(model, np.zeros(model.n_parameters)), _placements(model, values)
-    segments, old = _segments(tree, robot), read_origins(text, tree.source)
+    paths, values = [robot.between(*pair) for pair in ((None, None), *robot.links)], model.own(np.asarray(values, float))
+    ends = [link for path in paths for link, joint, _ in path.ends if joint >= 0]
+    segments, old = _segments(tree, robot, ends), read_origins(text, tree.source)
+    before, after = (_placements(model, of, paths) for of in (np.zeros(model.n_parameters), values))
     edited, tip, notes = (
         write_origins(text, _origins(segments, old, before, after), tree.source),
         robot.tip,
         rigid_notes(model),
     )
-    if not segments[-1] and np.abs(after[-1] - before[-1]).max() > _TIP_MOVED:
-        edited, tip = _with_tip(edited, tree, robot, np.linalg.inv(before[-1]) @ after[-1])
+    is_moved = {end: np.abs(after[end] - before[end]).max() > _TIP_MOVED for end in ends if not segments[end]}
+    if is_moved.pop(tip, False):
+        edited, tip = _with_tip(edited, tree, robot, np.linalg.inv(before[tip]) @ after[tip])
         notes = (*notes, f"no fixed joint holds {robot.tip}; link {tip} was inserted behind it as the calibrated tip")
+    held = [end for end, moved in is_moved.items() if moved]
+    if held:
+        notes = (*notes, f"no fixed joint holds {', '.join(held)}; where calibration moved them is in model.json only")
     new = read_origins(edited, tree.source)
     changed = tuple(name for name in old if not np.array_equal(new[name].matrix, old[name].matrix))
-    return UrdfExport(edited, tip, changed, notes, _check(edited, tip, model, values))
+    return UrdfExport(edited, tip, changed, notes, _check(edited, tip, model, values, lost=held))
 
 
-def _placements(model: Model, values: np.ndarray) -> np.ndarray:
-    """Return the moving joints each in the one before, and the tip in the last, shape (n + 1, 4, 4)."""
-    joints, tip = joint_placements(model, values)
-    return np.concatenate([joints, tip[None]])
+def _placements(model: Model, values: np.ndarray, paths: Sequence[LinkPath]) -> dict[str, np.ndarray]:
+    """Return each moving joint, and the links at the ends of paths, in the joint frame that carries it, (4, 4)."""
+    joints, behind = link_placements(model, values)
+    found = dict(zip(model.chain.robot.joint_names, joints, strict=True))
+    for path in paths:
+        found |= {link: behind[joint + 1] @ T for link, joint, T in path.ends}
+    return found
 
 
-def _segments(tree: UrdfTree, robot: Robot) -> list[list[UrdfJoint]]:
-    """Return the joints from base to tip, cut behind each moving one: the last list holds those behind the last."""
-    segments: list[list[UrdfJoint]] = [[]]
-    for joint in tree.path(robot.base, robot.tip):
-        segments[-1].append(joint)
-        if joint.kind in MOVING_TYPES:
-            segments.append([])
-    names = tuple(segment[-1].name for segment in segments[:-1])
-    if names != robot.joint_names:
+def _segments(tree: UrdfTree, robot: Robot, ends: Collection[str]) -> dict[str, list[UrdfJoint]]:
+    """Return the joints that lead to each joint of the robot, itself the last, and to the links at the ends of paths."""
+    known = {joint.name: joint for joint in tree.joints}
+    missing = [name for name in robot.joint_names if name not in known]
+    if robot.is_serial and not robot.links:
+        names = tuple(joint.name for joint in tree.path(robot.base, robot.tip) if joint.kind in MOVING_TYPES)
+        if names != robot.joint_names:
+            raise RobotFileError(
+                f"{tree.source}: moving joints {', '.join(names)} between {robot.base!r} and {robot.tip!r}; "
+                f"expected those of the model, {', '.join(robot.joint_names)}: give the URDF it was calibrated with"
+            )
+    if missing:
         raise RobotFileError(
-            f"{tree.source}: moving joints {', '.join(names)} between {robot.base!r} and {robot.tip!r}; "
-            f"expected those of the model, {', '.join(robot.joint_names)}: give the URDF it was calibrated with"
+            f"{tree.source}: no joint {missing[0]!r}; expected those of the model, {', '.join(robot.joint_names)}: give the "
+            "URDF it was calibrated with"
         )
+    segments = {}
+    for name, way in [*((n, tree.above(known[n].child)) for n in robot.joint_names), *((e, tree.above(e)) for e in ends)]:
+        before = [k for k, joint in enumerate(way[: -1 if name in known else None]) if joint.name in robot.joint_names]
+        first = before[-1] + 1 if before else next((k for k, joint in enumerate(way) if joint.parent == robot.base), 0)
+        segments[name] = list(way[first:])
     return segments
 
 
 def _origins(
-    segments: list[list[UrdfJoint]], old: dict[str, Origin], before: np.ndarray, after: np.ndarray
+    segments: Mapping[str, list[UrdfJoint]],
+    old: dict[str, Origin],
+    before: Mapping[str, np.ndarray],
+    after: Mapping[str, np.ndarray],
 ) -> dict[str, Origin]:
     """Return the new origin of the last joint of each segment, those ahead of it left as they are."""
     new = {}
-    for segment, nominal, calibrated in zip(segments, before, after, strict=True):
+    for end, segment in segments.items():
         if segment:
             ahead = np.eye(4)
             for joint in segment[:-1]:
                 ahead = ahead @ old[joint.name].matrix
             to_joint, name = np.linalg.inv(ahead), segment[-1].name
-            new[name] = _moved(old[name], to_joint @ nominal, to_joint @ calibrated)
+            new[name] = _moved(old[name], to_joint @ before[end], to_joint @ after[end])
     return new
 
 
@@ -178,27 +200,31 @@ def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _check(text: bytes, tip: str, model: Model, values: np.ndarray) -> float:
-    """Return how far the text's tip is from the calibrated geometry at most; refuse what is more than rounding."""
-    robot = model.chain.robot
+def _check(text: bytes, tip: str, model: Model, values: np.ndarray, *, lost: Collection[str]) -> float:
+    """Return how far the text's tips are from the calibrated geometry at most; refuse what is more than rounding."""
+    robot, error = model.chain.robot, 0.0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PincalWarning)
-        written = Robot.from_urdf(text, tip=tip, base=robot.base)
+        written = Robot.from_tree(parse_urdf(text, source=robot.source), replace(robot.request, tip=tip))
     q = robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0))
-    difference = written.forward_kinematics(q)[:, :3] - rigid_tips(model, values, q)
-    error = float(np.linalg.norm(difference[:, :, 3], axis=1).max())
-    if not np.abs(difference).max() <= FK_TOLERANCE:
-        raise RobotFileError(
-            f"{robot.source}: the calibrated URDF would put {tip} up to {error:.3g} m from where the model does, "
-            f"expected at most {FK_TOLERANCE:g} m: give the URDF that the robot was calibrated with"
-        )
+    for start, last in ((robot.path.start, robot.tip), *robot.links):
+        if {start, last}.isdisjoint(lost):
+            path = robot.between(start, last)
+            there = written.between(*(tip if link == robot.tip else link for link in (start, last)))
+            difference = written.forward_kinematics(q, there)[:, :3] - rigid_tips(model, values, q, path)
+            error = max(error, float(np.linalg.norm(difference[:, :, 3], axis=1).max()))
+            if not np.abs(difference).max() <= FK_TOLERANCE:
+                raise RobotFileError(
+                    f"{robot.source}: the calibrated URDF would put {last} up to {error:.3g} m from where the model does, "
+                    f"expected at most {FK_TOLERANCE:g} m: give the URDF that the robot was calibrated with"
+                )
     return error
 
 
-def rigid_tips(model: Model, values: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return the tip in the base frame, shape (N, 3, 4), by the rigid part of the model, not by its placements."""
+def rigid_tips(model: Model, values: np.ndarray, q: np.ndarray, path: LinkPath | None = None) -> np.ndarray:
+    """Return the tip of a path where it starts, shape (N, 3, 4), by the rigid part of the model, not by its placements."""
     robot = model.chain.robot
-    chain = Chain.of(robot, moment_frame=model.chain.moment_frame)
+    chain = Chain.of(robot, moment_frame=model.chain.moment_frame, path=path)
     rigid = Model(chain, GEOMETRIC)
     deviations = model.rigid_coordinates(values) - model.chain.nominal
     found = [deviations[chain.joint(robot.joint_names.index(p.element), p.symbol)] for p in rigid.parameters]

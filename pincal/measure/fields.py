@@ -74,10 +74,25 @@ CONDITIONS = {"point": POINT} | {
 CONDITIONS |= {f"{end}_link": Field(f"{end}_link", (end,), "name") for end in ("from", "to")}
 """What a table can say of a pose beside the readings."""
 
+FIRST, SECOND = (Field(name, (name,), "name") for name in ("first", "second"))
+"""The points of a contact, each ``LINK:NAME``."""
+
 SIGMA = Field("sigma", ("sigma",), "noise", POSITIVE)
 """The standard deviation of a row's reading."""
 TABLE_ENDINGS = (".csv", ".tsv", ".txt", ".parquet")
 """What the name of a table that is written may end in."""
+
+
+def link_of(point: str, *, where: str) -> str:
+    """Return the link that a point is on.
+
+    Raises:
+        MeasurementError: for a name that is not LINK:NAME.
+    """
+    link, _, name = point.rpartition(":")
+    if not link.strip() or not name.strip():
+        raise MeasurementError(f"{where}: point {point!r}; expected LINK:NAME, such as tool0:ball")
+    return link.strip()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,17 @@ import numpy as np
 from pincal.errors import MeasurementError, warn
 from pincal.measure.approach import BY_COLUMNS, agreeing, completed, moves_of_table, tells_order
 from pincal.measure.excel_sheet import ENDINGS, open_excel
-from pincal.measure.fields import CONDITIONS, OF_EACH_JOINT, OTHERS, Field, Schema, TableOptions
+from pincal.measure.fields import (
+    CONDITIONS,
+    FIRST,
+    OF_EACH_JOINT,
+    OTHERS,
+    SECOND,
+    Field,
+    Schema,
+    TableOptions,
+    link_of,
+)
 from pincal.measure.header import (
     check_joints,
     is_named,
@@ -266,6 +276,31 @@ def joint_columns(path: str | os.PathLike[str], names: Iterable[str], options: T
         labels = renamed(sheet.labels, options.columns, source=place.name, others=others)
     found = [spelled(label, angles) or spelled(label, lengths) for label in labels]
     return tuple(dict.fromkeys(name for name, _ in filter(None, found)))
+
+
+def links_of_rows(path: str | os.PathLike[str], options: TableOptions) -> list[tuple[str | None, str | None]]:
+    """Return the pairs of links that the rows of a table are between, None where it names none, without its readings.
+
+    Raises:
+        MeasurementError: for a file that can't be read, or a point that is not LINK:NAME.
+    """
+    fields = [CONDITIONS[f"{end}_link"] for end in ("from", "to")] + [FIRST, SECOND]
+    path = Path(path)
+    with typed_errors(path):
+        sheet = open_sheet(path, ignore=options.ignore, sheet=options.sheet)
+        labels = renamed(sheet.labels, options.columns, source=path.name, others=sheet.labels)
+    names = {name for part in fields for name in part.columns}
+    if not any((spelled(label, dict.fromkeys(names, "name")) or ("",))[0] in names for label in labels):
+        return [(None, None)]
+    schema = Schema(tuple(fields), options=replace(options, ignore=("*", *options.ignore), joints=None))
+    cells = read_table(path, schema)
+    ends: list[list[str | None]]
+    if FIRST.name in cells.arrays and SECOND.name in cells.arrays:
+        ends = [[link_of(str(point), where=path.name) for point in cells.arrays[end.name]] for end in (FIRST, SECOND)]
+    else:
+        columns = (cells.arrays.get(f"{end}_link") for end in ("from", "to"))
+        ends = [[None] * len(cells.rows) if column is None else list(map(str, column)) for column in columns]
+    return list(dict.fromkeys(zip(*ends, strict=True))) or [(None, None)]
 
 
 def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:

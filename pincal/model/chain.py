@@ -144,7 +144,7 @@ class Chain:
     @property
     def size(self) -> int:
         """Number K of coordinates."""
-        return int(self._static["starts"][-1]) + MOUNT * len(self.robot.pins) + FRAME
+        return int(self._static["starts"][-1]) + MOUNT * len(self.pins) + FRAME
 
     @property
     def symbols(self) -> tuple[str, ...]:
@@ -153,11 +153,16 @@ class Chain:
 
     @cached_property
     def _shape(self) -> tuple[MomentFrame, int, tuple[int, ...], int]:
-        return self.moment_frame, self.robot.n_joints, self.robot.frames.branches, len(self.robot.pins)
+        return self.moment_frame, self.robot.n_joints, self.robot.frames.branches, len(self.pins)
 
     @property
     def _static(self) -> dict[str, Any]:
         return _order(*self._shape)
+
+    @cached_property
+    def pins(self) -> tuple[Closure, ...]:
+        """What closes loops at a place of its own on a link, beside the length of a rod."""
+        return tuple(closure for closure in self.robot.closures if closure.pinned(self.robot.parents))
 
     @cached_property
     def on_path(self) -> np.ndarray:
@@ -211,7 +216,7 @@ class Chain:
         return _places(*self._shape)[i]
 
     def pin(self, i: int, symbol: str) -> int:
-        """Return the index of a coordinate of a pin, "x" or "y", by its place among the robot's."""
+        """Return the index of a coordinate of a pin, "x" or "y", by its place among :attr:`pins`."""
         return int(self._static["starts"][-1]) + MOUNT * i + MOUNT_SYMBOLS.index(symbol)
 
     def base(self, symbol: str) -> int:
@@ -245,7 +250,7 @@ class Chain:
     def loop_layout(self, closure: Closure) -> Layout:
         """Return the layout of the walk from one end of a closure to the other; those of base and tool are to be zero."""
         nothing, side = range(0), closure.pinned(self.robot.parents)
-        at = self.pin(self.robot.pins.index(closure), "x") if side else 0
+        at = self.pin(self.pins.index(closure), "x") if side else 0
         pin = range(at, at + MOUNT)
         routes = self._routes(closure.path, pin if side < 0 else nothing, pin if side > 0 else nothing)
         upright = np.eye(3)[None]

@@ -79,7 +79,7 @@ class _Geometry(Effect):
             mount = self.branching if i in robot.frames.branches else ()
             places = ((name, symbol, chain.joint(i, symbol)) for symbol in (*mount, *symbols))
             yield from (place for place in places if place[2] not in inert)
-        pins = ((pin.name, symbol, chain.pin(i, symbol)) for i, pin in enumerate(robot.pins) for symbol in self.branching)
+        pins = ((pin.name, symbol, chain.pin(i, symbol)) for i, pin in enumerate(chain.pins) for symbol in self.branching)
         yield from (place for place in pins if place[2] not in inert)
 
 

@@ -68,7 +68,8 @@ def arm_of_tree(tree: UrdfTree, request: TreeRequest, *, mass: float | None) -> 
     if mass is not None and not _LIGHTEST <= mass <= LARGEST:
         raise BadInputError(f"mass of the robot is {mass} kg; expected {_LIGHTEST:g} to {LARGEST:g} kg")
     unmeasured = tuple(joint.name for joint in joints if joint.name not in tree.with_loops(passed))
-    return _attributes(tree, joints, base, ends, mass=mass, recorded=request.joints) | {"unmeasured": unmeasured}
+    found = _attributes(tree, joints, base, ends, mass=mass, recorded=request.joints)
+    return found | {"unmeasured": unmeasured, "links": tuple(ends[1:])}
 
 
 def _stand(tree: UrdfTree, tip: str, request: TreeRequest) -> tuple[str, str]:
@@ -89,8 +90,7 @@ def _moving_joints(
 ) -> tuple[UrdfJoint, ...]:
     """Return the joints that move, each behind those that carry it: those of the first path's tip before branches of it.
 
-    What two ends of a path share does not move them against each other, and is locked unless it is on another path. All
-    joints of a loop move if one does.
+    What two ends of a path share is locked unless it is on another path. All joints of a loop move if one does.
     """
     paths = [_checked_path(tree, base, *pair) for pair in ends]
     order: dict[str, None] = dict.fromkeys(joint.name for pair in paths for way in reversed(pair) for joint in way)

@@ -26,6 +26,12 @@ class LinkPath:
     T_joint_start: np.ndarray
     T_joint_tip: np.ndarray
 
+    @property
+    def ends(self) -> tuple[tuple[str, int, np.ndarray], tuple[str, int, np.ndarray]]:
+        """First and last link, each with the joint that carries it and its place on the link frame of that."""
+        first = self.start, self.start_joint, self.T_joint_start
+        return first, (self.tip, self.tip_joint, self.T_joint_tip)
+
     def on_links(self, T_link_joint: np.ndarray) -> LinkPath:
         """Return the path with links placed in link frames instead of the URDF's joint frames, (n, 4, 4) in these."""
         placed = [

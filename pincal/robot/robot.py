@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,7 +16,7 @@ from pincal.robot.closure import Closure, Linkage
 from pincal.robot.dh import DhFrames
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.link_path import LinkPath, above
-from pincal.robot.tree import Coupling, Mimic, UrdfTree, mimicked
+from pincal.robot.tree import Coupling, Mimic, UrdfTree, mimicked, numbered
 from pincal.robot.urdf_file import find_file, parse_urdf, read_urdf
 
 if TYPE_CHECKING:
@@ -56,6 +55,7 @@ class Robot:
         parents: the joint that carries each joint, -1 for the base; default: each carries the next.
         ends: the links between which a reading is if nothing else is said; default: base and tip.
         unmeasured: names of joints off all paths, whose motion changes only what the others bear.
+        links: the pairs of links of further paths, by name.
         closures: what closes loops of its joints.
         passive: names of the joints that follow from the others, as the loops have it.
     """
@@ -81,6 +81,7 @@ class Robot:
     parents: tuple[int, ...] = ()
     ends: LinkPath | None = None
     unmeasured: tuple[str, ...] = ()
+    links: tuple[tuple[str, str], ...] = ()
     closures: tuple[Closure, ...] = ()
     passive: tuple[str, ...] = ()
 
@@ -153,18 +154,19 @@ class Robot:
     def request(self) -> TreeRequest:
         """Which part of its URDF it is."""
         own = [self.joint_names[i] for i in self.own_joints] if self.passive else None
-        return TreeRequest(self.tip, self.path.start, self.base, own, others=self.joint_names)
+        return TreeRequest(self.tip, self.path.start, self.base, own, paths=self.links, others=self.joint_names)
 
-    def between(self, start: str, tip: str) -> LinkPath:
+    def between(self, start: str | None = None, tip: str | None = None) -> LinkPath:
         """Return the way between two links of the robot.
 
         Args:
-            start: the link from which a reading is seen.
-            tip: the link that it is about.
+            start: the link from which a reading is seen; default: where the robot's own path starts.
+            tip: the link that it is about; default: where that ends.
 
         Raises:
             RobotFileError: for an unknown link, or if a joint on the way is locked in this robot.
         """
+        start, tip = start or self.path.start, tip or self.path.tip
         if (start, tip) == (self.path.start, self.path.tip):
             return self.path
         tree = parse_urdf(self.urdf, source=self.source)
@@ -184,6 +186,17 @@ class Robot:
     def is_serial(self) -> bool:
         """Whether each joint carries the next."""
         return self.parents == tuple(range(-1, self.n_joints - 1))
+
+    def joints_between(self, start: str | None = None, tip: str | None = None) -> tuple[str, ...]:
+        """Return the names of the joints that tell how two links stand to each other: those on the way, or that these follow.
+
+        Default: those of the robot's own path.
+        """
+        names = [self.joint_names[joint] for joint, _ in self.between(start, tip).steps(self.parents)]
+        source = {mimic.joint: [mimic.source] for mimic in self.mimics}
+        if self.linkage is not None:
+            source |= {name: [self.joint_names[i] for i in self.linkage.drivers] for name in self.passive}
+        return tuple(dict.fromkeys(own for name in names for own in source.get(name, [name])))
 
     def next_joint(self, i: int) -> int | None:
         """Return the joint at the end of link i (from 0); None if it carries none, or several."""
@@ -206,19 +219,9 @@ class Robot:
 
     @cached_property
     def own_joints(self) -> np.ndarray:
-        """Indices of the m joints that have a position of their own, from the base.
-
-        Where drives of loops stand side by side they are in the order of the numbers in their names, if all have one.
-        """
-        own = [i for i, name in enumerate(self.joint_names) if name not in self.dependent]
-        numbers = [int("".join(re.findall(r"\d+", self.joint_names[i])[-1:]) or -1) for i in own]
-        in_order = self.passive and min(numbers) >= 0 and len(set(numbers)) == len(numbers)
-        return np.array([own[k] for k in np.argsort(numbers)] if in_order else own)
-
-    @cached_property
-    def pins(self) -> tuple[Closure, ...]:
-        """The closures with a place of their own on a link, beside the length of a rod."""
-        return tuple(closure for closure in self.closures if closure.pinned(self.parents))
+        """Indices of the m joints that have a position of their own, from the base; those of loops as they are numbered."""
+        own = [name for name in self.joint_names if name not in self.dependent]
+        return np.array([self.joint_names.index(name) for name in (numbered(own) if self.passive else own)])
 
     @cached_property
     def linkage(self) -> Linkage | None:

@@ -46,6 +46,17 @@ def mimicked(q: np.ndarray, names: Sequence[str], mimics: Iterable[Mimic]) -> np
     return out
 
 
+def numbered(names: Sequence[str]) -> Sequence[str]:
+    """Return names in the order of the last numbers in them, or as they are if not each has one of its own.
+
+    Example:
+        >>> numbered(["joint_1", "joint_4", "joint_3"])
+        ['joint_1', 'joint_3', 'joint_4']
+    """
+    numbers = {name: int(found[-1]) for name in names if (found := re.findall(r"\d+", name))}
+    return sorted(names, key=numbers.__getitem__) if len(set(numbers.values())) == len(names) else names
+
+
 @dataclass(frozen=True)
 class Coupling:
     """A joint whose position as reported lacks a part of another's: it is what it reports plus ``factor`` times that one.

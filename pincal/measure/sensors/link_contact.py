@@ -14,29 +14,14 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.measure.fields import NOT_NEGATIVE, Field, TableRows
+from pincal.measure.fields import FIRST, NOT_NEGATIVE, SECOND, Field, TableRows, link_of
 from pincal.measure.point_sensor import index_of
 from pincal.measure.sensor import Divided
 from pincal.measure.sensors.distance import PointDistances
 from pincal.measure.sensors.socket import Coincidences
 from pincal.measure.setup import Setup
 
-FIRST, SECOND = (Field(name, (name,), "name") for name in ("first", "second"))
-# What separates the link from the name of a point on it.
-SEPARATOR = ":"
 _SCALE = "contacts without a known length do not determine the scale of the robot, which relies on its nominal lengths"
-
-
-def link_of(point: str, *, where: str) -> str:
-    """Return the link that a point is on.
-
-    Raises:
-        MeasurementError: for a name that is not LINK:NAME.
-    """
-    link, _, name = point.rpartition(SEPARATOR)
-    if not link.strip() or not name.strip():
-        raise MeasurementError(f"{where}: point {point!r}; expected LINK:NAME, such as tool0:ball")
-    return link.strip()
 
 
 def between_links(table: Any) -> Any:
