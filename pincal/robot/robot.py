@@ -188,9 +188,9 @@ class Robot:
         return self.parents == tuple(range(-1, self.n_joints - 1))
 
     def joints_between(self, start: str | None = None, tip: str | None = None) -> tuple[str, ...]:
-        """Return the names of the joints that tell how two links stand to each other: those on the way, or that these follow.
+        """Return the names of the joints on the way between two links, of those that follow others the others.
 
-        Default: those of the robot's own path.
+        Default: the links of the robot's own path.
         """
         names = [self.joint_names[joint] for joint, _ in self.between(start, tip).steps(self.parents)]
         source = {mimic.joint: [mimic.source] for mimic in self.mimics}
