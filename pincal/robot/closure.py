@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 CLOSED, _OPEN = 1e-13, 1e-9
 # A pin nearer than this to the end of a rod is there [m].
 _AT_END = 1e-9
+# Part of the largest motion below which joints do not move a loop: axes of a calibrated one are tilted by milliradians.
+STILL = 1e-2
 # Known positions that others are reached from, and the longest step there [rad or m].
 _KNOWN, _STEP, _MOST_STEPS = 512, 0.25, 100
 NEWTON, _LONGEST, _DAMPING = 30, 0.5, 1e-14
@@ -215,8 +217,14 @@ class Linkage:
         q = np.zeros((1, len(self.lower)))
         for _ in range(NEWTON):
             residuals, C = self.equations(q)
-            q[:, moving] -= least_step(C[..., moving], residuals)
+            q[:, moving] -= loose_step(C[..., moving], residuals)
         return np.asarray(q[0])
+
+
+def loose_step(C: np.ndarray, missing: np.ndarray) -> np.ndarray:
+    """Return the steps of least length, shape (N, k), that close what joints can close."""
+    step = (np.linalg.pinv(C, rcond=STILL) @ missing[..., None])[..., 0]
+    return np.asarray(step * np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300)))
 
 
 def least_step(C: np.ndarray, missing: np.ndarray) -> np.ndarray:

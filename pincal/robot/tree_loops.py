@@ -8,16 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.errors import RobotFileError
-from pincal.robot.closure import NEWTON, Closure, Linkage, least_step
+from pincal.robot.closure import NEWTON, STILL, Closure, Linkage, loose_step
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.link_path import LinkPath, above
 from pincal.robot.tree import UrdfClosure, UrdfJoint, UrdfTree
 from pincal.robot.urdf_loops import KINDS, ClosureKind
 
-# What a loop may be open by in directions that its joints can't close, by how its URDF was rounded or drawn [m, rad].
-_LOOSE = 2e-3
-# Part of the largest motion below which joints do not move a loop: URDFs round the directions of axes.
-_STILL = 1e-3
+# What a loop may be open by in directions that its joints can't close: a calibrated one is by its errors [m, rad].
+_LOOSE = 1e-2
 # Part of the poses in which joints have to move a loop independently to count as doing so.
 _MOSTLY = 0.5
 # Poses in which it is found out which joints move a loop, and how far joints are moved there [rad or m].
@@ -164,7 +162,7 @@ def linkage_of(
         )
     rows = _equations_of(C[..., passive])
     moves = np.abs(np.linalg.pinv(C[:, rows][..., passive]) @ C[:, rows][..., drivers]).max(axis=(0, 2))
-    still = [choice.names[joint] for joint, move in zip(passive, moves, strict=True) if move < _STILL]
+    still = [choice.names[joint] for joint, move in zip(passive, moves, strict=True) if move < STILL]
     if stuck := [name for name in still if name in choice.on_path]:
         raise RobotFileError(f"{choice.source}: {where} {' and '.join(stuck)} can't move; expected joints that do")
     starts = np.cumsum([0, *(closure.size for closure in closures)])
@@ -195,11 +193,11 @@ def _samples(free: Linkage) -> np.ndarray:
     q = np.tile(free.assembled(), (_SAMPLES, 1))
     C = free.equations(q)[1][..., free.drivers]
     step = rng.uniform(-_SAMPLE_STEP, _SAMPLE_STEP, (_SAMPLES, len(free.drivers)))
-    step -= (np.linalg.pinv(C, rcond=_STILL) @ (C @ step[..., None]))[..., 0]
+    step -= (np.linalg.pinv(C, rcond=STILL) @ (C @ step[..., None]))[..., 0]
     q[:, free.drivers] += step
     for _ in range(NEWTON):
         residuals, C = free.equations(q)
-        q[:, free.drivers] -= least_step(C[..., free.drivers], residuals)
+        q[:, free.drivers] -= loose_step(C[..., free.drivers], residuals)
     is_closed = np.abs(free.equations(q)[0]).max(axis=1) < _LOOSE
     return q[is_closed] if is_closed.any() else free.assembled()[None]
 
@@ -207,7 +205,7 @@ def _samples(free: Linkage) -> np.ndarray:
 def _ranks(C: np.ndarray) -> np.ndarray:
     """Return how many of some joints move a loop independently of each other in each sample, shape (S,)."""
     singular = np.linalg.svd(C, compute_uv=False)
-    return np.asarray((singular > _STILL * np.maximum(singular[:, :1], np.abs(C).max())).sum(axis=1))
+    return np.asarray((singular > STILL * np.maximum(singular[:, :1], np.abs(C).max())).sum(axis=1))
 
 
 def _followers(C: np.ndarray, loop: list[int], rank: int, kinematics: Kinematics, choice: Choice) -> list[int]:

@@ -49,18 +49,20 @@ def parse_xml(text: bytes, source: str) -> Any:
     return root
 
 
-def arm_text(text: bytes, moving: Collection[str], source: str) -> str:
+def arm_text(text: bytes, moving: Collection[str], source: str, *, loops: bool = False) -> str:
     """Return the XML of an arm, in which all joints but those named are fixed where they are at zero.
 
-    It is without a declaration of its encoding, for readers that know only one.
+    With ``loops`` the joints that close them stay, which make it no tree. It is without a declaration of its encoding, for
+    readers that know only one.
     """
     root = parse_xml(text, source)
-    cut_loops(root)
+    closing = cut_loops(root)
     for joint in root.iterfind("joint"):
         if joint.get("name") not in moving:
             joint.set("type", "fixed")
             for mimic in joint.findall("mimic"):
                 joint.remove(mimic)
+    root.extend(closing if loops else [])
     return str(etree.tostring(root, encoding="unicode"))
 
 
