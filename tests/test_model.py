@@ -317,7 +317,7 @@ class Augmented:
         x = coordinates.copy()
         for i in range(self.chain.robot.n_joints):
             x[self.chain.joint(i, "d")] -= x[self.chain.joint(i, "h")]
-        return x[FRAME:-FRAME]
+        return x[FRAME : self.chain.layout.starts[-1]]
 
     def pose(self, coordinates: np.ndarray) -> np.ndarray:
         """Return the tip in the frame where the path starts, shape (3, 4)."""

@@ -310,7 +310,7 @@ def _tables(robot: Robot, measurements: Tables | Files) -> Tables:
     def table(of: Measurements | File) -> Measurements:
         if isinstance(of, Measurements):
             return of
-        return read_measurements(of, robot.joint_names, joint_types=robot.joint_types, mimics=robot.mimics)
+        return read_measurements(of, robot)
 
     if isinstance(measurements, Measurements | str | os.PathLike):
         return table(measurements)

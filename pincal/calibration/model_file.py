@@ -21,13 +21,13 @@ from pincal.io.entries import (
     Effects,
     ModelEntry,
     ParameterEntry,
-    RobotEntry,
     SetupEntry,
     model_of,
     plain,
     restoring,
 )
 from pincal.io.result_folder import not_written_with
+from pincal.io.robot_entry import RobotEntry
 from pincal.io.strict_json import MODEL_FILE, Fault, built, read_bounded, write_json
 from pincal.measure.registry import known_kinds
 from pincal.model.model import Model

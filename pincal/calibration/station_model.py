@@ -176,14 +176,14 @@ class StationModel:
     def conditions_at(self, q: ArrayLike, *, payload: float = 0.0, target: str | None = None) -> Conditions:
         """Return the conditions of joint positions that share a payload [kg] and a target.
 
-        They are those that the controller reports; joints that mimic another one may be left out of ``q``.
+        They are those that the controller reports; joints that follow from others may be left out of ``q``.
 
         Raises:
             BadInputError: if the joint positions have another shape, or there is no such target.
         """
         positions, robot = np.atleast_2d(np.asarray(q, float)), self.model.chain.robot
         n = robot.n_joints
-        if robot.mimics and positions.ndim == 2 and positions.shape[1] == len(robot.own_joints):
+        if robot.dependent and positions.ndim == 2 and positions.shape[1] == len(robot.own_joints):
             positions = robot.spread(positions)
         if positions.ndim != 2 or positions.shape[1] != n:
             raise BadInputError(f"joint positions have shape {np.shape(q)}; expected (N, {n}), one row per pose")

@@ -139,7 +139,8 @@ def _described(source: InputOptions) -> Robot:
     base = source.base or tree.root
     further = [(first or base, str(last)) for first, last in others]
     beyond = [name for name in recorded if any(joint.name == name and joint.kind in MOVING_TYPES for joint in tree.joints)]
-    wanted = TreeRequest(tip, start, source.base, paths=further, others=beyond)
+    told = tuple(recorded) if tree.loops else None
+    wanted = TreeRequest(tip, start, source.base, told, paths=further, others=beyond)
     return Robot.from_tree(tree, wanted, mass=source.mass)
 
 
@@ -205,15 +206,9 @@ def load_table(
         chosen = next((way for way in ways if there.issuperset(robot.joints_between(*way))), None)
         pairs = pairs if chosen is None else [chosen]
     needed = {name for pair in pairs for name in robot.joints_between(*pair)}
-    table = read_measurements(
-        path,
-        robot.joint_names,
-        **vars(reading),
-        require=require,
-        joint_types=robot.joint_types,
-        mimics=robot.mimics,
-        resting={name: 0.0 for name in robot.joint_names if name not in needed} | dict(links.rest),
-    )
+    own = [robot.joint_names[i] for i in robot.own_joints]
+    resting = {name: 0.0 for name in own if name not in needed} | dict(links.rest)
+    table = read_measurements(path, robot, **vars(reading), require=require, resting=resting)
     is_default = chosen is None or chosen == (None, None)
     return table if is_default else _with_links(table, np.ones(len(table), bool), *map(str, chosen or ()))
 

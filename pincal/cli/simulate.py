@@ -65,6 +65,7 @@ def simulate(arguments: SimulateArguments) -> Exit:
     campaign = _campaign(robot, machine, arguments)
     log_step("measuring them")
     table = campaign.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
+    table = {name: table[name] for name in (robot.joint_names[i] for i in robot.own_joints)} | table
     names = {"robot": robot.name, "base": robot.base, "tip": robot.tip}
     seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
     found = names | seeds | campaign.truth(machine, tip=robot.tip)
@@ -97,9 +98,11 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
 
     given = arguments.machine
     nominal = TrueMachine.from_urdf(
-        arm_text(robot.urdf, robot.joint_names, robot.source),
+        arm_text(robot.urdf, robot.joint_names, robot.source, loops=True),
         tip=robot.tip,
         base=robot.base,
+        joints=robot.joint_names,
+        passive=robot.passive,
         moment_frame=given.moment_frame,
         gravity=given.gravity or tuple(robot.gravity.tolist()),
     )

@@ -35,6 +35,7 @@ from pincal.model.effect import Candidate, Effect, Family, Harmonic, Locus, Term
 from pincal.model.effects import Compliance
 from pincal.model.kernel_inputs import Payload, Values
 from pincal.model.latest import Latest
+from pincal.model.loops import borne_moments
 from pincal.model.model import Model
 from pincal.parameters import Parameter
 
@@ -147,7 +148,7 @@ def _moments_of_link(chain: Chain, conditions: Conditions, i: int) -> Iterator[n
     def moments_at(centre: np.ndarray) -> np.ndarray:
         centres[i] = centre
         layout = chain.layout._replace(masses=masses, centres=centres)
-        return np.asarray(kernels.static_moments(layout, values, no_load))
+        return borne_moments(chain, values, kernels.static_moments(layout, values, no_load))
 
     straight = moments_at(np.zeros(3))
     size = max(float(np.linalg.norm(robot.centres[i])), 0.2 * float(np.hypot(*robot.frames.parameters[i, 3:5])), 0.02)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import Field, fields
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -13,20 +13,15 @@ import pincal.model.catalogue  # noqa: F401
 from pincal.errors import nearest_first
 from pincal.io.arrays import (
     ArrayShape,
-    BranchTransforms,
-    LimitNumbers,
-    Matrix,
     Numbers,
     Record,
     Rotation,
     Rotations,
-    Transform,
-    Transforms,
     Vector,
     array_of,
-    shaped,
     unpacked,
 )
+from pincal.io.robot_entry import PathEntry, RobotEntry
 from pincal.io.strict_json import MISSING, MOST_BYTES, Fault, Hook, explained, what_is
 from pincal.measure.lens import Lens
 from pincal.measure.setup import KnownDistance, Setup
@@ -35,141 +30,12 @@ from pincal.model.effect_registry import EFFECTS
 from pincal.model.effects import Effect
 from pincal.model.model import Model
 from pincal.parameters import Parameter
-from pincal.robot.dh import DhFrames
-from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
-from pincal.robot.tree import Coupling, Mimic
 
 # What every effect in a file has.
 EFFECT_SCHEMA: dict[str, Any] = {"type": "object", "properties": {"name": {"type": "string"}}, "required": ["name"]}
 # A file of more is none that pincal wrote: an arm has some ten effects for each of its joints.
 Effects = Annotated[tuple[Effect, ...], msgspec.Meta(max_length=2000)]
-
-
-class FramesEntry(Record, frozen=True, kw_only=True):
-    """The Denavit-Hartenberg frames of a robot, see :class:`pincal.robot.dh.DhFrames`."""
-
-    T_base_first: Transform
-    parameters: Annotated[Matrix, ArrayShape("joints", 6)]
-    T_base_link: Transforms
-    T_last_tip: Transform
-    branches: Annotated[tuple[int, ...], ArrayShape("branches")] = ()
-    T_branch_first: Annotated[BranchTransforms | None, ArrayShape("branches", 4, 4)] = None
-
-    @classmethod
-    def of_frames(cls, frames: DhFrames) -> FramesEntry:
-        """Return the entry of frames."""
-        return cls.like(frames, T_branch_first=frames.T_branch_first if frames.branches else None)
-
-    def frames(self) -> DhFrames:
-        """Return the frames."""
-        found = msgspec.structs.asdict(self)
-        return DhFrames(**found | ({} if self.branches else {"T_branch_first": np.zeros((0, 4, 4))}))
-
-
-class PathEntry(Record, frozen=True, kw_only=True):
-    """The links between which readings are, see :class:`pincal.robot.link_path.LinkPath`."""
-
-    start: str
-    tip: str
-    start_joint: int
-    tip_joint: int
-    T_joint_start: Transform
-    T_joint_tip: Transform
-
-    @classmethod
-    def of_path(cls, path: LinkPath | None) -> PathEntry | None:
-        """Return the entry of a path."""
-        return None if path is None else cls.like(path)
-
-    def path(self, n_joints: int, key: str) -> LinkPath:
-        """Return the path of a robot of so many joints.
-
-        Raises:
-            Fault: below ``key``, for a joint that it does not have.
-        """
-        if not all(-1 <= joint < n_joints for joint in (self.start_joint, self.tip_joint)):
-            raise Fault("names no joints", f"numbers from -1 to {n_joints - 1}", key=key)
-        return LinkPath(**msgspec.structs.asdict(self))
-
-
-class RobotEntry(Record, frozen=True, kw_only=True):
-    """A robot in numbers, see :class:`pincal.robot.robot.Robot`; the text of its URDF may be missing.
-
-    Attributes:
-        lower, upper: shape (n,), joint limits [rad or m]; null where there is none.
-    """
-
-    name: str
-    joint_names: Annotated[tuple[str, ...], ArrayShape("joints"), msgspec.Meta(max_length=200)]
-    joint_types: Annotated[tuple[Literal["revolute", "prismatic"], ...], ArrayShape("joints")]
-    lower: Annotated[LimitNumbers, ArrayShape("joints", null=-np.inf)]
-    upper: Annotated[LimitNumbers, ArrayShape("joints", null=np.inf)]
-    base: str
-    tip: str
-    frames: FramesEntry
-    T_link_joint: Transforms
-    masses: Annotated[Numbers, ArrayShape("joints")]
-    centres: Annotated[Matrix, ArrayShape("joints", 3)]
-    massless: tuple[str, ...]
-    gravity: Vector
-    notes: tuple[str, ...]
-    source: str
-    urdf: str | None = None
-    mimics: tuple[Mimic, ...] = ()
-    couplings: tuple[Coupling, ...] = ()
-    parents: tuple[int, ...] = ()
-    ends: PathEntry | None = None
-    unmeasured: tuple[str, ...] = ()
-    links: tuple[tuple[str, str], ...] = ()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.joint_names:
-            raise Fault("has no entries", "at least one joint", key=".joint_names")
-        self._check_tree()
-        driven = {mimic.joint for mimic in self.mimics}
-        for k, mimic in enumerate(self.mimics):
-            if mimic.joint not in self.joint_names or mimic.source not in set(self.joint_names) - driven:
-                raise Fault("names no joints", "one of the arm that follows another one of its own", key=f".mimics[{k}]")
-        for k, one in enumerate(self.couplings):
-            if {one.joint, one.source} - set(self.joint_names) or one.joint == one.source:
-                raise Fault("names no joints", "two of the arm's", key=f".couplings[{k}]")
-        shaped(".frames.T_base_link", self.frames.T_base_link, ArrayShape(len(self.joint_names), 4, 4), {})
-        try:
-            self.urdf_bytes()
-        except UnicodeEncodeError as error:
-            raise Fault(f"is no text ({error.reason})", "the text of a URDF, or null", key=".urdf") from None
-
-    def _check_tree(self) -> None:
-        """Refuse joints that are not carried by the base or an earlier joint, and branches that are not there."""
-        n, branches = len(self.joint_names), self.frames.branches
-        parents = self.parents or tuple(range(-1, n - 1))
-        if len(parents) != n or any(not -1 <= parent < i for i, parent in enumerate(parents)):
-            raise Fault("are no tree of the joints", "for each joint an earlier one, or -1 for the base", key=".parents")
-        following = dict(zip(reversed(parents), reversed(range(n)), strict=True))
-        if list(branches) != [i for i, parent in enumerate(parents) if following[parent] != i]:
-            raise Fault("do not fit the tree", "the joints that are not the first on their link", key=".frames.branches")
-        if (self.frames.T_branch_first is None) != (not branches):
-            raise Fault("do not fit the branches", "a transform for each branch", key=".frames.T_branch_first")
-
-    def urdf_bytes(self) -> bytes:
-        """Return the URDF as it was read; bytes that are no UTF-8 are in the file as escapes."""
-        return (self.urdf or "").encode("utf-8", "surrogateescape")
-
-    @classmethod
-    def of_robot(cls, robot: Robot) -> RobotEntry:
-        """Return the entry of a robot."""
-        urdf = robot.urdf.decode("utf-8", "surrogateescape")
-        parents = () if robot.is_serial else robot.parents
-        ends = PathEntry.of_path(robot.ends)
-        return cls.like(robot, frames=FramesEntry.of_frames(robot.frames), urdf=urdf, parents=parents, ends=ends)
-
-    def robot(self) -> Robot:
-        """Return the robot."""
-        ends = None if self.ends is None else self.ends.path(len(self.joint_names), ".ends")
-        made = {"frames": self.frames.frames(), "urdf": self.urdf_bytes(), "ends": ends}
-        return Robot(**msgspec.structs.asdict(self) | made)
 
 
 class ChainEntry(Record, frozen=True, kw_only=True):

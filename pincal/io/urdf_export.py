@@ -17,6 +17,7 @@ from pincal.model.effects import GEOMETRIC, Conditions
 from pincal.model.model import Model
 from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
+from pincal.robot.se3 import translation
 from pincal.robot.tree import MOVING_TYPES, UrdfJoint, UrdfTree
 from pincal.robot.urdf_file import parse_urdf
 
@@ -66,8 +67,7 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
         RobotFileError: if there is no URDF, it is not that of the robot, or its tip is not where the model has it.
 
     Example:
-        >>> from pincal.robot.link_path import LinkPath
-    from pincal.robot.robot import Robot
+        >>> from pincal.robot.robot import Robot
         >>> robot = Robot.from_urdf("ur10", tip="tool0")
         >>> model = Model(Chain.of(robot), GEOMETRIC)
         >>> values = np.zeros(model.n_parameters)
@@ -84,11 +84,11 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
     ends = [link for path in paths for link, joint, _ in path.ends if joint >= 0]
     segments, old = _segments(tree, robot, ends), read_origins(text, tree.source)
     before, after = (_placements(model, of, paths) for of in (np.zeros(model.n_parameters), values))
-    edited, tip, notes = (
-        write_origins(text, _origins(segments, old, before, after), tree.source),
-        robot.tip,
-        rigid_notes(model),
-    )
+    pins, open_pins = _pin_origins(tree, model, values, old)
+    edited = write_origins(text, _origins(segments, old, before, after) | pins, tree.source)
+    tip, notes = robot.tip, rigid_notes(model)
+    if open_pins:
+        notes = (*notes, f"loops are as the URDF closes them at {', '.join(open_pins)}; where they do is in model.json only")
     is_moved = {end: np.abs(after[end] - before[end]).max() > _TIP_MOVED for end in ends if not segments[end]}
     if is_moved.pop(tip, False):
         edited, tip = _with_tip(edited, tree, robot, np.linalg.inv(before[tip]) @ after[tip])
@@ -98,7 +98,8 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
         notes = (*notes, f"no fixed joint holds {', '.join(held)}; where calibration moved them is in model.json only")
     new = read_origins(edited, tree.source)
     changed = tuple(name for name in old if not np.array_equal(new[name].matrix, old[name].matrix))
-    return UrdfExport(edited, tip, changed, notes, _check(edited, tip, model, values, lost=held))
+    lost = (*held, *ends, tip) if open_pins else held
+    return UrdfExport(edited, tip, changed, notes, _check(edited, tip, model, values, lost=lost))
 
 
 def _placements(model: Model, values: np.ndarray, paths: Sequence[LinkPath]) -> dict[str, np.ndarray]:
@@ -126,12 +127,17 @@ def _segments(tree: UrdfTree, robot: Robot, ends: Collection[str]) -> dict[str, 
             f"{tree.source}: no joint {missing[0]!r}; expected those of the model, {', '.join(robot.joint_names)}: give the "
             "URDF it was calibrated with"
         )
-    segments = {}
-    for name, way in [*((n, tree.above(known[n].child)) for n in robot.joint_names), *((e, tree.above(e)) for e in ends)]:
-        before = [k for k, joint in enumerate(way[: -1 if name in known else None]) if joint.name in robot.joint_names]
-        first = before[-1] + 1 if before else next((k for k, joint in enumerate(way) if joint.parent == robot.base), 0)
-        segments[name] = list(way[first:])
-    return segments
+    return {n: [*_way_to(tree, robot, known[n].parent), known[n]] for n in robot.joint_names} | {
+        end: _way_to(tree, robot, end) for end in ends
+    }
+
+
+def _way_to(tree: UrdfTree, robot: Robot, link: str) -> list[UrdfJoint]:
+    """Return the fixed joints that lead to a link from the joint of the robot that carries it, or from the base."""
+    way = tree.above(link)
+    before = [k for k, joint in enumerate(way) if joint.name in robot.joint_names]
+    first = before[-1] + 1 if before else next((k for k, joint in enumerate(way) if joint.parent == robot.base), len(way))
+    return list(way[first:])
 
 
 def _origins(
@@ -144,12 +150,45 @@ def _origins(
     new = {}
     for end, segment in segments.items():
         if segment:
-            ahead = np.eye(4)
-            for joint in segment[:-1]:
-                ahead = ahead @ old[joint.name].matrix
-            to_joint, name = np.linalg.inv(ahead), segment[-1].name
+            to_joint, name = np.linalg.inv(_product(old, segment[:-1])), segment[-1].name
             new[name] = _moved(old[name], to_joint @ before[end], to_joint @ after[end])
     return new
+
+
+def _pin_origins(
+    tree: UrdfTree, model: Model, values: np.ndarray, old: dict[str, Origin]
+) -> tuple[dict[str, Origin], list[str]]:
+    """Return the new origins of what closes loops, and the names of closures that the URDF can't move."""
+    chain, new, held = model.chain, dict[str, Origin](), list[str]()
+    placed = [(model.rigid_coordinates(x), link_placements(model, x)[1]) for x in (np.zeros(model.n_parameters), values)]
+    for closure in chain.robot.closures:
+        side = closure.pinned(chain.robot.parents)
+        pin = [chain.pin(chain.pins.index(closure), symbol) for symbol in "xy"] if side else []
+        for (link, joint, T), here, role in zip(closure.path.ends, (-1, 1), ("parent", "child"), strict=True):
+            shifts = [translation(x[pin[0]], x[pin[1]], 0.0) if side == here else np.eye(4) for x, _ in placed]
+            before, after = (behind[joint + 1] @ T @ shift for (_, behind), shift in zip(placed, shifts, strict=True))
+            moved, name = after @ np.linalg.inv(before), f"{closure.name}.{role}_origin"
+            way = _way_to(tree, chain.robot, link)
+            on_link = _product(old, way)
+            if name in old or (here < 0 and closure.name in old):
+                name = name if name in old else closure.name
+                T_old = old[name].matrix
+                new[name] = _moved(old[name], T_old, np.linalg.inv(on_link) @ moved @ on_link @ T_old)
+            elif way and way[-1].child == link and closure.name in old:
+                # The second joint of a link that is fixed to another: that is where its place is written.
+                ahead = np.linalg.inv(_product(old, way[:-1]))
+                new[way[-1].name] = _moved(old[way[-1].name], ahead @ on_link, ahead @ moved @ on_link)
+            elif np.abs(moved - np.eye(4)).max() > _TIP_MOVED or closure.name not in old:
+                held.append(closure.name)
+    return new, list(dict.fromkeys(held))
+
+
+def _product(old: dict[str, Origin], way: Sequence[UrdfJoint]) -> np.ndarray:
+    """Return where fixed joints, one after the other, place the link behind them, shape (4, 4)."""
+    found = np.eye(4)
+    for joint in way:
+        found = found @ old[joint.name].matrix
+    return found
 
 
 def _moved(old: Origin, before: np.ndarray, after: np.ndarray) -> Origin:
@@ -211,7 +250,7 @@ def _check(text: bytes, tip: str, model: Model, values: np.ndarray, *, lost: Col
         if {start, last}.isdisjoint(lost):
             path = robot.between(start, last)
             there = written.between(*(tip if link == robot.tip else link for link in (start, last)))
-            difference = written.forward_kinematics(q, there)[:, :3] - rigid_tips(model, values, q, path)
+            difference = written.forward_kinematics(written.following(q), there)[:, :3] - rigid_tips(model, values, q, path)
             error = max(error, float(np.linalg.norm(difference[:, :, 3], axis=1).max()))
             if not np.abs(difference).max() <= FK_TOLERANCE:
                 raise RobotFileError(
@@ -227,5 +266,6 @@ def rigid_tips(model: Model, values: np.ndarray, q: np.ndarray, path: LinkPath |
     chain = Chain.of(robot, moment_frame=model.chain.moment_frame, path=path)
     rigid = Model(chain, GEOMETRIC)
     deviations = model.rigid_coordinates(values) - model.chain.nominal
-    found = [deviations[chain.joint(robot.joint_names.index(p.element), p.symbol)] for p in rigid.parameters]
-    return rigid.predict(np.array(found), Conditions.at(q))
+    at = Conditions.at(q)
+    found = [deviations[term.coordinate] for effect in GEOMETRIC for term in effect.terms(chain, at, None)]
+    return rigid.predict(np.array(found), at)

@@ -234,8 +234,25 @@ def check_table(robot: Robot, measurements: Measurements, *, minimum: int = 2) -
         MeasurementError: as the other functions of this module.
     """
     check_rows(measurements, minimum=minimum)
-    check_joint_values(measurements.of_joints(robot), robot.lower, robot.upper, robot.joint_types)
+    check_joints_of(robot, measurements)
     check_reach(measurements, robot.reach)
+
+
+def check_joints_of(robot: Robot, measurements: Measurements) -> None:
+    """Refuse joint positions that can't be this robot's, by :func:`check_joint_values` and as its loops have it.
+
+    Raises:
+        MeasurementError: if a loop can't be closed at those of a row.
+    """
+    rows = measurements.of_joints(robot)
+    check_joint_values(rows, robot.lower, robot.upper, robot.joint_types)
+    if robot.linkage is None or (is_closed := robot.linkage.closed(rows.q)[1]).all():
+        return
+    drives = ", ".join(robot.joint_names[i] for i in robot.linkage.drivers)
+    raise MeasurementError(
+        f"{rows.source}, line {rows.rows[~is_closed][0]}: the robot's loops can't be closed at these positions of {drives}; "
+        f"so in {np.sum(~is_closed)} rows: check zeros, signs and units"
+    )
 
 
 def check_reach(measurements: Measurements, reach_m: float) -> None:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.recorded import RECORDABLE
-from pincal.robot.tree import Mimic
+from pincal.robot.robot import Robot
 from pincal.units import SMALLEST
 
 
@@ -137,7 +137,8 @@ class Schema:
         joint_names: the joints, each with a column of its own and perhaps one for the direction of approach and for the
             position commanded or read back in addition.
         joint_types: "revolute" or "prismatic" for each joint, which determines the units it may have; all revolute if empty.
-        mimics: the joints that follow another one; they may be absent, as their position follows from that one's.
+        own_joints: those with positions of their own; all if empty. The others may be absent.
+        following: puts the others where they follow, in positions of shape (N, n).
         resting: joints that may be absent, with the positions where they rest then [rad or m].
         may_lack_joints: whether a table without any joint is allowed.
         options: what the user declares of it.
@@ -146,16 +147,25 @@ class Schema:
     fields: tuple[Field, ...]
     joint_names: tuple[str, ...] = ()
     joint_types: tuple[str, ...] = ()
-    mimics: tuple[Mimic, ...] = ()
+    own_joints: tuple[str, ...] = ()
+    following: Callable[[np.ndarray], np.ndarray] = np.copy
     resting: Mapping[str, float] = field(default_factory=dict)
     may_lack_joints: bool = False
     options: TableOptions = field(default_factory=TableOptions)
 
-    @property
-    def own_joints(self) -> tuple[str, ...]:
-        """The joints that follow none."""
-        driven = {mimic.joint for mimic in self.mimics}
-        return tuple(name for name in self.joint_names if name not in driven)
+    def __post_init__(self) -> None:
+        if not self.own_joints:
+            object.__setattr__(self, "own_joints", self.joint_names)
+
+    def of_robot(self, robot: Robot) -> Schema:
+        """Return the schema with the joints of a robot."""
+        return replace(
+            self,
+            joint_names=robot.joint_names,
+            joint_types=robot.joint_types,
+            own_joints=tuple(robot.joint_names[i] for i in robot.own_joints),
+            following=robot.following,
+        )
 
     @property
     def needed_joints(self) -> tuple[str, ...]:

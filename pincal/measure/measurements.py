@@ -149,7 +149,8 @@ class Measurements(Recorded):
 
     def of_joints(self, robot: Robot) -> Measurements:
         """Return the table with the positions of the URDF's joints in place of what the controller reports."""
-        return replace(self, q=robot.from_reported(self.q)) if robot.couplings else self
+        q = robot.from_reported(self.q)
+        return self if q is self.q else replace(self, q=q)
 
     def _with(self, columns: Mapping[str, np.ndarray]) -> Measurements:
         readings = {name: columns[name] for name in self.readings}
@@ -173,7 +174,7 @@ def measurements(
 
     Args:
         joints: the robot, or the names of its n joints.
-        q: joint positions [rad], prismatic [m], shape (N, n); of a robot, joints that mimic another may be left out.
+        q: joint positions [rad], prismatic [m], shape (N, n); of a robot, joints that follow from others may be left out.
         rows: line numbers for messages, shape (N,); by default 2, 3, ... as if read from a file.
         source: name of the data for messages.
         units: units that were stated explicitly, by column name; an entry marks a column as intended.
@@ -211,7 +212,7 @@ def measurements(
     """
     if isinstance(joints, Robot):
         q = np.asarray(q, float)
-        if joints.mimics and q.ndim == 2 and q.shape[1] == len(joints.own_joints):
+        if joints.dependent and q.ndim == 2 and q.shape[1] == len(joints.own_joints):
             q = joints.spread(q)
         joints = joints.joint_names
     fields = known_fields()

@@ -44,6 +44,8 @@ from pincal.measure.recordings import is_bag, is_dataset, open_bag, open_dataset
 from pincal.measure.sheet import FrameSheet, Sheet, read_cells
 from pincal.measure.text_sheet import open_text
 
+# A motion that tells in which direction joints follow others [rad or m].
+_SMALL = 1e-4
 # Formats that other programs can turn into one that is read.
 _OTHERS = (".xls", ".xlsb", ".ods", ".numbers")
 
@@ -151,11 +153,8 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
     if resting:
         at = ", ".join(f"{name} at {schema.resting[name]:g}" for name in resting)
         warn(f"{path.name}: no column for {len(resting)} joints off the paths of these rows, which rest: {at}")
-    for mimic in schema.mimics:
-        if mimic.joint in joints and mimic.joint not in values:
-            values[mimic.joint] = mimic.multiplier * values[mimic.source] + mimic.offset
-            if (approach := values.get(f"approach_{mimic.source}")) is not None:
-                values.setdefault(f"approach_{mimic.joint}", np.sign(mimic.multiplier) * approach)
+    if joints and (missing := [name for name in joints if name not in values]):
+        values |= _followers(schema, values, missing)
     if joints and header.readings and "time" in values and part is None and not schema.may_lack_joints:
         values, rows = held_rows(values, rows, joints, was_joined=was_joined, source=path.name)
     droop = _droop(values, joints, source=path.name)
@@ -177,6 +176,19 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
         if any(name in values for name in of.columns):
             arrays[of.name] = _whole(of, values, source=path.name)
     return Cells(arrays, rows, {column.name: column.unit for column in header.columns if column.unit}, origin)
+
+
+def _followers(schema: Schema, values: Mapping[str, np.ndarray], missing: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return the columns of joints that follow from others: their positions, and where theirs are known directions."""
+    joints, nothing = schema.joint_names, np.zeros(len(values[schema.own_joints[0]]))
+    q = np.column_stack([values.get(name, nothing) for name in joints])
+    found = schema.following(q)
+    columns = {name: found[:, joints.index(name)] for name in missing}
+    if any(f"approach_{name}" in values for name in joints):
+        step = np.column_stack([values.get(f"approach_{name}", nothing) for name in joints])
+        moved = schema.following(q + _SMALL * step) - found
+        columns |= {f"approach_{name}": np.sign(np.round(moved[:, joints.index(name)] / _SMALL, 3)) for name in missing}
+    return columns
 
 
 def _part(sheet: Sheet, part: range) -> Sheet:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -22,7 +23,8 @@ from pincal.measure.measurements import Measurements, concatenate, measurements_
 from pincal.measure.reader import joint_columns, read_columns, read_table, typed_errors
 from pincal.measure.registry import expected_columns, known_fields
 from pincal.measure.sensor import Divided
-from pincal.robot.tree import Mimic
+from pincal.robot.robot import Robot
+from pincal.robot.tree import Mimic, mimicked
 
 __all__ = ["Measurements", "concatenate", "joint_columns", "measurements_from_arrays", "read_columns"]
 __all__ += ["read_measurements", "row_parts", "write_table"]
@@ -37,7 +39,7 @@ MOST_ROWS = 200_000
 
 def read_measurements(
     path: str | os.PathLike[str],
-    joint_names: Sequence[str],
+    robot: Robot | Sequence[str],
     *,
     require: Literal["measurement", "joints"] = "measurement",
     joint_types: Sequence[str] | None = None,
@@ -51,11 +53,12 @@ def read_measurements(
     Args:
         path: the file; the ending of its name gives the format, text by default. Of text, separator, decimal comma and
             encoding are recognised.
-        joint_names: the n joints whose columns are needed.
+        robot: the robot, or the names of its n joints; of a robot, joints that follow from others need no column.
         require: "joints" needs no measurement and leaves out all columns that are neither a joint nor a condition (target,
             point, payload, temperature, time, station, approach).
-        joint_types: "revolute" or "prismatic" for each joint, which decides the units it may have; default: all revolute.
-        mimics: the mimic joints, which may have no column (``robot.mimics``).
+        joint_types: "revolute" or "prismatic" for each of named joints, which decides the units it may have; default: all
+            revolute.
+        mimics: those of named joints that mimic others, which may have no column (``robot.mimics``).
         resting: joints that may have no column, with the positions where they rest then [rad or m].
         part: rows of a Parquet file to read, the first being 0, as :func:`row_parts` yields them; default: all.
         options: how the table is to be read: ignore, columns, orientation, joints, sheet, rows_in_order and shares_log, as
@@ -67,21 +70,24 @@ def read_measurements(
     Raises:
         MeasurementError: for a file that can't be read, or a column, unit or value that is invalid.
     """
-    source, names = Path(path).name, tuple(joint_names)
-    only_joints, said = (
-        require == "joints",
-        TableOptions(**{name: value for name, value in options.items() if value is not None}),
-    )
+    source, only_joints = Path(path).name, require == "joints"
+    said = TableOptions(**{name: value for name, value in options.items() if value is not None})
     schema = Schema(
         fields=tuple((CONDITIONS if only_joints else known_fields()).values()),
-        joint_names=names,
-        joint_types=tuple(joint_types or ()),
-        mimics=tuple(mimics),
         resting=dict(resting or {}),
         options=replace(said, ignore=("*", *said.ignore)) if only_joints else said,
     )
+    if isinstance(robot, Robot):
+        schema = schema.of_robot(robot)
+    else:
+        names, driven = tuple(robot), {mimic.joint for mimic in mimics}
+        own = tuple(name for name in names if name not in driven)
+        following = partial(mimicked, names=names, mimics=mimics)
+        schema = replace(
+            schema, joint_names=names, joint_types=tuple(joint_types or ()), own_joints=own, following=following
+        )
     cells = read_table(path, schema, part=part)
-    measurements = validated(names, cells.arrays | {"rows": cells.rows}, source=source, units=cells.units)
+    measurements = validated(schema.joint_names, cells.arrays | {"rows": cells.rows}, source=source, units=cells.units)
     measurements = replace(measurements, approach_from=cells.approach_from)
     if not only_joints and measurements.sensor is None:
         raise MeasurementError(f"{source}: no measurement in the table; expected columns {expected_columns()}")

@@ -15,6 +15,7 @@ from pincal.model import kernels, walk
 from pincal.model.chain import Chain
 from pincal.model.kernel_inputs import Payload, Values
 from pincal.model.latest import Latest
+from pincal.model.loops import borne_moments
 from pincal.model.symbols import are_symbols
 from pincal.recorded import RECORDABLE, RECORDED, Recorded
 
@@ -210,7 +211,8 @@ def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool 
     varying = np.array(constant[chain.drives, None] + conditions.q.T, order="C")
     mass = np.require(conditions.payload, np.float64, ["C", "W"])
     payload = Payload(mass, np.array(conditions.payload_centre, float))
-    return np.asarray(kernels.static_moments(layout, Values(constant.copy(), slot, varying), payload).T)
+    values = Values(constant.copy(), slot, varying)
+    return borne_moments(chain, values, kernels.static_moments(layout, values, payload)).T
 
 
 @dataclass(frozen=True)
@@ -234,8 +236,9 @@ class PoseSet:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints that readings can be about, from the base."""
-        return self.chain.robot.measured_joints
+        """Names of the joints that readings can be about, from the base, without the passive ones of loops."""
+        robot = self.chain.robot
+        return tuple(name for name in robot.measured_joints if name not in robot.passive)
 
     @property
     def revolute(self) -> tuple[str, ...]:

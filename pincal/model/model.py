@@ -25,6 +25,7 @@ from pincal.model.evaluated import (
     stacked,
 )
 from pincal.model.kernel_inputs import Compliances, Layout, MassTerms, Payload, Places, Terms, Values, Wanted
+from pincal.model.loops import Loops, borne_moments, closed_loops
 from pincal.model.sparse_basis import Basis, joined_rows
 from pincal.parameters import Parameter
 from pincal.robot.link_path import above
@@ -122,7 +123,7 @@ class Model:
             return np.ones(self.n_parameters, bool)
         robot, chain = self.chain.robot, self.chain
         moves = np.zeros(chain.size, bool)
-        moves[chain.layout.path.coordinate] = True
+        moves[[*chain.layout.path.coordinate, *(loops.coordinates if (loops := Loops.of(chain)) else ())]] = True
         found = np.zeros(self.n_parameters, bool)
         state = Evaluation.at(self, np.zeros(self.n_parameters), Conditions.of_everything(robot.n_joints))
         for p, term in state.terms:
@@ -210,9 +211,13 @@ class Model:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return poses, shape (3, 4, N), and Jacobian, shape (F, rows, N), by parameters and then by coordinates."""
         n_columns = int(columns.max(initial=-1)) + 1
+        terms, compliances = state.kernel_terms(columns, coordinates, n_columns), state.compliances()
+        if (loops := Loops.of(self.chain)) is not None:
+            at = state.layout, state.rigid, state.deformed, state.payload
+            terms, compliances = loops.followed(*at, terms, compliances, equilibrium=self.equilibrium)
         wanted = Wanted(
-            state.kernel_terms(columns, coordinates, n_columns),
-            state.compliances(),
+            terms,
+            compliances,
             state.mass_terms(columns),
             n_columns + len(coordinates),
             rows,
@@ -224,7 +229,8 @@ class Model:
     def static_moments(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the static moments n_x, n_y, n_z of each joint, shape (N, 3 n) [N m] (paper, Eq. (3))."""
         state = Evaluation.at(self, values, conditions)
-        return np.asarray(kernels.static_moments(state.layout, state.rigid, state.payload).T)
+        moments = kernels.static_moments(state.layout, state.rigid, state.payload)
+        return borne_moments(self.chain, state.rigid, moments).T
 
     def coordinates(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the coordinates of the chain on the bent arm, shape (N, K) [rad or m]."""
@@ -281,16 +287,16 @@ class Evaluation:
         plain, curves = _plain(model, conditions)
         if by_row.varied:
             plain, curves = [*plain, *(term for curve in curves for term in curve.terms())], []
-        rigid = coordinates_of(model.chain, by_row, conditions, plain, curves)
+        rigid = closed_loops(model.chain, coordinates_of(model.chain, by_row, conditions, plain, curves))
         layout = laden(model.chain, model.bodies, by_row)
         if not any(effect.uses_moments for effect in model.effects):
             return cls(model, layout, plain, curves, by_row, rigid, rigid, np.empty((0, len(mass))), places, payload)
         deformed = rigid
         for _ in range(_EQUILIBRIUM_ROUNDS if model.equilibrium else 1):
             before = deformed
-            moments = kernels.static_moments(layout, deformed, payload)
+            moments = borne_moments(model.chain, deformed, kernels.static_moments(layout, deformed, payload))
             elastic = _elastic(model, conditions, moments.T)
-            deformed = coordinates_of(model.chain, by_row, conditions, plain + elastic, curves)
+            deformed = closed_loops(model.chain, coordinates_of(model.chain, by_row, conditions, plain + elastic, curves))
             change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0
             if np.max(change, initial=0.0) < _EQUILIBRIUM_TOLERANCE:
                 break

@@ -1,4 +1,4 @@
-"""The arm of the true machine as Pinocchio reads it from a URDF: placements, joint axes, bodies, limits.
+"""The arm of the true machine as Pinocchio reads it from a URDF: placements, joint axes, bodies, limits, pins of loops.
 
 Every joint gets a working frame whose z is the joint axis. Its x is the x axis of the URDF joint frame without its part
 along the joint axis (the y axis where x is parallel to the joint axis). Where the axis is "0 0 1" the two frames are one.
@@ -6,11 +6,11 @@ along the joint axis (the y axis where x is parallel to the joint axis). Where t
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -18,25 +18,48 @@ from numpy.typing import ArrayLike
 
 from pincal.errors import BadInputError, RobotFileError, nearest_first
 
+# The axis of a joint that names none.
+_X = "1 0 0"
 # A joint axis closer than this to the x axis of its frame leaves no direction to project (sine of the angle between them).
 _PARALLEL = 1e-6
 
 
 @dataclass(frozen=True)
-class Arm:
-    """A serial arm from base to tip, nominal or true.
+class Pin:
+    """A pin that closes a loop between two links.
 
     Attributes:
-        names: Names of the n joints, from base to tip.
+        name: Its name in the URDF.
+        joints: The joints that move the two links, -1 for the base.
+        places: Its frames in their working frames at joint position 0, z along its axis, shape (2, 4, 4).
+        has_axis: Whether it is a hinge instead of a ball.
+    """
+
+    name: str
+    joints: tuple[int, int]
+    places: np.ndarray
+    has_axis: bool
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An arm from base to tip, nominal or true; with loops also the links beside it that they hang on.
+
+    Attributes:
+        names: Names of the n joints, from base to tip, each behind the one that carries it.
         prismatic: Whether a joint slides instead of turning, shape (n,).
-        placements: Working frame of joint i in that of joint i-1 (base frame for the first) at joint position 0, and last
-            the tip in the working frame of joint n; lengths in m, shape (n + 1, 4, 4).
+        placements: Working frame of joint i in that of the joint that carries it (base frame for the first) at joint
+            position 0, and last the tip in the working frame of its joint; lengths in m, shape (n + 1, 4, 4).
         masses: Mass that moves with joint i, up to the next joint [kg], shape (n,).
         centres: Its centre of mass in the working frame of joint i [m], shape (n, 3).
         axes: Rotation from the working frame to the URDF frame of joint i, shape (n, 3, 3).
         lower: Lower joint limits [rad or m]; -pi for a continuous joint, shape (n,).
         upper: Upper joint limits [rad or m], shape (n,).
         mimics: Joint, the joint that it follows, multiplier and offset, of those that the URDF has mimic another.
+        parents: The joint that carries each joint, -1 for the base; by default the one before.
+        tip_joint: The joint that moves the tip; by default the last.
+        pins: What closes loops.
+        passive: The joints that follow from the others as the loops have it.
     """
 
     names: tuple[str, ...]
@@ -48,18 +71,47 @@ class Arm:
     lower: np.ndarray
     upper: np.ndarray
     mimics: tuple[tuple[int, int, float, float], ...] = ()
+    parents: tuple[int, ...] = ()
+    tip_joint: int = -1
+    pins: tuple[Pin, ...] = ()
+    passive: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Fill in that each joint carries the next, and the last the tip."""
+        n = len(self.names)
+        object.__setattr__(self, "parents", self.parents or tuple(range(-1, n - 1)))
+        object.__setattr__(self, "tip_joint", self.tip_joint % n)
 
     @cached_property
-    def driving(self) -> np.ndarray:
-        """How all joints move with those that drive themselves, shape (n, m)."""
-        moves = np.eye(len(self.names))
-        for joint, *_ in self.mimics:
-            moves[joint] = 0.0
-        own = np.flatnonzero(moves.any(axis=1))
-        return np.asarray(self.following(moves[:, own].T).T - self.following(np.zeros((len(own), len(moves)))).T)
+    def carried(self) -> np.ndarray:
+        """Which links, and last the load at the tip, each joint carries, shape (n, n + 1)."""
+        n = len(self.names)
+        carried = np.zeros((n, n + 1), bool)
+        for body, joint in [*((i, i) for i in range(n)), (n, self.tip_joint)]:
+            while joint >= 0:
+                carried[joint, body] = True
+                joint = self.parents[joint]
+        return carried
 
-    def following(self, q: np.ndarray) -> np.ndarray:
-        """Return joint positions, shape (N, n), with those that follow another joint where it takes them."""
+    @property
+    def recorded(self) -> list[str]:
+        """Names of the joints that have readings: all but those that loops move."""
+        return [name for i, name in enumerate(self.names) if i not in self.passive]
+
+    def next_joint(self, joint: int) -> int:
+        """Return the first joint that a joint carries; -1 if it moves the tip or nothing more."""
+        return self.parents.index(joint) if joint in self.parents and joint != self.tip_joint else -1
+
+    @cached_property
+    def ends(self) -> np.ndarray:
+        """The far end of each link in the working frame of its joint: the next joint, the tip, or itself, (n, 4, 4)."""
+        following = [self.next_joint(i) for i in range(len(self.names))]
+        ends = [self.placements[k] if k >= 0 else np.eye(4) for k in following]
+        ends[self.tip_joint] = self.placements[-1]
+        return np.array(ends)
+
+    def mimicking(self, q: np.ndarray) -> np.ndarray:
+        """Return joint positions, shape (N, n), with those that mimic another joint where it takes them."""
         out = np.array(q, float)
         # As often as there are joints that follow one that follows another.
         for joint, source, multiplier, offset in self.mimics * len(self.mimics):
@@ -67,9 +119,18 @@ class Arm:
         return out
 
     @cached_property
+    def mimicry(self) -> np.ndarray:
+        """How all joints move with those that mimic none, shape (n, m)."""
+        moves = np.eye(len(self.names))
+        for joint, *_ in self.mimics:
+            moves[joint] = 0.0
+        own = np.flatnonzero(moves.any(axis=1))
+        return np.asarray(self.mimicking(moves[:, own].T).T - self.mimicking(np.zeros((len(own), len(moves)))).T)
+
+    @cached_property
     def lengths(self) -> np.ndarray:
         """Distance from each joint to the next, last to the tip [m], shape (n,)."""
-        lengths: np.ndarray = np.linalg.norm(self.placements[1:, :3, 3], axis=1)
+        lengths: np.ndarray = np.linalg.norm(self.ends[:, :3, 3], axis=1)
         return lengths
 
     @property
@@ -89,7 +150,9 @@ class Arm:
         raise BadInputError(f"joint {joint!r}: not between base and tip; expected one of {near}")
 
 
-def read_arm(urdf: str | Path, tip: str, base: str | None = None) -> Arm:
+def read_arm(
+    urdf: str | Path, tip: str, base: str | None = None, *, joints: Sequence[str] = (), passive: Collection[str] = ()
+) -> Arm:
     """Read the arm between two frames of a URDF with Pinocchio.
 
     Joints that are not between base and tip are locked at 0; their bodies stay on the links that carry them.
@@ -98,38 +161,125 @@ def read_arm(urdf: str | Path, tip: str, base: str | None = None) -> Arm:
         urdf: Path of a URDF file, or its XML text.
         tip: Name of the link at the end of the arm.
         base: Name of the link in whose frame positions are given; default: the root of the URDF.
+        joints: Names of the joints that move, each behind the one that carries it; default: those between base and tip.
+        passive: Of them those that follow from the others as the loops of the URDF have it; without any loops stay open.
 
     Raises:
         RobotFileError: If the URDF can't be read, a frame is missing or no joint lies between base and tip.
     """
     import pinocchio as pin
 
-    full = _load(urdf)
-    path = _path(full, tip, base)
+    root = _root(urdf)
+    halves = take_pins(root)
+    full = _load(ElementTree.tostring(root, encoding="unicode"), "URDF text" if _is_text(urdf) else str(urdf))
+    path = [full.getJointId(name) for name in joints] or _path(full, tip, base)
     locked = [index for index in range(1, full.njoints) if index not in path]
     model = pin.buildReducedModel(full, locked, pin.neutral(full)) if locked else full
-    return replace(arm := _arm(model, tip, base), mimics=_mimics(urdf, arm.names))
+    arm = _arm(model, tip, base, order=joints or model.names[1:])
+    arm = replace(arm, mimics=_mimics(root, arm.names))
+    return _with_pins(arm, model, base, halves, passive) if passive else arm
 
 
-def _load(urdf: str | Path) -> Any:
+class Half(NamedTuple):
+    """What a URDF says of one half of a pin: link, frame there (none: as the other half's at zero) and axis in it."""
+
+    link: str
+    place: np.ndarray | None
+    axis: np.ndarray
+
+
+def take_pins(root: ElementTree.Element) -> list[tuple[str, bool, Half, Half]]:
+    """Return name, whether it is a hinge, and halves of each pin of a URDF; second joints of a link are taken out of it."""
+    found = []
+
+    def add(element: ElementTree.Element, one: Half, other: Half) -> None:
+        found.append((element.get("name", ""), element.get("type") in ("revolute", "continuous"), one, other))
+
+    for element in root.iterfind("constraint"):
+        one, other = (
+            Half(_link(element, role), _origin(element.find(f"{role}_origin")), _axis(element.find(f"{role}_axis")))
+            for role in ("parent", "child")
+        )
+        add(element, one, other)
+    for element in root.iterfind("gazebo/joint"):
+        parent, child = ((element.findtext(role) or "").strip() for role in ("parent", "child"))
+        axis = np.array((element.findtext("axis/xyz") or _X).split(), float)
+        add(element, Half(parent, None, axis), Half(child, np.eye(4), axis))
+    seen = set[str]()
+    for joint in sorted(root.findall("joint"), key=lambda joint: joint.get("type") != "fixed"):
+        child, axis = _link(joint, "child"), _axis(joint.find("axis"))
+        if child in seen:
+            add(joint, Half(_link(joint, "parent"), _origin(joint.find("origin")), axis), Half(child, np.eye(4), axis))
+            root.remove(joint)
+        seen.add(child)
+    return found
+
+
+def _link(element: ElementTree.Element, role: str) -> str:
+    end = element.find(role)
+    return "" if end is None else end.get("link", "")
+
+
+def _axis(element: ElementTree.Element | None) -> np.ndarray:
+    return np.array((_X if element is None else element.get("xyz", _X)).split(), float)
+
+
+def _origin(element: ElementTree.Element | None) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    xyz, rpy = ("0 0 0" if element is None else element.get(key, "0 0 0") for key in ("xyz", "rpy"))
+    return transform(Rotation.from_euler("xyz", np.array(rpy.split(), float)).as_matrix(), np.array(xyz.split(), float))
+
+
+def _with_pins(
+    arm: Arm, model: Any, base: str | None, halves: list[tuple[str, bool, Half, Half]], passive: Collection[str]
+) -> Arm:
     import pinocchio as pin
 
-    is_text = _is_text(urdf)
-    if not is_text and not Path(urdf).is_file():
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    origin = data.oMf[_frame_id(model, base)].inverse() if base else pin.SE3.Identity()
+    # Working frames of the joints at position 0, and last the base's.
+    working = np.roll(frames(arm, np.zeros((1, len(arm.names))))[0, :-1], -1, axis=0)
+    links, moved = {}, {}
+    for frame, place in zip(model.frames, data.oMf, strict=True):
+        if frame.type == pin.BODY:
+            name = model.names[frame.parentJoint]
+            links[frame.name] = (origin * place).homogeneous
+            moved[frame.name] = arm.names.index(name) if name in arm.names else -1
+    pins = []
+    for name, is_hinge, one, other in halves:
+        end = links[other.link] @ other.place
+        start = end if one.place is None else links[one.link] @ one.place
+        places = [place @ transform(_working_frame(half.axis)) for place, half in ((start, one), (end, other))]
+        joints = moved[one.link], moved[other.link]
+        if joints[0] != joints[1]:
+            inside = [np.linalg.solve(working[joint], place) for joint, place in zip(joints, places, strict=True)]
+            pins.append(Pin(name, joints, np.array(inside), is_hinge))
+    return replace(arm, pins=tuple(pins), passive=tuple(arm.index(name) for name in passive))
+
+
+def _root(urdf: str | Path) -> ElementTree.Element:
+    if not _is_text(urdf) and not Path(urdf).is_file():
         raise RobotFileError(f"{urdf}: no such file; expected a URDF")
+    return ElementTree.fromstring(str(urdf)) if _is_text(urdf) else ElementTree.parse(urdf).getroot()
+
+
+def _load(text: str, source: str) -> Any:
+    import pinocchio as pin
+
     try:
-        return pin.buildModelFromXML(str(urdf)) if is_text else pin.buildModelFromUrdf(str(urdf))
+        return pin.buildModelFromXML(text)
     except ValueError as error:
-        raise RobotFileError(f"{'URDF text' if is_text else urdf}: {error}") from error
+        raise RobotFileError(f"{source}: {error}") from error
 
 
 def _is_text(urdf: str | Path) -> bool:
     return str(urdf).lstrip().startswith("<")
 
 
-def _mimics(urdf: str | Path, names: tuple[str, ...]) -> tuple[tuple[int, int, float, float], ...]:
+def _mimics(root: ElementTree.Element, names: tuple[str, ...]) -> tuple[tuple[int, int, float, float], ...]:
     """Return which joints of the arm follow another joint of the arm, and how."""
-    root = ElementTree.fromstring(str(urdf)) if _is_text(urdf) else ElementTree.parse(urdf).getroot()
     found = []
     for joint in root.iterfind("joint"):
         mimic = joint.find("mimic")
@@ -158,30 +308,35 @@ def _path(model: Any, tip: str, base: str | None) -> list[int]:
     return path
 
 
-def _arm(model: Any, tip: str, base: str | None) -> Arm:
+def _arm(model: Any, tip: str, base: str | None, *, order: Sequence[str]) -> Arm:
     import pinocchio as pin
 
     data, q = model.createData(), pin.neutral(model)
     pin.computeJointJacobians(model, data, q)
     pin.framesForwardKinematics(model, data, q)
     origin = data.oMf[_frame_id(model, base)] if base else pin.SE3.Identity()
-    joints = range(1, model.njoints)
+    joints = [model.getJointId(name) for name in order]
     twists = [_twist(model, data, i) for i in joints]
     prismatic = np.array([not np.any(twist[3:]) for twist in twists])
     axes = np.array([_working_frame(t[:3] if p else t[3:]) for t, p in zip(twists, prismatic, strict=True)])
-    frames = [origin.homogeneous]
-    frames += [data.oMi[i].homogeneous @ transform(axes[i - 1]) for i in joints]
-    frames.append(data.oMf[_frame_id(model, tip)].homogeneous)
-    lower, upper = _limits(model, prismatic)
+    working = {0: origin.homogeneous} | {
+        i: data.oMi[i].homogeneous @ transform(axis) for i, axis in zip(joints, axes, strict=True)
+    }
+    end = model.frames[_frame_id(model, tip)].parentJoint
+    placements = [np.linalg.solve(working[model.parents[i]], working[i]) for i in joints]
+    placements.append(np.linalg.solve(working[end], data.oMf[_frame_id(model, tip)].homogeneous))
+    lower, upper = _limits(model, prismatic, joints)
     return Arm(
-        names=tuple(model.names[i] for i in joints),
+        names=tuple(order),
         prismatic=prismatic,
-        placements=np.array([np.linalg.solve(a, b) for a, b in pairwise(frames)]),
+        placements=np.array(placements),
         masses=np.array([model.inertias[i].mass for i in joints]),
-        centres=np.array([axes[i - 1].T @ model.inertias[i].lever for i in joints]),
+        centres=np.array([axis.T @ model.inertias[i].lever for i, axis in zip(joints, axes, strict=True)]),
         axes=axes,
         lower=lower,
         upper=upper,
+        parents=tuple(joints.index(model.parents[i]) if model.parents[i] else -1 for i in joints),
+        tip_joint=joints.index(end),
     )
 
 
@@ -196,10 +351,10 @@ def _twist(model: Any, data: Any, joint: int) -> np.ndarray:
     return column
 
 
-def _limits(model: Any, prismatic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _limits(model: Any, prismatic: np.ndarray, joints: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     """Return limits; default: half a turn, or half a metre, to both sides."""
     lower, upper = [], []
-    for slides, joint in zip(prismatic, list(model.joints)[1:], strict=True):
+    for slides, joint in zip(prismatic, [model.joints[i] for i in joints], strict=True):
         low, high = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
         bounded = joint.nq == 1 and np.isfinite([low, high]).all() and low < high and high - low < 1e3
         reach = 0.5 if slides else np.pi
@@ -216,6 +371,24 @@ def _working_frame(axis: np.ndarray) -> np.ndarray:
         x = np.eye(3)[1] - z[1] * z
     x = x / np.linalg.norm(x)
     return np.column_stack((x, np.cross(z, x), z))
+
+
+def frames(arm: Arm, q: np.ndarray) -> np.ndarray:
+    """Return the frames of an arm without load at joint positions q [rad or m], shape (N, n).
+
+    These are transforms of base, working frames after q and tip to the base frame, shape (N, n + 2, 4, 4).
+    """
+    moves = np.tile(np.eye(4), (*q.shape, 1, 1))
+    turn, slide = np.where(arm.prismatic, 0.0, q), np.where(arm.prismatic, q, 0.0)
+    moves[..., 0, 0] = moves[..., 1, 1] = np.cos(turn)
+    moves[..., 1, 0] = np.sin(turn)
+    moves[..., 0, 1] = -moves[..., 1, 0]
+    moves[..., 2, 3] = slide
+    chain = [np.tile(np.eye(4), (len(q), 1, 1))]
+    for joint in range(len(arm.names)):
+        chain.append(chain[arm.parents[joint] + 1] @ arm.placements[joint] @ moves[:, joint])
+    chain.append(chain[arm.tip_joint + 1] @ arm.placements[-1])
+    return np.stack(chain, axis=1)
 
 
 def transform(rotation: ArrayLike | None = None, place: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.simulate.arm import Arm, transform
+from pincal.simulate.arm import Arm, frames, transform
 from pincal.simulate.planning import (
     collect_poses,
-    frames,
     is_clear,
     newton_step,
     plan_poses,
@@ -24,6 +23,7 @@ from pincal.simulate.planning import (
     position_jacobian,
     reach,
 )
+from pincal.simulate.rods import driving
 from pincal.simulate.setup import Machine, Reading, SensorSetup, as_lists, draw_noise, refuse_scale, tips_of, transformed
 from pincal.simulate.state import Poses
 from pincal.simulate.tracker import as_read
@@ -320,8 +320,9 @@ def hold(machine: Machine, poses: Poses, places: np.ndarray, *, tool: Point, rad
             missing = missing * (1.0 - radius / np.maximum(np.linalg.norm(missing, axis=1, keepdims=True), 1e-12))
         if np.abs(missing).max(initial=0.0) < _CLOSED:
             return poses
-        jacobian = position_jacobian(machine.nominal, frames(machine.nominal, poses.q), point)
-        poses = replace(poses, q=poses.q + newton_step(machine.nominal, jacobian, missing))
+        joint_frames = frames(machine.nominal, poses.q)
+        jacobian, moves = position_jacobian(machine.nominal, joint_frames, point), driving(machine.nominal, joint_frames)
+        poses = replace(poses, q=poses.q + newton_step(moves, jacobian, missing))
     worst = int(np.abs(missing).max(axis=1).argmax())
     raise BadInputError(
         f"pose {worst + 1}: the true arm can't be held at {places[worst].round(4).tolist()}; make its errors smaller, "

@@ -240,7 +240,7 @@ class LinkBending(DeformingEffect, SizedByLoad):
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         joint = arm.index(self.joint)
-        span = arm.placements[joint + 1][:3, 3]
+        span = arm.ends[joint][:3, 3]
         length = float(np.linalg.norm(span))
         if length == 0.0:
             raise BadInputError(f"link_bending of {self.joint}: the link has no length; name another joint")
@@ -312,7 +312,7 @@ class ThermalGrowth(DeformingEffect):
 def _grow(arm: Arm, deformation: Deformation, joint: str | None, growth: np.ndarray) -> None:
     """Scale the link that a joint moves, or all, base and flange included, by relative growths, shape (N,)."""
     for i in range(len(arm.names)) if joint is None else [arm.index(joint)]:
-        shift = growth[:, None] * arm.placements[i + 1][:3, 3]
+        shift = growth[:, None] * arm.ends[i][:3, 3]
         deformation.add_at_end_of_link(arm, i, np.hstack((shift, np.zeros_like(shift))))
     if joint is None:
         deformation.base[:, :3] += growth[:, None] * arm.placements[0][:3, 3]

@@ -207,7 +207,7 @@ def _draw_weights(machine: TrueMachine, joints: Sequence[str], rng: np.random.Ge
     known = float(arm.masses[~drawn].sum())
     whole = _MASS * arm.reach**_GROWTH * rng.uniform(*_OF_ARM)
     scale = known / sizes[~drawn].sum() if known else whole / sizes.sum()
-    ways = arm.placements[1:, :3, 3] * rng.uniform(*_ALONG, (n, 1))
+    ways = arm.ends[:, :3, 3] * rng.uniform(*_ALONG, (n, 1))
     ways += np.maximum(arm.lengths, 0.1 * arm.reach)[:, None] * rng.uniform(-_BESIDE, _BESIDE, (n, 3))
     masses = np.where(drawn, scale * sizes, arm.masses)
     return replace(machine, nominal=replace(arm, masses=masses, centres=np.where(drawn[:, None], ways, arm.centres)))

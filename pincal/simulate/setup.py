@@ -120,7 +120,7 @@ class SensorSetup(ABC):
         """
         poses = machine.poses(q, scatter=draw_scatter(machine, q, rng), **conditions)
         reading = self._read(machine, poses, rng)
-        table = _pose_columns(machine.nominal.names, reading.poses, conditions) | _read_back(machine, reading.poses)
+        table = _pose_columns(machine.nominal, reading.poses, conditions) | _read_back(machine, reading.poses)
         table = {name: column[reading.rows] for name, column in table.items()} | reading.columns
         per_joint = [kind for kind in ("approach", "read") if kind in hide]
         hidden = {*hide, *(f"{kind}_{name}" for kind in per_joint for name in machine.nominal.names)}
@@ -179,14 +179,14 @@ def _read_back(machine: Machine, poses: Poses) -> Table:
     return {f"read_{effect.joint}": effect.read_back(index(effect.joint), poses, loads) for effect in seen}
 
 
-def _pose_columns(names: tuple[str, ...], poses: Poses, conditions: Mapping[str, object]) -> Table:
+def _pose_columns(arm: Arm, poses: Poses, conditions: Mapping[str, object]) -> Table:
     """Return the part of a table that doesn't depend on the sensor: joints, and the conditions that are declared."""
-    table = dict(zip(names, poses.q.T, strict=True))
+    table = {name: poses.q[:, arm.names.index(name)] for name in arm.recorded}
     for name in ("payload", "temperature", "time"):
         if conditions.get(name) is not None:
             table[name] = np.broadcast_to(np.asarray(conditions[name], float), len(poses.q))
     if poses.approach is not None:
-        table |= {f"approach_{name}": poses.approach[:, j] for j, name in enumerate(names)}
+        table |= {f"approach_{name}": poses.approach[:, arm.names.index(name)] for name in arm.recorded}
     return table
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
+from pincal.simulate.rods import rates
 
 
 @dataclass(frozen=True)
@@ -176,11 +177,11 @@ class Deformation:
 
         The twist is in the frame after q of the joint, which is given by its index.
         """
-        rotation = arm.placements[joint + 1][:3, :3]
+        rotation = arm.ends[joint][:3, :3]
         at_end = np.hstack((twist[:, :3] @ rotation, twist[:, 3:] @ rotation))
-        if joint + 1 < len(arm.names):
-            self.before[:, joint + 1] += at_end
-        else:
+        if (following := arm.next_joint(joint)) >= 0:
+            self.before[:, following] += at_end
+        elif joint == arm.tip_joint:
             self.tip[:] += at_end
 
     def change(self, before: Deformation) -> float:
@@ -218,13 +219,15 @@ def build_chain(arm: Arm) -> Any:
 
     model = pin.Model()
     identity = pin.SE3.Identity()
-    parent = model.addJoint(0, pin.JointModelFreeFlyer(), identity, "base")
-    for name, slides, placement in zip(arm.names, arm.prismatic, arm.placements, strict=False):
-        drive = pin.JointModelPZ() if slides else pin.JointModelRZ()
-        parent = model.addJoint(parent, pin.JointModelFreeFlyer(), pin.SE3(placement), f"{name} before")
+    # What stands behind each joint, and last the base.
+    behind = [0] * len(arm.names) + [model.addJoint(0, pin.JointModelFreeFlyer(), identity, "base")]
+    for i, name in enumerate(arm.names):
+        drive = pin.JointModelPZ() if arm.prismatic[i] else pin.JointModelRZ()
+        placement = pin.SE3(arm.placements[i])
+        parent = model.addJoint(behind[arm.parents[i]], pin.JointModelFreeFlyer(), placement, f"{name} before")
         parent = model.addJoint(parent, drive, identity, name)
-        parent = model.addJoint(parent, pin.JointModelFreeFlyer(), identity, f"{name} after")
-    model.addJoint(parent, pin.JointModelFreeFlyer(), pin.SE3(arm.placements[-1]), "tip")
+        behind[i] = model.addJoint(parent, pin.JointModelFreeFlyer(), identity, f"{name} after")
+    model.addJoint(behind[arm.tip_joint], pin.JointModelFreeFlyer(), pin.SE3(arm.placements[-1]), "tip")
     return model
 
 
@@ -262,6 +265,13 @@ def place(model: Any, data: Any, q: np.ndarray) -> np.ndarray:
     return places
 
 
+def joints_and_links(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the frames of the joints, shape (N, n, 4, 4), and of base and links, shape (N, n + 1, 4, 4), among places."""
+    last = places.shape[1] - 1
+    links = np.concatenate((places[:, _BASE : _BASE + 1], places[:, _AFTER:last:3]), axis=1)
+    return places[:, _JOINT:last:3], links
+
+
 def gravity_loads(
     arm: Arm, places: np.ndarray, *, payload: np.ndarray, payload_com: np.ndarray, gravity: np.ndarray
 ) -> Loads:
@@ -282,26 +292,37 @@ def gravity_loads(
     centres = np.concatenate((links, load[:, None]), axis=1)
     masses = np.column_stack((np.broadcast_to(arm.masses, links.shape[:2]), payload))
     weights = masses[..., None] * gravity
-    moments = _moments(centres, weights, joint[..., :3, 3])
-    ends = np.concatenate((before[:, 1:], tip[:, None]), axis=1)[..., :3, 3]
-    end_moments = _moments(centres[:, 1:], weights[:, 1:], ends)
-    beyond = np.cumsum(weights[:, ::-1], axis=1)[:, ::-1]
-    moment_after = _turned(after, moments)
-    base = _moments(centres, weights, places[:, _BASE : _BASE + 1, :3, 3])
+    n = len(arm.names)
+    beyond = arm.carried & ~np.eye(n, n + 1, dtype=bool)
+    moments = _moments(centres, weights, joint[..., :3, 3], arm.carried)
+    following = [arm.next_joint(i) for i in range(n)]
+    ends = np.stack([before[:, k] if k >= 0 else after[:, i] for i, k in enumerate(following)], axis=1)[..., :3, 3]
+    ends[:, arm.tip_joint] = tip[:, :3, 3]
+    base = _moments(centres, weights, places[:, _BASE : _BASE + 1, :3, 3], np.ones((1, n + 1), bool))
+    drive = np.where(arm.prismatic, _turned(joint, _sums(weights, arm.carried))[..., 2], _turned(after, moments)[..., 2])
+    if arm.pins:
+        # What hangs on joints that only follow is borne by those that move them (virtual work).
+        drive += np.einsum("np,npk->nk", drive[:, arm.passive], rates(arm, *joints_and_links(places)))
+        drive[:, arm.passive] = 0.0
     return Loads(
         before=_turned(before, moments),
         after=_turned(joint, moments),
-        drive=np.where(arm.prismatic, _turned(joint, beyond[:, :-1])[..., 2], moment_after[..., 2]),
-        end_moment=_turned(after, end_moments),
-        end_force=_turned(after, beyond[:, 1:]),
+        drive=drive,
+        end_moment=_turned(after, _moments(centres, weights, ends, beyond)),
+        end_force=_turned(after, _sums(weights, beyond)),
         base=_turned(places[:, _BASE : _BASE + 1], base)[:, 0],
     )
 
 
-def _moments(centres: np.ndarray, weights: np.ndarray, origins: np.ndarray) -> np.ndarray:
-    """Return for origin k the sum over bodies from k on of (centre - origin) x weight, shape (N, k, 3)."""
-    sums = [np.cross(centres[:, k:] - origins[:, k : k + 1], weights[:, k:]).sum(axis=1) for k in range(origins.shape[1])]
-    return np.stack(sums, axis=1)
+def _moments(centres: np.ndarray, weights: np.ndarray, origins: np.ndarray, carried: np.ndarray) -> np.ndarray:
+    """Return for origin k the sum over the bodies of mask k of (centre - origin) x weight, shape (N, k, 3)."""
+    pairs = zip(np.moveaxis(origins, 1, 0), carried, strict=True)
+    return np.stack([np.cross(centres[:, b] - o[:, None], weights[:, b]).sum(axis=1) for o, b in pairs], axis=1)
+
+
+def _sums(weights: np.ndarray, carried: np.ndarray) -> np.ndarray:
+    """Return the sum of the weights of the bodies of each mask, shape (N, k, 3)."""
+    return np.stack([weights[:, b][:, ::-1].sum(axis=1) for b in carried], axis=1)
 
 
 def _turned(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:

@@ -62,7 +62,7 @@ class LinkBending(Discoverable):
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield it on every link from one joint to the next."""
         robot = situation.chain.robot
-        joints = (joint for joint in situation.joints if robot.next_joint(situation.index(joint)) is not None)
+        joints = (joint for joint in robot.measured_joints if robot.next_joint(situation.index(joint)) is not None)
         yield from (Candidate(cls(joint)) for joint in joints)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
