@@ -21,7 +21,7 @@ import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.cli import main as command
 from pincal.cli import pincal as verbs
-from pincal.cli.common import LENGTH
+from pincal.cli.quantities import LENGTH
 from pincal.errors import MeasurementError, PincalWarning, RobotFileError
 from pincal.measure.measurements import Measurements
 from pincal.measure.orientation import CONVENTIONS as KNOWN

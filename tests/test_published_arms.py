@@ -126,13 +126,12 @@ TWICE = PARALLELOGRAM.replace(
     CLOSING.encode(), b'<joint name="pin" type="fixed"><parent link="l2"/><child link="rod"/></joint>'
 )
 REFUSED = {
-    "mimics a joint off the path": (mimicking("a", "l0"), {"tip": "l2"}, "joint 'b' between 'l0' and 'l2' mimics 'a'"),
     "mimics itself": (mimicking("b"), {"tip": "l2"}, "joint 'b' between 'l0' and 'l2' mimics 'b'"),
     "mimics with words": (mimicking('a" offset="x'), {}, "'b' mimics with"),
     "a loop for Gazebo": (PARALLELOGRAM, {"tip": "l2"}, "in the loop closed by pin b can't move"),
     "a loop in the tree": (TWICE, {}, "in the loop closed by c ends stay 300 mm"),
     "an origin beyond any robot": (arm(joint("a", "l0", "l1", xyz="0 1e200 0")), {}, "1e200.* far beyond any robot"),
-    "too many joints": (arm(*(joint(f"j{i}", f"l{i}", f"l{i + 1}") for i in range(600))), {}, "600 moving joints between"),
+    "too many joints": (arm(*(joint(f"j{i}", f"l{i}", f"l{i + 1}") for i in range(600))), {}, "600 moving joints; expect"),
 }  # fmt: skip
 
 

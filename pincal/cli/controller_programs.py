@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import option, pair
-from pincal.cli.common import LENGTH
+from pincal.cli.quantities import LENGTH
 
 if TYPE_CHECKING:
     from pincal.calibration.calibrated import CalibratedModel

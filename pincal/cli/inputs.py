@@ -14,7 +14,13 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.calibrated_robot import load_stations
 from pincal.calibration.placing import place_station, without_absent
 from pincal.calibration.validation import doubt_of
-from pincal.cli.common import CalibrationOptions, InputOptions, LinkOptions, PlaceOptions, SetupOptions
+from pincal.cli.common import (
+    CalibrationOptions,
+    InputOptions,
+    LinkOptions,
+    PlaceOptions,
+    SetupOptions,
+)
 from pincal.cli.progress import log_step
 from pincal.errors import BadInputError
 from pincal.identify.options import Options, StationOptions

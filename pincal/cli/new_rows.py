@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pincal.cli.arguments import Output, argument, group, option, verb
-from pincal.cli.common import LENGTH, GeneralOptions, TableArguments, max_error_option, model_argument, station_option
+from pincal.cli.common import (
+    GeneralOptions,
+    TableArguments,
+    max_error_option,
+    model_argument,
+    station_option,
+)
 from pincal.cli.outputs import echo_notes, extrapolation, print_json, provenance, require_accuracy
+from pincal.cli.quantities import LENGTH
 from pincal.errors import Exit, IdentificationError
 from pincal.io.result_folder import output_folder
 

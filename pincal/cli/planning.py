@@ -16,13 +16,10 @@ import numpy as np
 
 from pincal.cli.arguments import argument, as_given, group, option, verb, words_given
 from pincal.cli.common import (
-    ANGLE,
-    LENGTH,
     TABLE,
     CalibrationOptions,
     GeneralOptions,
     InputOptions,
-    Masses,
     ModelOptions,
     Triple,
     base_option,
@@ -33,6 +30,7 @@ from pincal.cli.common import (
     xacro_option,
 )
 from pincal.cli.outputs import print_json
+from pincal.cli.quantities import ANGLE, LENGTH, Masses
 from pincal.errors import Exit, printable
 
 if TYPE_CHECKING:

@@ -12,13 +12,8 @@ import click
 
 from pincal.cli.arguments import NumberType, group, option
 from pincal.cli.common import (
-    ANGLES,
-    LENGTH,
     TABLE,
     GeneralOptions,
-    Masses,
-    NoiseType,
-    QuantityType,
     Triple,
     base_option,
     gravity_option,
@@ -26,6 +21,7 @@ from pincal.cli.common import (
     tip_option,
     xacro_option,
 )
+from pincal.cli.quantities import ANGLES, LENGTH, Masses, NoiseType, QuantityType
 from pincal.errors import BadInputError
 
 if TYPE_CHECKING:
