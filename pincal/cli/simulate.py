@@ -6,7 +6,8 @@ import json
 import math
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import fields
+from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_origin, get_type_hints
 
@@ -59,14 +60,27 @@ def simulate(arguments: SimulateArguments) -> Exit:
 
     arguments.check()
     given = arguments.machine
-    robot = Robot.from_urdf(arguments.robot, tip=given.tip, base=given.base, xacro_args=dict(given.xacro_args))
+    load = partial(
+        Robot.from_urdf,
+        arguments.robot,
+        tip=given.tip,
+        base=given.base,
+        start=given.start,
+        xacro_args=dict(given.xacro_args),
+    )
+    robot = load()
+    if given.also:
+        robot = load(paths=[(robot.base, link) for link in given.also])
     machine = _machine(robot, arguments)
     log_step("planning poses")
     campaign = _campaign(robot, machine, arguments)
     log_step("measuring them")
     table = campaign.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
     table = {name: table[name] for name in (robot.joint_names[i] for i in robot.own_joints)} | table
-    names = {"robot": robot.name, "base": robot.base, "tip": robot.tip}
+    start, rows = robot.path.start, len(table[machine.names[0]])
+    if start != robot.base or robot.links:
+        table |= {"from": np.repeat(start, rows), "to": np.repeat(robot.tip, rows)}
+    names = {"robot": robot.name, "base": start, "tip": robot.tip}
     seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
     found = names | seeds | campaign.truth(machine, tip=robot.tip)
     drawn = [joint for joint in machine.names if joint in robot.unweighed]
@@ -82,7 +96,6 @@ def simulate(arguments: SimulateArguments) -> Exit:
         "--points-out": (beside.points_out, lambda path: write_table(path, points)),
         "--camera-out": (beside.camera_out, lambda path: _write_json(path, contents=found["camera"])),
     })  # fmt: skip
-    rows = len(table[machine.names[0]])
     end_progress()
     if arguments.general.as_json:
         print_json({"rows": rows, "columns": list(table), "out": str(arguments.out)} | found)
@@ -97,17 +110,20 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
     from pincal.simulate.request import draw_machine
 
     given = arguments.machine
-    nominal = TrueMachine.from_urdf(
+    made = partial(
+        TrueMachine.from_urdf,
         arm_text(robot.urdf, robot.joint_names, robot.source, loops=True),
-        tip=robot.tip,
         base=robot.base,
-        joints=robot.joint_names,
+        joints=_in_one_order(robot),
         passive=robot.passive,
         moment_frame=given.moment_frame,
         gravity=given.gravity or tuple(robot.gravity.tolist()),
     )
-    return draw_machine(
-        nominal,
+    # Errors are in proportion to an arm: of a tree always the same one, wherever it is seen from.
+    measured = made(tip=robot.tip, start=robot.path.start).nominal
+    ends = {robot.tip, *(tip for _, tip in robot.links)}
+    machine = draw_machine(
+        made(tip=min(ends)),
         seed=arguments.campaign.seed,
         errors=given.errors,
         elastic=given.elastic,
@@ -115,6 +131,17 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
         effects=[parse_effect(text, robot.joint_names) for text in given.effects],
         unweighed=robot.unweighed,
     )
+    return replace(machine, nominal=replace(measured, masses=machine.nominal.masses, centres=machine.nominal.centres))
+
+
+def _in_one_order(robot: Robot) -> tuple[str, ...]:
+    """Return the joints, of a tree in an order that does not depend on the path, so that seeds mean the same machine."""
+    if not robot.links:
+        return robot.joint_names
+    depth = list[int]()
+    for parent in robot.parents:
+        depth.append(depth[parent] + 1 if parent >= 0 else 0)
+    return tuple(name for _, name in sorted(zip(depth, robot.joint_names, strict=True)))
 
 
 def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> Campaign:
@@ -129,6 +156,8 @@ def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) 
         from pincal.cli.inputs import load_table
 
         q, conditions = poses_of_table(load_table(robot, given.at, joints_only=True))
+        order = [robot.joint_names.index(name) for name in machine.names]
+        q, conditions = q[:, order], conditions | {k: v[:, order] for k, v in conditions.items() if v.ndim == 2}
     else:
         rng = Stream.POSES.generator(arguments.pose_seed)
         try:

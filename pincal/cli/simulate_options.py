@@ -85,6 +85,14 @@ class MachineArguments:
 
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
+    start: str | None = option(
+        "Link from which the tip is seen, such as the other hand.", metavar="LINK", name="--from", words="the base"
+    )
+    also: tuple[str, ...] = option(
+        "Further link whose joints belong to the machine: simulations with the same tips and seed are of the same machine.",
+        (),
+        metavar="LINK",
+    )
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     errors: float = option("Size of the geometric errors: 1 is typical, 0 none.", 1.0, metavar="SCALE", type=_SCALE)
     elastic: float = option(

@@ -82,9 +82,9 @@ def fit_tables(
     options = _completed(robot, options, tables)
     fit = with_bearings(_rescaled(_fitted(robot, tables, options, executor)))
     _refuse_too_few(tables, fit)
+    fit = _in_best_frame(replace(fit, nominal=_without_outliers(fit, executor)))
     if options.prior_scale is None and options.earlier is None and not has_instrument(fit):
         fit = _cautious(fit)
-    fit = _in_best_frame(replace(fit, nominal=_without_outliers(fit, executor)))
     return with_blocks(reweighted_by_order(fit) if options.serial and is_dependent(fit) else fit)
 
 

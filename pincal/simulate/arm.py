@@ -7,7 +7,7 @@ along the joint axis (the y axis where x is parallel to the joint axis). Where t
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -60,6 +60,8 @@ class Arm:
         tip_joint: The joint that moves the tip; by default the last.
         pins: What closes loops.
         passive: The joints that follow from the others as the loops have it.
+        start_joint: The joint that moves the link from which the tip is seen; -1 for the base.
+        start: That link in the working frame of its joint, or in the base frame, shape (4, 4).
     """
 
     names: tuple[str, ...]
@@ -75,6 +77,8 @@ class Arm:
     tip_joint: int = -1
     pins: tuple[Pin, ...] = ()
     passive: tuple[int, ...] = ()
+    start_joint: int = -1
+    start: np.ndarray = field(default_factory=lambda: np.eye(4))
 
     def __post_init__(self) -> None:
         """Fill in that each joint carries the next, and the last the tip."""
@@ -86,12 +90,20 @@ class Arm:
     def carried(self) -> np.ndarray:
         """Which links, and last the load at the tip, each joint carries, shape (n, n + 1)."""
         n = len(self.names)
-        carried = np.zeros((n, n + 1), bool)
-        for body, joint in [*((i, i) for i in range(n)), (n, self.tip_joint)]:
-            while joint >= 0:
-                carried[joint, body] = True
-                joint = self.parents[joint]
-        return carried
+        return np.stack([self._supports(joint) for joint in (*range(n), self.tip_joint)], axis=1)
+
+    @cached_property
+    def movers(self) -> np.ndarray:
+        """How each joint moves the tip as seen from the start link: 1 if it carries the tip alone, -1 the start, (n,)."""
+        return np.asarray(self._supports(self.tip_joint).astype(float) - self._supports(self.start_joint))
+
+    def _supports(self, joint: int) -> np.ndarray:
+        """Return which joints carry what a joint moves, shape (n,)."""
+        found = np.zeros(len(self.names), bool)
+        while joint >= 0:
+            found[joint] = True
+            joint = self.parents[joint]
+        return found
 
     @property
     def recorded(self) -> list[str]:
@@ -135,8 +147,8 @@ class Arm:
 
     @property
     def reach(self) -> float:
-        """Sum of the distances from joint to joint and to the tip [m]."""
-        return float(self.lengths.sum())
+        """Sum of the distances from joint to joint on the way to the tip, and to it [m]; all of those of a loop."""
+        return float(self.lengths[(self.movers != 0.0) | bool(self.pins)].sum())
 
     def index(self, joint: str | None) -> int:
         """Return the index of a joint by its name in the URDF, 0 at the base.
@@ -151,7 +163,13 @@ class Arm:
 
 
 def read_arm(
-    urdf: str | Path, tip: str, base: str | None = None, *, joints: Sequence[str] = (), passive: Collection[str] = ()
+    urdf: str | Path,
+    tip: str,
+    base: str | None = None,
+    *,
+    start: str | None = None,
+    joints: Sequence[str] = (),
+    passive: Collection[str] = (),
 ) -> Arm:
     """Read the arm between two frames of a URDF with Pinocchio.
 
@@ -160,7 +178,8 @@ def read_arm(
     Args:
         urdf: Path of a URDF file, or its XML text.
         tip: Name of the link at the end of the arm.
-        base: Name of the link in whose frame positions are given; default: the root of the URDF.
+        base: Name of the link on which the arm stands; default: the root of the URDF.
+        start: Name of the link in whose frame positions are given; default: the base.
         joints: Names of the joints that move, each behind the one that carries it; default: those between base and tip.
         passive: Of them those that follow from the others as the loops of the URDF have it; without any loops stay open.
 
@@ -175,7 +194,7 @@ def read_arm(
     path = [full.getJointId(name) for name in joints] or _path(full, tip, base)
     locked = [index for index in range(1, full.njoints) if index not in path]
     model = pin.buildReducedModel(full, locked, pin.neutral(full)) if locked else full
-    arm = _arm(model, tip, base, order=joints or model.names[1:])
+    arm = _arm(model, tip, base, start=start or base, order=joints or model.names[1:])
     arm = replace(arm, mimics=_mimics(root, arm.names))
     return _with_pins(arm, model, base, halves, passive) if passive else arm
 
@@ -308,7 +327,7 @@ def _path(model: Any, tip: str, base: str | None) -> list[int]:
     return path
 
 
-def _arm(model: Any, tip: str, base: str | None, *, order: Sequence[str]) -> Arm:
+def _arm(model: Any, tip: str, base: str | None, *, start: str | None, order: Sequence[str]) -> Arm:
     import pinocchio as pin
 
     data, q = model.createData(), pin.neutral(model)
@@ -326,6 +345,8 @@ def _arm(model: Any, tip: str, base: str | None, *, order: Sequence[str]) -> Arm
     placements = [np.linalg.solve(working[model.parents[i]], working[i]) for i in joints]
     placements.append(np.linalg.solve(working[end], data.oMf[_frame_id(model, tip)].homogeneous))
     lower, upper = _limits(model, prismatic, joints)
+    carrier = model.frames[_frame_id(model, start)].parentJoint if start else 0
+    seen_from = data.oMf[_frame_id(model, start)] if start else pin.SE3.Identity()
     return Arm(
         names=tuple(order),
         prismatic=prismatic,
@@ -337,6 +358,8 @@ def _arm(model: Any, tip: str, base: str | None, *, order: Sequence[str]) -> Arm
         upper=upper,
         parents=tuple(joints.index(model.parents[i]) if model.parents[i] else -1 for i in joints),
         tip_joint=joints.index(end),
+        start_joint=joints.index(carrier) if carrier else -1,
+        start=np.linalg.solve(working[carrier], seen_from.homogeneous),
     )
 
 
@@ -376,8 +399,14 @@ def _working_frame(axis: np.ndarray) -> np.ndarray:
 def frames(arm: Arm, q: np.ndarray) -> np.ndarray:
     """Return the frames of an arm without load at joint positions q [rad or m], shape (N, n).
 
-    These are transforms of base, working frames after q and tip to the base frame, shape (N, n + 2, 4, 4).
+    These are transforms of base, working frames after q and tip to the frame of the start link, shape (N, n + 2, 4, 4).
     """
+    places = frames_in_base(arm, q)
+    return places if arm.start_joint < 0 else np.linalg.inv(places[:, arm.start_joint + 1] @ arm.start)[:, None] @ places
+
+
+def frames_in_base(arm: Arm, q: np.ndarray) -> np.ndarray:
+    """Return the same as :func:`frames` in the base frame."""
     moves = np.tile(np.eye(4), (*q.shape, 1, 1))
     turn, slide = np.where(arm.prismatic, 0.0, q), np.where(arm.prismatic, q, 0.0)
     moves[..., 0, 0] = moves[..., 1, 1] = np.cos(turn)

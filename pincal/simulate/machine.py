@@ -83,6 +83,7 @@ class TrueMachine:
         *,
         tip: str,
         base: str | None = None,
+        start: str | None = None,
         joints: Sequence[str] = (),
         passive: Collection[str] = (),
         **errors: Any,
@@ -92,7 +93,8 @@ class TrueMachine:
         Args:
             urdf: Path of a URDF file, or its XML text.
             tip: Frame at the end of the arm.
-            base: Frame in which positions are given; default: the root of the URDF.
+            base: Link on which the arm stands; default: the root of the URDF.
+            start: Link in whose frame positions are given; default: the base.
             joints: Names of the joints that move, each behind the one that carries it; default: those from base to tip.
             passive: Of these the joints that follow from the others as loops have it; default: no loops.
             **errors: Any attribute but ``nominal``.
@@ -101,7 +103,7 @@ class TrueMachine:
             RobotFileError: If the URDF has no such arm.
             BadInputError: If an attribute has a wrong name or shape.
         """
-        return cls.of_arm(read_arm(urdf, tip, base, joints=joints, passive=passive), **errors)
+        return cls.of_arm(read_arm(urdf, tip, base, start=start, joints=joints, passive=passive), **errors)
 
     @classmethod
     def of_arm(cls, nominal: Arm, **errors: Any) -> TrueMachine:
@@ -210,7 +212,10 @@ class TrueMachine:
             loads = gravity_loads(self.arm, places, payload=mass, payload_com=com, gravity=gravity)
             settled = self._deformed(poses, loads)
             if settled.change(deformation) < _AT_REST:
-                return Equilibrium(tip=places[:, -1], deformation=deformation, loads=loads)
+                tip, k = places[:, -1], self.arm.start_joint
+                if k >= 0:
+                    tip = np.linalg.solve(joints_and_links(places)[1][:, k + 1] @ self.arm.start, tip)
+                return Equilibrium(tip=tip, deformation=deformation, loads=loads)
             deformation = settled
         raise BadInputError(f"the arm does not come to rest in {_ROUNDS} rounds; use a smaller compliance")
 

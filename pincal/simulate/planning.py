@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.errors import BadInputError
-from pincal.simulate.arm import Arm, frames
+from pincal.simulate.arm import Arm, frames, frames_in_base
 from pincal.simulate.rods import driving, following
 
 # Rounds of draws after which limits on the poses count as impossible.
@@ -82,7 +82,7 @@ def is_clear(arm: Arm, q: np.ndarray, min_height: float | None) -> np.ndarray:
     clear = np.empty(len(q), bool)
     for start in range(0, len(q), _PIECE):
         piece = slice(start, start + _PIECE)
-        heights = frames(arm, q[piece])[:, 1:, 2, 3]
+        heights = frames_in_base(arm, q[piece])[:, 1:, 2, 3]
         clear[piece] = heights[:, min(2, heights.shape[1] - 1) :].min(axis=1) > min_height
     return clear
 
@@ -143,8 +143,8 @@ def newton_step(moves: np.ndarray, jacobian: np.ndarray, missing: np.ndarray) ->
 
 
 def position_jacobian(arm: Arm, joint_frames: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Return the derivative of points [base frame, m, shape (N, 3)] by the joints, shape (N, 3, n)."""
-    axes = np.where(arm.carried[:, -1:], joint_frames[:, 1:-1, :3, 2], 0.0)
+    """Return the derivative of points at the tip [start link's frame, m, shape (N, 3)] by the joints, shape (N, 3, n)."""
+    axes = arm.movers[:, None] * joint_frames[:, 1:-1, :3, 2]
     levers = point[:, None] - joint_frames[:, 1:-1, :3, 3]
     columns = np.where(arm.prismatic[:, None], axes, np.cross(axes, levers))
     return np.swapaxes(columns, 1, 2)
@@ -159,5 +159,5 @@ def _missing(arm: Arm, joint_frames: np.ndarray, *, goal: np.ndarray, tool: np.n
 
     turn = goal[:, :3, :3] @ np.swapaxes(tip[:, :3, :3], 1, 2)
     missing = np.hstack((goal[:, :3, 3] - tip[:, :3, 3], Rotation.from_matrix(turn).as_rotvec()))
-    axes = np.where(arm.prismatic[:, None] | ~arm.carried[:, -1:], 0.0, joint_frames[:, 1:-1, :3, 2])
+    axes = np.where(arm.prismatic, 0.0, arm.movers)[:, None] * joint_frames[:, 1:-1, :3, 2]
     return missing, np.hstack((position_jacobian(arm, joint_frames, tip[:, :3, 3]), np.swapaxes(axes, 1, 2)))

@@ -195,7 +195,7 @@ class Equilibrium:
     """The arm at rest under gravity.
 
     Attributes:
-        tip: Transform from the tip to the undeformed base frame, shape (N, 4, 4).
+        tip: Transform from the tip to the start link, by default the undeformed base, shape (N, 4, 4).
         deformation: Sum of all effects.
         loads: Gravity loads on the deformed arm.
     """
