@@ -68,8 +68,9 @@ def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) 
         falls.append(f"from {before:.2g} to {after:.2g} mm at {link}")
         if after > _NOT_IMPROVED * before:
             yield Caveat(CaveatKind.BLIND, {"link": link, "before": before, "after": after})
-    factor = 1.0 if fit.options.prior_scale is None else fit.options.prior_scale
-    yield Caveat(CaveatKind.NO_INSTRUMENT, {"factor": factor, "how": ", ".join(falls)})
+    geometry, elasticity = fit.options.prior_scale or (1.0, 1.0)
+    figures = {"geometry": geometry, "elasticity": elasticity, "how": ", ".join(falls)}
+    yield Caveat(CaveatKind.NO_INSTRUMENT, figures)
     for station, places in zip(fit.problem.stations, fit.problem.places, strict=True):
         if unseen := unseen_directions(station, fit.values[places]):
             yield Caveat(CaveatKind.UNSEEN_DIRECTION, {"where": _within(unseen), "base": robot.base}, station.name)

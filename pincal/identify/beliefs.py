@@ -100,28 +100,25 @@ def excited_of(problem: Problem) -> np.ndarray:
     return np.asarray(problem.beliefs.is_remembered | problem.largest_basis[1])
 
 
-def is_deviation(problem: Problem, options: Options) -> np.ndarray:
-    """Return which parameters are the robot's geometry and elasticity, shape (P,), where an arm is mounted left out.
+def deviations(problem: Problem, options: Options) -> tuple[np.ndarray, np.ndarray]:
+    """Return which parameters are the robot's geometry and which its elasticity, shape (P,) each.
 
-    Those whose priors the user gave or whose zeros are unknown are left out, too.
+    Left out are where an arm is mounted, those whose priors the user gave, and joint offsets whose zeros are unknown.
     """
     mounts, zeros = problem.chain.mounts, [f"{pattern}.theta" for pattern in options.zeros]
-    robots = np.array(
-        [
-            (p.unit in ("m", "rad") or p.is_compliance)
-            and p.local_name not in mounts
-            and not any(fnmatchcase(p.local_name, zero) for zero in zeros)
-            for p in problem.parameters
-        ]
+    unknown = np.array(
+        [p.local_name in mounts or any(fnmatchcase(p.local_name, z) for z in zeros) for p in problem.parameters]
     )
-    return np.asarray(robots & ~is_frame(problem) & ~sensors_own(problem) & np.isnan(given_sizes(problem, options)))
+    known = ~(unknown | is_frame(problem) | sensors_own(problem)) & np.isnan(given_sizes(problem, options))
+    elastic = np.array([p.is_compliance for p in problem.parameters], bool)
+    return known & ~elastic & np.array([p.unit in ("m", "rad") for p in problem.parameters], bool), known & elastic
 
 
 def priors_of(problem: Problem, options: Options) -> Priors:
     """Return priors by physical group: so many mm, mrad, or mrad at the largest moment that these poses bring."""
     sizes, given = np.array([p.size for p in problem.parameters]) / problem.largest_basis[0], given_sizes(problem, options)
-    if options.prior_scale is not None:
-        sizes[is_deviation(problem, options)] *= options.prior_scale
+    for kind, scale in zip(deviations(problem, options), options.prior_scale or (1.0, 1.0), strict=True):
+        sizes[kind] *= scale
     for pattern in options.zeros:
         unknown = [fnmatchcase(p.local_name, f"{pattern}.theta") for p in problem.parameters]
         sizes[np.array(unknown, bool)] = np.pi

@@ -90,7 +90,7 @@ def fit_tables(
 
 def _cautious(fit: ModelFit) -> ModelFit:
     """Return a fit with the priors that regions which are left out call for."""
-    scale = 1.0
+    scale = 1.0, 1.0
     for _ in range(_SCALINGS):
         before, scale = scale, prior_scale(fit)
         if scale == before:

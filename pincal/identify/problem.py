@@ -31,7 +31,7 @@ from pincal.measure.extrinsics import sample_rows
 from pincal.measure.sensor import Block
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions, joined_conditions, part_of
-from pincal.model.effects import BaseFrame, Effect, ToolFrame
+from pincal.model.effects import LENGTHS, BaseFrame, Effect, ToolFrame
 from pincal.model.sizes import largest_bases
 from pincal.parameters import Estimate, Parameter, carried_over
 
@@ -149,6 +149,35 @@ class Beliefs(NamedTuple):
         return Form.of(information, slope)
 
 
+def slope_of_contacts(station: Station) -> np.ndarray:
+    r"""Return what keeps the noise of contacts from shrinking the robot: the slope of a row's log-likelihood, shape (P,).
+
+    Contacts read joints q at which residuals r(q) are small. The smaller the robot, the smaller they are, whatever it is:
+    what q tells of it has the density of r times :math:`\sqrt{\det (J J^T)}` with J = dr/dq, which grows with the scale s of
+    the robot as :math:`s^m` for m components of r. Without this :math:`m \ln s` of each row N rows shrink a robot whose scale
+    is known to sigma by about :math:`m N \sigma^2`. The scale is that of the lengths L on the path, :math:`\ln s = L^T \delta /
+    L^T L` for deviations delta of theirs.
+    """
+    chain, nothing = station.model.chain, np.zeros(len(station.parameters))
+    if not station.sensor.is_of_joints:
+        return nothing
+    passed = {name for name, on in zip(chain.robot.joint_names, chain.on_path, strict=True) if on}
+    lengths = np.array([p.nominal if p.symbol in LENGTHS and p.element in passed else 0.0 for p in station.parameters])
+    return int(station.block_sizes.sum()) * lengths / (lengths @ lengths) if lengths.any() else nothing
+
+
+def _scale_of_contacts(problem: Problem) -> Earlier | None:
+    """Return :func:`slope_of_contacts` of all rows as squares about a point so far away that they are straight."""
+    slope = np.zeros(len(problem.parameters))
+    for station, places in zip(problem.stations, problem.places, strict=True):
+        slope[places] += len(station) * slope_of_contacts(station)
+    at = np.flatnonzero(slope)
+    if not len(at):
+        return None
+    along = slope[at] / np.linalg.norm(slope)
+    return Earlier(tuple(problem.parameters[k].name for k in at), slope[at], np.outer(along, along), None, at)
+
+
 # Rows by which sizes are judged.
 _ROWS = 1000
 
@@ -241,6 +270,8 @@ class Problem:
                 if np.all(self.is_shared[places] & ~is_remembered[places]):
                     names = tuple(self.parameters[place].name for place in places)
                     terms.append(Earlier(names, np.zeros(len(places)), information, None, places))
+        if self.earlier is None and (scale := _scale_of_contacts(self)) is not None:
+            terms.append(scale)
         return Beliefs(tuple(terms), is_remembered)
 
     @cached_property

@@ -2,7 +2,7 @@ r"""Regions of joint space, and how far a robot may be from its URDF, by regions
 
 Readings without an instrument (contacts, planes, gauges, sockets) see few directions at few places. What they do not see
 keeps its prior, and one that is wider than the robot's deviations lets errors of the contacts pass for geometry, which then
-does harm wherever nobody measured. The priors of geometry and elasticity are therefore multiplied by the factor by which
+does harm wherever nobody measured. The priors of geometry and of elasticity are therefore multiplied by the factors by which
 rows of regions are predicted best from the others. With what all rows and the prior P say of the parameters about a point,
 information H + P and gradient b, their evidence is :math:`E = (b^T (H + P)^{-1} b - \log\det (H + P)) / 2`, and region r has
 the log-likelihood, given the others,
@@ -10,23 +10,28 @@ the log-likelihood, given the others,
 .. math:: E(H, b) - E(H - H_r, b - b_r) - s_r / 2
 
 with its squares s_r at that point. Of factors whose likelihoods differ by less than a standard error of the difference over
-the regions the smallest counts (Breiman et al. 1984, Classification and Regression Trees, 3.4.3).
+the regions, or by less than is strong evidence, those count whose larger is the smallest (Breiman et al. 1984,
+Classification and Regression Trees, 3.4.3).
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
-from pincal.identify.beliefs import is_deviation
+from pincal.identify.beliefs import deviations
 from pincal.identify.fit import ModelFit
 from pincal.identify.normal import accumulate
+from pincal.identify.problem import slope_of_contacts
 from pincal.identify.quadratic import Factor, Form
 from pincal.model.conditions import TURN
 
 # Factors that are tried, and regions of each station.
 _SCALES, _REGIONS = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001), 10
+# Difference of log-likelihoods that is strong evidence (Kass and Raftery 1995, Bayes factors: 2 ln B of 6).
+_STRONG = 3.0
 # Standard deviation of what has no prior [m or rad], so that a region without which nothing is known of it has one.
 _ANYWHERE = 10.0
 
@@ -68,23 +73,24 @@ def has_instrument(fit: ModelFit) -> bool:
     return any(station.sensor.base_symbols or station.sensor.is_on_tool for station in fit.problem.stations)
 
 
-def prior_scale(fit: ModelFit) -> float:
-    """Return the factor on the priors of geometry and elasticity, see above; 1 where there are too few regions to tell."""
+def prior_scale(fit: ModelFit) -> tuple[float, float]:
+    """Return the factors on the priors of geometry and of elasticity, see above; 1 where too few regions tell them."""
     free, sizes = fit.solution.free, np.minimum(fit.priors.sizes, _ANYWHERE)
     regions, offsets = _regions(fit), np.where(np.isfinite(fit.priors.sizes), fit.values, 0.0)[free]
-    scaled, sizes = is_deviation(fit.problem, fit.options)[free], sizes[free] / _scale_of(fit, free)
-    if len(regions) < 2 or not scaled.any():
-        return 1.0
-    likely = np.array([_likelihoods(regions, np.where(scaled, sizes * scale, sizes), offsets) for scale in _SCALES])
+    kinds = [kind[free] for kind in deviations(fit.problem, fit.options)]
+    if len(regions) < 2 or not any(kind.any() for kind in kinds):
+        return 1.0, 1.0
+
+    def scaled(scales: tuple[float, float]) -> np.ndarray:
+        return np.asarray(np.where(kinds[0], scales[0], np.where(kinds[1], scales[1], 1.0)))
+
+    nominal = sizes[free] / scaled(fit.options.prior_scale or (1.0, 1.0))
+    tried = [*product(_SCALES, _SCALES if kinds[1].any() else (1.0,))]
+    likely = np.array([_likelihoods(regions, nominal * scaled(scales), offsets) for scales in tried])
     behind = likely[np.argmax(likely.sum(axis=1))] - likely
     doubt = behind.std(axis=1, ddof=1) * np.sqrt(len(regions))
-    return min(scale for scale, less, by in zip(_SCALES, behind.sum(axis=1), doubt, strict=True) if less <= by)
-
-
-def _scale_of(fit: ModelFit, free: np.ndarray) -> np.ndarray:
-    """Return the factors that the priors of a fit have, shape (F,)."""
-    scale = 1.0 if fit.options.prior_scale is None else fit.options.prior_scale
-    return np.asarray(np.where(is_deviation(fit.problem, fit.options), scale, 1.0)[free])
+    good = [scales for scales, less, by in zip(tried, behind.sum(axis=1), doubt, strict=True) if less <= max(by, _STRONG)]
+    return min(good, key=lambda scales: (max(scales), min(scales)))
 
 
 def _regions(fit: ModelFit) -> list[tuple[Form, float]]:
@@ -98,7 +104,7 @@ def _regions(fit: ModelFit) -> list[tuple[Form, float]]:
             part = region == each
             normal = accumulate(station.select(part), solution.values[places], here, robust[part])
             own, H, g = replace(normal, believed=None).at(sigma), np.zeros((n_free, n_free)), np.zeros(n_free)
-            H[np.ix_(at, at)], g[at] = own.H, own.g
+            H[np.ix_(at, at)], g[at] = own.H, own.g + int(part.sum()) * slope_of_contacts(station)[here]
             found.append((Form.of(H, g), float(np.sum(normal.squares / sigma**2))))
     return found
 

@@ -102,6 +102,8 @@ class Sensor(ABC):
         pose_limit: where many rows can share a pose and yet give no more than its six coordinates, completes the message
             "3 poses ...".
         has_camera: whether a known camera can be given.
+        is_of_joints: whether a row reads nothing but the joints where something touches, see
+            :func:`pincal.identify.problem.slope_of_contacts`.
         is_on_tool: whether the sensor itself sits on the tool, so that its mount can be given.
         deviation_end: where an arrow from the predicted position ends that is as long as the reading deviates.
     """
@@ -117,6 +119,7 @@ class Sensor(ABC):
     reads_pose: ClassVar[bool] = False
     pose_limit: ClassVar[str] = ""
     has_camera: ClassVar[bool] = False
+    is_of_joints: ClassVar[bool] = False
     is_on_tool: ClassVar[bool] = False
     deviation_end: ClassVar[str] = "measured"
 

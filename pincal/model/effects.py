@@ -40,13 +40,14 @@ ANGLE_SIZE = 3e-3
 LENGTH_SIZE = 3e-3
 # How far an arm may stand from its place beside another one [m], and how far it may be turned [rad].
 _MOUNT_SIZE = 1e-2
-_LENGTHS = ("d", "a", *MOUNT_SYMBOLS)
+LENGTHS = ("d", "a", *MOUNT_SYMBOLS)
+"""Symbols of the coordinates of a joint that are lengths."""
 
 
 def _size(chain: Chain, element: str, symbol: str) -> float:
     if f"{element}.{symbol}" in chain.mounts:
         return _MOUNT_SIZE
-    return LENGTH_SIZE if symbol in _LENGTHS else ANGLE_SIZE
+    return LENGTH_SIZE if symbol in LENGTHS else ANGLE_SIZE
 
 
 class _Geometry(Effect):
@@ -64,7 +65,7 @@ class _Geometry(Effect):
         return tuple(
             Parameter(
                 name=f"{element}.{symbol}",
-                unit="m" if symbol in _LENGTHS else "rad",
+                unit="m" if symbol in LENGTHS else "rad",
                 effect=self.name,
                 nominal=float(chain.nominal[k]),
                 size=_size(chain, element, symbol),

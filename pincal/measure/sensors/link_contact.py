@@ -46,6 +46,7 @@ class LinkDistanceSensor(PointDistances, Divided):
     """1D: known distances, shape (N,) [m], between points of two links, such as the centres of balls that touch."""
 
     kind: ClassVar[str] = "contact distance"
+    is_of_joints: ClassVar[bool] = True
     fields: ClassVar[tuple[Field, ...]] = (Field("distance", ("distance",), "length", NOT_NEGATIVE), FIRST, SECOND)
     names_points: ClassVar[str | None] = "first"
     thing: ClassVar[str] = "a point of a link"

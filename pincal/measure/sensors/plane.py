@@ -207,6 +207,7 @@ class PlaneContactSensor(PlaneSensor):
     """1D: contact of the probe's tip with a plane."""
 
     kind: ClassVar[str] = "plane"
+    is_of_joints: ClassVar[bool] = True
     fields: ClassVar[tuple[Field, ...]] = (PLANE,)
 
     @classmethod

@@ -34,6 +34,7 @@ class Coincidences(PointSensor):
     blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3),)
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
     twist_rows: ClassVar[int] = 3
+    is_of_joints: ClassVar[bool] = True
     per_row: ClassVar[tuple[str, ...]] = ("index", "shift")
     fewest: ClassVar[int] = 2
     impossible: ClassVar[None] = None
