@@ -153,10 +153,10 @@ def slope_of_contacts(station: Station) -> np.ndarray:
     r"""Return what keeps the noise of contacts from shrinking the robot: the slope of a row's log-likelihood, shape (P,).
 
     Contacts read joints q at which residuals r(q) are small. The smaller the robot, the smaller they are, whatever it is:
-    what q tells of it has the density of r times :math:`\sqrt{\det (J J^T)}` with J = dr/dq, which grows with the scale s of
-    the robot as :math:`s^m` for m components of r. Without this :math:`m \ln s` of each row N rows shrink a robot whose scale
-    is known to sigma by about :math:`m N \sigma^2`. The scale is that of the lengths L on the path, :math:`\ln s = L^T \delta /
-    L^T L` for deviations delta of theirs.
+    the likelihood of q is the density of r times :math:`\sqrt{\det (J J^T)}` with J = dr/dq, which grows with the scale s
+    of the robot as :math:`s^m` for m components of r. Without this :math:`m \ln s` of each row N rows shrink a robot whose
+    scale is known to sigma by about :math:`m N \sigma^2`. The scale is that of the lengths L on the path,
+    :math:`\ln s = L^T \delta / L^T L` for deviations delta of theirs.
     """
     chain, nothing = station.model.chain, np.zeros(len(station.parameters))
     if not station.sensor.is_of_joints:
