@@ -173,6 +173,21 @@ class StationModel:
         """
         return conditions_of(self.model, measurements, np.array(self.payload_centre))
 
+    def between(self, start: str | None = None, tip: str | None = None) -> Self:
+        """Return the model of where a link of the robot is, seen from another: without any instrument or target.
+
+        Args:
+            start: the link from which it is seen; default: the robot's base.
+            tip: the link; default: that of the calibration.
+
+        Raises:
+            RobotFileError: for an unknown link, or if a joint on the way is locked in this robot.
+        """
+        own = self.with_effects(lambda effect: effect.scope == "robot")
+        chain = own.model.chain.between(start or own.model.chain.robot.base, tip or own.model.chain.path.tip)
+        chain = chain.with_references(np.eye(3), np.tile(np.eye(3), (len(chain.targets), 1, 1)))
+        return replace(own, model=own.model.with_chain(chain))
+
     def conditions_at(self, q: ArrayLike, *, payload: float = 0.0, target: str | None = None) -> Conditions:
         """Return the conditions of joint positions that share a payload [kg] and a target.
 

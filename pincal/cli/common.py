@@ -196,6 +196,10 @@ class PlaceOptions:
 
     placement: Path | None = option("Locate instrument and target from these few measured rows.", metavar="FEW.csv")
     station: str | None = station_option(words="the only one")
+    start: str | None = option(
+        "Link of the robot that poses are seen from, without any instrument.", metavar="LINK", name="--from", words="its base"
+    )
+    to: str | None = option("Link whose poses they are, without any target: of any arm of the robot.", metavar="LINK")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -327,8 +327,12 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
     """
     if chosen.placement is not None and chosen.station is not None:
         raise click.UsageError("--placement identifies a new pose, --station takes one of the model; give one of them")
+    if (chosen.start or chosen.to) and (chosen.placement or chosen.station):
+        raise click.UsageError("--from and --to are about links, --placement and --station about an instrument; choose one")
     stations = load_stations(path)
     first = next(iter(stations.models.values()))
+    if chosen.start or chosen.to:
+        return PlacedModel(stations.robot_model().between(chosen.start, chosen.to))
     if chosen.placement is not None:
         return _placed(first, chosen.placement, reading)
     if chosen.station is not None:
@@ -336,7 +340,7 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
     if len(stations.models) > 1:
         raise BadInputError(
             f"{path}: calibrated at the stations {', '.join(stations.names)}; expected a choice: --station NAME for one of "
-            "them, or --placement FEW.csv with some measured rows for a new place"
+            "them, --placement FEW.csv with some measured rows for a new place, or links of the robot: --from LINK --to LINK"
         )
     return PlacedModel(first)
 
