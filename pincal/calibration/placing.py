@@ -67,7 +67,7 @@ class FrameShift:
             ("the target moved by", self.target, "m"),
         )
         told = [f"{words} {format_readable(way, unit, '.4g')}" for words, way, unit in ways if way is not None]
-        return ", ".join(told) or "such readings do not show how far they moved"
+        return ", ".join(told) or "how far they moved is unknown"
 
 
 @dataclass(frozen=True, repr=False)
@@ -264,6 +264,10 @@ def moved(before: CalibratedModel, after: CalibratedModel) -> FrameShift:
     """Return how far instrument and targets are from where they were, for the same robot at two stations."""
     both = set(before.estimate.names) & set(after.estimate.names)
     instrument = turned = target = None
+    links = [(model.model.chain.path.start, model.model.chain.path.tip) for model in (before, after)]
+    if links[0] != links[1]:
+        # What stands on another link has not moved, and another hand has other targets.
+        return FrameShift(None, None, None)
     T_instrument_base = [frame_at(m.model.chain.base_rotation, _coordinates(m, "base")) for m in (before, after)]
     if {f"base.{symbol}" for symbol in FRAME_SYMBOLS[:3]} <= both:
         origins = [np.linalg.inv(T)[:3, 3] for T in T_instrument_base]
