@@ -10,6 +10,7 @@ and of its target, the positions have the covariances :math:`J_\perp P J_\perp^T
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -52,7 +53,9 @@ def unseen_directions(station: Station, values: np.ndarray) -> tuple[np.ndarray,
     along = station.sensor.jacobian(poses, units, own)[:3, : station.sensor.blocks[0].size]
     robot, path = station.model.chain.robot, station.model.chain.path
     if path.start != robot.base:
-        turned = robot.forward_kinematics(station.conditions.q, robot.between(robot.base, path.start))[:, :3, :3]
+        turned = robot.forward_kinematics(station.conditions.q, robot.between(robot.base, path.start, at_rest=True))[
+            :, :3, :3
+        ]
         along = np.einsum("nij,jmn->imn", turned, along)
     squares, axes = np.linalg.eigh(np.einsum("imn,jmn->ij", along, along))
     return tuple(axes[:, squares < _UNSEEN * squares.sum()].T)
@@ -60,6 +63,8 @@ def unseen_directions(station: Station, values: np.ndarray) -> tuple[np.ndarray,
 
 def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) -> Iterator[Caveat]:
     """Yield what readings without an instrument leave unknown, and what they moved though they do not hold it."""
+    if not improved:
+        return
     robot, falls = fit.problem.chain.robot, list[str]()
     for link in dict.fromkeys(region.link for region in improved):
         regions = [region for region in improved if region.link == link and region.region != _MEASURED_POSES]
@@ -102,7 +107,7 @@ def _of_link(fit: ModelFit, link: str) -> Iterator[Improvement]:
     measured = np.vstack([s.conditions.q for s in stations if link in (s.model.chain.path.start, s.model.chain.path.tip)])
     q = np.vstack([rng.permutation(measured)[:_MEASURED], robot.random_configurations(_DRAWN, rng)])
     seen = np.arange(len(q)) < len(q) - _DRAWN
-    chain = found.model.chain.between(robot.base, link)
+    chain = replace(found.model.chain, ends=robot.between(robot.base, link, at_rest=True))
     model = found.model.with_chain(chain.with_references(np.eye(3), np.tile(np.eye(3), (len(chain.targets), 1, 1))))
     robots, names = ~model.of_station, model.names
     tips, J = model.linearise(np.where(robots, found.model_values, 0.0), found.of_its_day(found.conditions_at(q)))
@@ -111,7 +116,7 @@ def _of_link(fit: ModelFit, link: str) -> Iterator[Improvement]:
     places = [estimate.index(name) for name, own in zip(names, robots, strict=True) if own]
     free, prior = fit.solution.free[places], fit.priors.sizes[places]
     known = np.where(free & np.isfinite(prior), prior, 0.0)
-    covariance = found.covariance[: model.n_parameters, : model.n_parameters][np.ix_(robots, robots)]
+    covariance = found.estimate.take(name for name, own in zip(names, robots, strict=True) if own).dense_covariance()
     before = np.sum((J * known) ** 2, axis=(1, 2))
     after = np.einsum("nip,pq,niq->n", J, covariance, J)
     for region, rows in _regions(tips[:, :, 3], seen):

@@ -14,7 +14,7 @@ from pincal.cli.quantities import (
     ANGLE,
     COLUMNS,
     LENGTH,
-    LENGTHS,
+    LENGTH_UNITS,
     NoiseType,
     QuantityType,
     columns,
@@ -197,7 +197,7 @@ class PlaceOptions:
     placement: Path | None = option("Locate instrument and target from these few measured rows.", metavar="FEW.csv")
     station: str | None = station_option(words="the only one")
     start: str | None = option(
-        "Link of the robot that poses are seen from, without any instrument.", metavar="LINK", name="--from", words="its base"
+        "Link of the robot that poses are seen from, without an instrument.", metavar="LINK", name="--from", words="its base"
     )
     to: str | None = option("Link whose poses they are, without any target: of any arm of the robot.", metavar="LINK")
 
@@ -246,7 +246,7 @@ class SetupOptions:
         "Known distance between two sockets, anchors or points; a number without a unit is in metres.",
         (),
         metavar="A B LENGTH",
-        type=(str, str, QuantityType(LENGTHS, "50mm", bare=1.0)),
+        type=(str, str, QuantityType(LENGTH_UNITS, "50mm", bare=1.0)),
         name="--socket-distance",
     )
     distances: Path | None = option("Known distances as a table: columns first, second, distance and optionally sigma.")

@@ -9,7 +9,7 @@ import click
 from pincal.cli.arguments import pair
 from pincal.units import LARGEST, SMALLEST, plain_number, unit_sizes
 
-LENGTHS = unit_sizes("um", "mm", "cm", "m")
+LENGTH_UNITS = unit_sizes("um", "mm", "cm", "m")
 ANGLES = unit_sizes("urad", "mrad", "rad", "deg")
 
 
@@ -61,7 +61,7 @@ class NoiseType(click.ParamType[tuple[float, str]]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, str]:
         """Return the value in SI units, or in pixels, and its unit."""
         is_image = str(value).strip().endswith("px")
-        units, example = ({"px": 1.0}, "0.1px") if is_image else (LENGTHS, "0.05mm")
+        units, example = ({"px": 1.0}, "0.1px") if is_image else (LENGTH_UNITS, "0.05mm")
         number = QuantityType(units, example, zero=self._zero).convert(str(value), param, ctx)
         return number, "px" if is_image else "m"
 
@@ -107,7 +107,7 @@ def columns(text: str) -> dict[str, str]:
     return found
 
 
-LENGTH = QuantityType(LENGTHS, "0.05mm")
+LENGTH = QuantityType(LENGTH_UNITS, "0.05mm")
 ANGLE = QuantityType(ANGLES, "0.1mrad")
 
 
@@ -122,7 +122,7 @@ def station_links(text: str) -> tuple[str, str, str]:
 def resting(text: str) -> tuple[str, float]:
     """Return a joint and the position where it rests [rad or m]."""
     joint, value = pair(text, "JOINT=POSITION, such as torso_lift=0.1m or head_1=20deg")
-    units = {**ANGLES, **LENGTHS}
+    units = {**ANGLES, **LENGTH_UNITS}
     return joint, _signed(value, units)
 
 

@@ -100,10 +100,12 @@ class Beliefs(NamedTuple):
     Attributes:
         terms: no parameter is in two of them.
         is_remembered: shape (P,), which parameters are known from an earlier fit.
+        is_slope: whether there is nothing but the slope of contacts, which counts for nothing beside exact readings.
     """
 
     terms: tuple[Earlier, ...]
     is_remembered: np.ndarray
+    is_slope: bool
 
     def recalled(self, values: np.ndarray) -> np.ndarray:
         """Return values, shape (P,), with those of an earlier fit where it has any."""
@@ -271,8 +273,8 @@ class Problem:
                     names = tuple(self.parameters[place].name for place in places)
                     terms.append(Earlier(names, np.zeros(len(places)), information, None, places))
         if self.earlier is None and (scale := _scale_of_contacts(self)) is not None:
-            terms.append(scale)
-        return Beliefs(tuple(terms), is_remembered)
+            return Beliefs((*terms, scale), is_remembered, not terms)
+        return Beliefs(tuple(terms), is_remembered, not terms)
 
     @cached_property
     def rows(self) -> tuple[slice, ...]:

@@ -227,7 +227,7 @@ class _Run:
 
         What is believed beyond the priors of each parameter has no part in J.
         """
-        if self.problem.beliefs.terms:
+        if not self.problem.beliefs.is_slope:
             return False
         whole = self.point.equations(self.judged.sigma).whole
         return is_exact(whole, self.priors.sizes[self.free]) and len(self.problem) * len(whole) <= MOST_EXACT

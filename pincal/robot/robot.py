@@ -156,21 +156,22 @@ class Robot:
         own = [self.joint_names[i] for i in self.own_joints] if self.passive else None
         return TreeRequest(self.tip, self.path.start, self.base, own, paths=self.links, others=self.joint_names)
 
-    def between(self, start: str | None = None, tip: str | None = None) -> LinkPath:
+    def between(self, start: str | None = None, tip: str | None = None, *, at_rest: bool = False) -> LinkPath:
         """Return the way between two links of the robot.
 
         Args:
             start: the link from which a reading is seen; default: where the robot's own path starts.
             tip: the link that it is about; default: where that ends.
+            at_rest: whether joints that are locked in this robot may be on the way.
 
         Raises:
-            RobotFileError: for an unknown link, or if a joint on the way is locked in this robot.
+            RobotFileError: for an unknown link, or if a joint on the way is locked in this robot and may not be.
         """
         start, tip = start or self.path.start, tip or self.path.tip
         if (start, tip) == (self.path.start, self.path.tip):
             return self.path
         tree = parse_urdf(self.urdf, source=self.source)
-        return path_between(tree, self.joint_names, self.base, start, tip).on_links(self.T_link_joint)
+        return path_between(tree, self.joint_names, self.base, start, tip, at_rest=at_rest).on_links(self.T_link_joint)
 
     @property
     def n_joints(self) -> int:

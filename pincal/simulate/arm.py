@@ -281,7 +281,10 @@ def _with_pins(
 def _root(urdf: str | Path) -> ElementTree.Element:
     if not _is_text(urdf) and not Path(urdf).is_file():
         raise RobotFileError(f"{urdf}: no such file; expected a URDF")
-    return ElementTree.fromstring(str(urdf)) if _is_text(urdf) else ElementTree.parse(urdf).getroot()
+    try:
+        return ElementTree.fromstring(str(urdf)) if _is_text(urdf) else ElementTree.parse(urdf).getroot()
+    except ElementTree.ParseError as error:
+        raise RobotFileError(f"{'URDF text' if _is_text(urdf) else urdf}: {error}") from error
 
 
 def _load(text: str, source: str) -> Any:
