@@ -15,6 +15,7 @@ is such a term about zero, beside the priors of its heights.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -224,19 +225,32 @@ class Problem:
         if len(self.stations) == 1:
             return first.parameters
         # Of all stations the robot's parameters are the same, in the same order.
-        own = (p.at(s.owner(p)) for s in self.stations for p in compress(s.parameters, s.is_own))
-        return (*compress(first.parameters, ~first.is_own), *{p.name: p for p in own}.values())
+        return (*compress(first.parameters, ~first.is_own), *self._stations_own[0].values())
+
+    @cached_property
+    def _stations_own(self) -> tuple[dict[tuple[str, int], Parameter], list[list[tuple[str, int]]]]:
+        """What belongs to stations by name and, as candidates may be alike, number of the name there; and these of each."""
+        found, keys = dict[tuple[str, int], Parameter](), list[list[tuple[str, int]]]()
+        for station in self.stations:
+            seen, own = Counter[str](), [p.at(station.owner(p)) for p in compress(station.parameters, station.is_own)]
+            keys.append([])
+            for p in own:
+                keys[-1].append((p.name, seen[p.name]))
+                found.setdefault(keys[-1][-1], p)
+                seen[p.name] += 1
+        return found, keys
 
     @cached_property
     def places(self) -> tuple[np.ndarray, ...]:
         """For each station, where its parameters stand in the table."""
         if len(self.stations) == 1:
             return (np.arange(len(self.stations[0].parameters)),)
-        places = []
-        for station in self.stations:
-            own = station.is_own
-            local = np.cumsum(~own) - 1
-            local[own] = [self._index[p.at(station.owner(p)).name] for p in compress(station.parameters, own)]
+        found, keys = self._stations_own
+        first = int(np.count_nonzero(~self.stations[0].is_own))
+        index, places = {key: first + k for k, key in enumerate(found)}, []
+        for station, own in zip(self.stations, keys, strict=True):
+            local = np.cumsum(~station.is_own) - 1
+            local[station.is_own] = [index[key] for key in own]
             places.append(local)
         return tuple(places)
 
