@@ -13,8 +13,9 @@ from pincal import simulate as sim
 from pincal.calibration.calibrated_robot import load_stations
 from pincal.discover.score_tests import score_test
 from pincal.errors import BadInputError, MeasurementError
+from pincal.identify.believed import Earlier
 from pincal.identify.equations import Equations, Linearised
-from pincal.identify.problem import Earlier, Problem, extended
+from pincal.identify.problem import Problem, extended
 from pincal.identify.station import Station
 from pincal.measure.table import concatenate, read_measurements, row_parts, write_table
 from pincal.model.catalogue import GearEccentricity

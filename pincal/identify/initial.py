@@ -10,9 +10,10 @@ import numpy as np
 
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.beliefs import bounds_of, declared_noise, is_frame, priors_of, released_of, require_named, sensors_own
+from pincal.identify.believed import Earlier
 from pincal.identify.fit import ModelFit, Priors
 from pincal.identify.options import Options, StationOptions
-from pincal.identify.problem import Earlier, Problem, effects_at
+from pincal.identify.problem import Problem, effects_at
 from pincal.identify.solve import Course, likeliest_values, solve
 from pincal.identify.station import Station, station_of
 from pincal.measure.extrinsics import Extrinsics

@@ -22,9 +22,9 @@ from itertools import product
 import numpy as np
 
 from pincal.identify.beliefs import deviations
+from pincal.identify.believed import slope_of_contacts
 from pincal.identify.fit import ModelFit
 from pincal.identify.normal import accumulate
-from pincal.identify.problem import slope_of_contacts
 from pincal.identify.quadratic import Factor, Form
 from pincal.model.conditions import TURN
 

@@ -103,7 +103,7 @@ class Sensor(ABC):
             "3 poses ...".
         has_camera: whether a known camera can be given.
         is_of_joints: whether a row reads nothing but the joints where something touches, see
-            :func:`pincal.identify.problem.slope_of_contacts`.
+            :func:`pincal.identify.believed.slope_of_contacts`.
         is_on_tool: whether the sensor itself sits on the tool, so that its mount can be given.
         deviation_end: where an arrow from the predicted position ends that is as long as the reading deviates.
     """

@@ -149,22 +149,16 @@ def _parents(tree: UrdfTree, joints: Sequence[UrdfJoint]) -> tuple[int, ...]:
 def path_between(
     tree: UrdfTree, joint_names: Sequence[str], base: str, start: str, tip: str, *, at_rest: bool = False
 ) -> LinkPath:
-    """Return the way between two links of a tree of which some joints move, and others may rest on the way.
-
-    Raises:
-        RobotFileError: for an unknown link, or if a joint on the way is none of those that move and may not rest.
-    """
+    """Return the way between two links of a tree of which some joints move, see :meth:`pincal.robot.robot.Robot.between`."""
     import pinocchio as pin
 
     known = {joint.name: joint for joint in tree.joints}
     joints = [known[name] for name in joint_names]
     for way in _checked_path(tree, base, start, tip):
-        missing = [joint.name for joint in way if joint.kind in MOVING_TYPES and joint.name not in joint_names]
-        if missing and not at_rest:
-            raise RobotFileError(
-                f"{tree.source}: {missing[0]!r} between {start!r} and {tip!r} is locked in this robot; expected links "
-                f"between which only {', '.join(joint_names)} move"
-            )
+        locked = [joint.name for joint in way if joint.kind in MOVING_TYPES and joint.name not in joint_names]
+        if locked and not at_rest:
+            between = f"{locked[0]!r} between {start!r} and {tip!r} is locked in this robot"
+            raise RobotFileError(f"{tree.source}: {between}; expected links with only {', '.join(joint_names)} between them")
     model = arm_model(tree.text, tuple(joint_names), tree.source)
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))

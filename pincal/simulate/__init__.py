@@ -6,7 +6,6 @@ plans campaigns for ``pincal simulate``: ``planning``, ``typical``, ``request``.
 """
 
 from pincal.simulate.arm import Arm as Arm
-from pincal.simulate.arm import read_arm as read_arm
 from pincal.simulate.camera import CalibrationObject as CalibrationObject
 from pincal.simulate.camera import EyeInHand as EyeInHand
 from pincal.simulate.camera import View as View
@@ -61,3 +60,4 @@ from pincal.simulate.tracker import InstrumentRange as InstrumentRange
 from pincal.simulate.tracker import InstrumentTilt as InstrumentTilt
 from pincal.simulate.tracker import MeasurementScale as MeasurementScale
 from pincal.simulate.typical import hidden_effect as hidden_effect
+from pincal.simulate.urdf_arm import read_arm as read_arm

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.simulate.arm import Arm, read_arm
+from pincal.simulate.arm import Arm
 from pincal.simulate.effect import DeformingEffect, HiddenEffect
 from pincal.simulate.elastic import BearingElasticity, JointElasticity, PayloadError
 from pincal.simulate.rods import closing_step
@@ -32,6 +32,7 @@ from pincal.simulate.state import (
     place,
     poses_of,
 )
+from pincal.simulate.urdf_arm import read_arm
 
 # Acceleration of gravity in the base frame of an upright robot [m/s^2].
 _GRAVITY = (0.0, 0.0, -9.81)
