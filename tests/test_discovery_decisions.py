@@ -51,17 +51,15 @@ class Told:
     silent: frozenset[int] = frozenset()
     beside: dict[tuple[tuple[int, ...], tuple[int, ...]], float] = field(default_factory=dict)
 
-    def left_given(self, which: int, given: int) -> float:
-        """Return what the test says, else that it is told apart beyond doubt."""
-        return self.left.get((which, given), 1e-12)
+    def score(self, which: Sequence[int], groups: int) -> ScoreResult:
+        """Return what the test says of a pair, else that none is worth its cost."""
+        one, other = which
+        return ScoreResult(200.0, 1, 1e-9, self.together.get((one, other), np.inf))
 
-    def cost_together(self, one: int, other: int) -> float:
-        """Return what the test says, else that no pair is worth its cost."""
-        return self.together.get((one, other), np.inf)
-
-    def left_beside(self, which: Sequence[int], given: Sequence[int]) -> float:
+    def score_given(self, which: Sequence[int], given: Sequence[int]) -> ScoreResult:
         """Return what the test says, else that they are told apart beyond doubt."""
-        return self.beside.get((tuple(which), tuple(given)), 1e-12)
+        left = self.beside | {((i,), (k,)): p_value for (i, k), p_value in self.left.items()}
+        return ScoreResult(200.0, 1, left.get((tuple(which), tuple(given)), 1e-12), 0.0)
 
     def left_out(self, which: int) -> Unfitted:
         """Return that it predicts if it is not silent."""
@@ -76,8 +74,7 @@ def row(effect: Effect, cost: float, *, p: float = 1e-9, gain: float = 200.0, ra
 def table(*rows: Row, told: Told | None = None) -> CandidateTable:
     """Return a table."""
     told = told or Told()
-    rows = tuple(replace(of, left_out=partial(told.left_out, i)) for i, of in enumerate(rows))
-    return CandidateTable(rows, told.left_given, told.cost_together, told.left_beside)
+    return CandidateTable([replace(of, which=(i,), left_out=partial(told.left_out, i)) for i, of in enumerate(rows)], told)
 
 
 def decided(names: CandidateTable, *nameless: Row, told: Told | None = None) -> Decision | None:

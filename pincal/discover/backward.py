@@ -24,7 +24,6 @@ from pincal.discover.decisions import (
     each_heading_once,
     enough_errors,
     is_own_curve,
-    rivals_of,
     standard_errors,
 )
 from pincal.discover.drive_curves import curves_over
@@ -131,7 +130,9 @@ def _fails(
     said = Unfitted(standard_errors(tests.gains_by_block(every)))
     score = replace(tests.score(every, 1), p_value=tests.p_value_of_any(every) if is_one_of_many else 0.0)
     looks = len({effect.identity for effect in addable(fit, search)}) if is_rest else 1
-    return not accepted(Row(step.effect, score, score.ebic, question, looks, left_out=lambda: said, enough=least), policy)
+    return not accepted(
+        Row(step.effect, score, score.ebic, every, question, looks, left_out=lambda: said, enough=least), policy
+    )
 
 
 def _may_be_left_over(state: SearchState, step: SearchStep) -> bool:
@@ -306,15 +307,11 @@ def _most_left(smooth: Sequence[Effect], fit: ModelFit, search: Search) -> Decis
     tests, count = score_test_given_nuisances(fit, smooth), len(smooth)
     scores = [tests.score([i], count) for i in range(count)]
     rows = [
-        Row(effect, score, score.ebic, "rest", count, left_out=partial(left_out, effect), enough=0.0)
-        for effect, score in zip(smooth, scores, strict=True)
+        Row(effect, score, score.ebic, (i,), "rest", count, left_out=partial(left_out, effect), enough=0.0)
+        for i, (effect, score) in enumerate(zip(smooth, scores, strict=True))
     ]
     best = int(np.argmin([score.p_value for score in scores]))
-
-    def left_given(i: int, given: int) -> float:
-        return tests.score_given([i], [given]).p_value
-
-    others = rivals_of(rows, best, left_given, search.policy)
+    others = CandidateTable(rows, tests).rivals(best, search.policy)
     return Decision(rows[best], each_heading_once(others, smooth[best], search.policy))
 
 

@@ -188,6 +188,7 @@ def table_of(
             effect,
             score,
             costs.get(id(effect), score.ebic + _surcharge(effect, policy)),
+            (i,),
             among=n,
             least=least,
             left_out=None if effect.identity in known else partial(left_out, effect),
@@ -198,12 +199,7 @@ def table_of(
             evidence = tests.log_evidence([i, *given]) - tests.log_evidence(given) if given else tests.log_evidence([i])
             row = replace(row, evidence=evidence)
         rows.append(row)
-    return CandidateTable(
-        rows,
-        left_given=lambda i, given: tests.score_given([i], [given]).p_value,
-        cost_together=lambda i, other: tests.score([i, other], len(effects)).ebic,
-        left_beside=lambda which, given: tests.score_given(which, given).p_value,
-    )
+    return CandidateTable(rows, tests)
 
 
 def _least(fit: ModelFit, tests: ScoreTests, policy: Policy) -> float:

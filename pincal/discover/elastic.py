@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -11,8 +11,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from pincal.discover.candidate_tests import is_small_table, sampled
-from pincal.discover.decisions import Row, accepted, each_heading_once, rivals_of
-from pincal.discover.first_order import ScoreResult, ScoreTests
+from pincal.discover.decisions import CandidateTable, Decision, Row, accepted, each_heading_once
+from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_compliances
 from pincal.discover.policy import POLICY, SIGHT, TESTING, Policy
 from pincal.discover.score_tests import score_test, score_test_given_nuisances
@@ -35,27 +35,7 @@ from pincal.robot.robot import Robot
 _DESIGNS = Latest[dict[str, Conditions]](16)
 
 
-@dataclass(frozen=True)
-class ElasticWay:
-    """Compliances that enter a model together.
-
-    Attributes:
-        effects: the compliances.
-        score: their test.
-        equivalent: other single ones that explain as much, where a single one enters.
-    """
-
-    effects: tuple[Compliance, ...]
-    score: ScoreResult
-    equivalent: tuple[Effect, ...] = ()
-
-    @property
-    def is_single(self) -> bool:
-        """Whether one drive or one bearing is all that is compliant."""
-        return len(self.effects) == 1 and self.effects[0].locus.joint is not None
-
-
-def elastic_way(fit: ModelFit, policy: Policy) -> ElasticWay | None:
+def elastic_way(fit: ModelFit, policy: Policy) -> Decision | None:
     """Return how an arm is compliant beyond a fit; None if that is no more than chance.
 
     Where one drive or one bearing leaves nothing but chance to the others, it enters alone: among twenty parameters that
@@ -78,34 +58,37 @@ def elastic_way(fit: ModelFit, policy: Policy) -> ElasticWay | None:
         ways = [*zip(zip(parts, strict=True), singles, strict=True), *zip(zip(block, strict=True), families, strict=True)]
         return _likeliest(tests, [*ways, (block, whole)], policy)
     chances = _chance(tests, singles), _chance(tests, [whole]), _chance(tests, families)
-    score = tests.score(whole, 1)
-    if not accepted(Row(block[0], replace(score, p_value=min(chances)), score.ebic, "elastic"), policy):
+    every = _row(tests, block[0], whole, 1)
+    if not _is_accepted(every, min(chances), policy):
         return None
-    scores = [tests.score(single, len(singles)) for single in singles]
-    best = int(np.argmin([score.ebic for score in scores]))
+    table = CandidateTable([_row(tests, part, of, len(singles)) for part, of in zip(parts, singles, strict=True)], tests)
+    best = table.cheapest()[0]
     beyond = _chance(tests, [whole], singles[best]), _chance(tests, singles, singles[best])
-    alone = Row(parts[best], replace(scores[best], p_value=chances[0]), scores[best].ebic, "elastic")
-    if not accepted(alone, policy) or min(beyond) < policy.adds_nothing:
-        return ElasticWay(block, score)
-    rows = [Row(part, score, score.ebic, "elastic") for part, score in zip(parts, scores, strict=True)]
+    if not _is_accepted(table.rows[best], chances[0], policy) or min(beyond) < policy.adds_nothing:
+        return Decision(every, effects=block)
+    return Decision(table.rows[best], tuple(table.rivals(best, policy)))
 
-    def left_given(i: int, given: int) -> float:
-        return tests.score_given(singles[i], singles[given]).p_value
 
-    return ElasticWay((parts[best],), scores[best], tuple(rivals_of(rows, best, left_given, policy)))
+def _row(tests: ScoreTests, effect: Effect, which: Sequence[int], groups: int) -> Row:
+    score = tests.score(which, groups)
+    return Row(effect, score, score.ebic, which, "elastic")
+
+
+def _is_accepted(row: Row, p_value: float, policy: Policy) -> bool:
+    """Return whether a row is accepted by another p-value than that of its own test."""
+    return accepted(replace(row, score=replace(row.score, p_value=p_value)), policy)
 
 
 def _likeliest(
     tests: ScoreTests, ways: Sequence[tuple[tuple[Compliance, ...], Sequence[int]]], policy: Policy
-) -> ElasticWay | None:
+) -> Decision | None:
     """Return the way that is likeliest before the data, the choice among as many of its kind paid for; None without any."""
     kinds = [len(effects) == 1 and effects[0].only is not None for effects, _ in ways]
     evidence = [tests.log_evidence(of) - np.log(kinds.count(kind)) for (_, of), kind in zip(ways, kinds, strict=True)]
     effects, of = ways[int(np.argmax(evidence))]
-    score = tests.score(of, 1)
     # What is known beforehand decides, whatever chance would make of it.
-    row = Row(effects[0], replace(score, p_value=0.0), score.ebic, evidence=max(evidence))
-    return ElasticWay(effects, score) if accepted(row, policy) else None
+    row = replace(_row(tests, effects[0], of, 1), question="enter", evidence=max(evidence))
+    return Decision(row, effects=effects) if _is_accepted(row, 0.0, policy) else None
 
 
 def with_features(fit: ModelFit, effects: Iterable[Effect]) -> tuple[Effect, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 from pincal.discover.backward import add_remainders, drop_needless, merge_parts, name_again, take_whole_curves
 from pincal.discover.candidate_tests import Search, addable, has_compliance, is_small_table, sampled, variants
 from pincal.discover.decisions import (
+    Decision,
     Row,
     Unfitted,
     accepted,
@@ -20,7 +21,7 @@ from pincal.discover.decisions import (
     is_own_curve,
     standard_errors,
 )
-from pincal.discover.elastic import ElasticWay, elastic_way, likeliest_fit
+from pincal.discover.elastic import elastic_way, likeliest_fit
 from pincal.discover.ending import fit_all_rows, name_lines
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_compliances
@@ -155,7 +156,7 @@ def _may_be_order(effects: Sequence[Effect], weighed: ModelFit, policy: Policy) 
     few, _ = sampled(fit, policy)
     tests = score_test_given_nuisances(few, effects)
     scores = (tests.score([i], 1) for i in range(len(effects)))
-    rows = (Row(effect, score, score.ebic, "stay") for effect, score in zip(effects, scores, strict=True))
+    rows = (Row(effect, score, score.ebic, question="stay") for effect, score in zip(effects, scores, strict=True))
     return not all(accepted(row, policy) for row in rows)
 
 
@@ -231,7 +232,7 @@ def in_frame(fit: ModelFit, frame: MomentFrame) -> ModelFit:
     )
 
 
-def elastic_ways(fit: ModelFit, frames: Sequence[MomentFrame], policy: Policy) -> dict[MomentFrame, ElasticWay]:
+def elastic_ways(fit: ModelFit, frames: Sequence[MomentFrame], policy: Policy) -> dict[MomentFrame, Decision]:
     """Return how an arm that has no elasticity yet is compliant in each convention; nothing where it does not."""
     if has_compliance(fit.options.effects):
         return {}
@@ -239,8 +240,8 @@ def elastic_ways(fit: ModelFit, frames: Sequence[MomentFrame], policy: Policy) -
 
 
 def single_compliance(
-    ways: Mapping[MomentFrame, ElasticWay], frames: Sequence[MomentFrame], policy: Policy
-) -> tuple[MomentFrame, ElasticWay] | None:
+    ways: Mapping[MomentFrame, Decision], frames: Sequence[MomentFrame], policy: Policy
+) -> tuple[MomentFrame, Decision] | None:
     """Return the convention in which one drive or bearing is all that is compliant; None where more does, or nothing.
 
     It would be lost among the many parameters by which whole arms differ between conventions. What explains as much in
@@ -253,7 +254,7 @@ def single_compliance(
     """
     if not ways:
         return None
-    costs = {frame: way.score.ebic for frame, way in ways.items()}
+    costs = {frame: way.row.cost for frame, way in ways.items()}
     least = min(costs, key=lambda frame: costs[frame])
     frame = frames[0] if costs.get(frames[0], np.inf) < costs[least] + CRITERIA.moment_frame else least
     if not ways[frame].is_single:

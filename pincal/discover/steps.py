@@ -13,7 +13,7 @@ import numpy as np
 from pincal.discover.candidate_tests import Search, choose, has_compliance, hidden_wave, is_small_table, named_tests
 from pincal.discover.decisions import Decision, standard_errors
 from pincal.discover.drive_curves import resolved
-from pincal.discover.elastic import ElasticWay, elastic_way, likeliest_fit
+from pincal.discover.elastic import elastic_way, likeliest_fit
 from pincal.discover.first_order import ScoreResult, ScoreTests
 from pincal.discover.levers import missing_compliances
 from pincal.discover.policy import TESTING, Policy
@@ -260,10 +260,10 @@ def _next_step(fit: ModelFit, search: Search) -> SearchStep | None:
     return None if decision is None else decided(fit, decision, search)
 
 
-def bent(fit: ModelFit, way: ElasticWay, after: ModelFit | None = None) -> SearchStep:
+def bent(fit: ModelFit, way: Decision, after: ModelFit | None = None) -> SearchStep:
     """Return the step that adds compliances, to the fit with them if it is known."""
     after = refit(fit, [*fit.options.effects, *way.effects]) if after is None else after
-    return SearchStep(way.effects, way.score, way.equivalent, fit, after, way.effects[0], np.zeros(0))
+    return SearchStep(way.effects, way.row.score, way.equivalent, fit, after, way.effect, np.zeros(0))
 
 
 def decided(fit: ModelFit, decision: Decision, search: Search) -> SearchStep:
