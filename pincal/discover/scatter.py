@@ -326,18 +326,11 @@ def p_value_of_uneven_noise(fit: ModelFit, tests: ScoreTests) -> float:
 
 def _scores_by_visit(fit: ModelFit, tests: ScoreTests, whitening: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the scores of what the effect leaves, shape (V, rank), and the part of it that each visit takes up, (V,)."""
-    products, model, rows = tests.products, tests.model, tests.products.rows
-    assert rows is not None
-    # What a whitened unit of the effect moves beside what the model then takes up of it, and the step of both.
-    taken = model.factor.solve(np.column_stack([products.cross @ whitening, model.rows.g + model.prior.g]))
-    step = whitening.T @ tests.projected[1]
-    of_model = np.column_stack([-taken[:, :-1], taken[:, -1] - taken[:, :-1] @ step])
-    visit = _visits(fit)
+    visit, step = _visits(fit), whitening.T @ tests.projected[1]
     sums, shares = np.zeros((2, int(visit.max()) + 1, len(step)))
-    for here, residuals, moved in rows.moved(of_model, 0, np.column_stack([whitening, whitening @ step])):
-        moved, left = moved[:-1], residuals - moved[-1]
-        np.add.at(sums, visit[here], np.einsum("rmn,mn->nr", moved, left))
-        np.add.at(shares, visit[here], np.einsum("rmn,rmn->nr", moved, moved))
+    for rows, left, moved in tests.along_rows([0], whitening):
+        np.add.at(sums, visit[rows], np.einsum("rmn,mn->nr", moved, left - np.tensordot(step, moved, axes=1)))
+        np.add.at(shares, visit[rows], np.einsum("rmn,rmn->nr", moved, moved))
     return sums, shares.sum(axis=1)
 
 
