@@ -7,15 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pincal.identify.criteria import CHANGES
 from pincal.model.catalogue.candidates import elasticity, testable
 from pincal.model.conditions import Conditions, PoseSet
 from pincal.model.effect import Curve, Effect, Family
 from pincal.model.effects import Compliance
 from pincal.model.model import Model
 from pincal.parameters import Parameter
-
-# A curve with more parameters than this part of the rows is not tried.
-_ROWS_PER_PARAMETER = 4
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,7 @@ def _catalogue(model: Model, situation: PoseSet) -> Iterator[Effect]:
     for candidate in testable(situation):
         for form in candidate.forms:
             size = form.resolution if isinstance(form, Curve) else 1
-            if form.identity not in present and size * _ROWS_PER_PARAMETER <= len(situation.conditions):
+            if form.identity not in present and size * CHANGES.rows_each <= len(situation.conditions):
                 yield form
 
 

@@ -6,15 +6,10 @@ subject, with one object of it. docs/criteria.md derives the criteria in which t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import log
-from typing import Any
 
-
-def _number(default: object, unit: str, pinned_by: str, meaning: str, origin: str) -> Any:
-    """Return a field for a number: its unit, the test that fixes it, what it means, and why it has this value."""
-    return field(default=default, metadata={"unit": unit, "meaning": meaning, "origin": origin, "pinned_by": pinned_by})
-
+from pincal.identify.criteria import number as _number
 
 _RATES = "test_discovery_rates.py::"
 _NAMED = _RATES + "test_a_hidden_effect_is_named_with_its_joint"
@@ -300,9 +295,6 @@ class PlaceNumbers:
         "chosen: evenly spread, two fifths would hold two fifths")
     rows: int = _number(1000, "rows", _LOCATED,
         "beyond which they are thinned", "for time: a place worth a line shows in fewer")
-    spanned: float = _number(1e-7, "ratio", _LOCATED,
-        "fraction of a column's length that has to remain given the others for it to add a direction",
-        "above the root of what rounding leaves of its square")
     shuffles: int = _number(300, "orders", _NOWHERE,
         "of the rows by which a range of the workspace is judged", "three of them lie beyond the chance")
     pointed: float = _number(0.55, "ratio", _LOCATED,

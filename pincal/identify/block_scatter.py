@@ -17,13 +17,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
+from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit, equations_of
 from pincal.identify.station import Station
 
-# Rows of a block. Of a table of so few that it has fewer than some blocks none are looked at.
-_LENGTHS, _FEWEST_BLOCKS = (5, 10, 20, 40), 8
-# Standard deviations of the factor, were rows in any order, from which it is believed: as for dependence along rows.
-_BELIEVED = 4.0
+# Rows of a block.
+_LENGTHS = (5, 10, 20, 40)
 # Readings of a station by which it is told, and stations that are asked.
 _READINGS, _MOST_STATIONS = 1500, 8
 
@@ -63,7 +62,7 @@ def _of_station(fit: ModelFit, station: Station, places: np.ndarray, blocks: sli
     sizes = station.block_sizes
     counted = np.flatnonzero(fit.solution.weights[rows] > 0.0)
     some = counted[np.argsort(station.position[counted], kind="stable")][: _READINGS // int(sizes.sum())]
-    if len(some) < _FEWEST_BLOCKS * _LENGTHS[0]:
+    if len(some) < CRITERIA.fewest_blocks * _LENGTHS[0]:
         return 1.0
     free, few = fit.solution.free[places], station.select(some)
     scale = few.weights / np.repeat(fit.solution.estimated[blocks], sizes)[:, None]
@@ -91,9 +90,9 @@ def _largest_factor(scores: np.ndarray, normal: np.ndarray) -> float:
     pairs = n * (n - 1)
     mean = (float(np.sum(u.sum(axis=1) ** 2)) - own.sum()) / pairs
     spread = max((float(np.sum((u @ u.T) ** 2)) - float(own @ own)) / pairs, 1e-300)
-    surest, factor = _BELIEVED, 1.0
+    surest, factor = CRITERIA.of_blocks, 1.0
     for length in _LENGTHS:
-        if n < _FEWEST_BLOCKS * length:
+        if n < CRITERIA.fewest_blocks * length:
             break
         whole = n // length * length
         of_blocks = u[:, :whole].reshape(len(u), -1, length).sum(axis=2)

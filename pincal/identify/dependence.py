@@ -26,16 +26,12 @@ from pincal.identify.station import Station
 _BANDS = ((1, 1), (2, 5), (6, 20))
 # Rows that are near each other in the order; and pairs of rows far apart in it, nearest in the joints, that tell.
 _NEAR, _NEAREST = 5, 500
-# Fewest rows that show it.
-_FEWEST = 20
 # Readings by which it is estimated; and rows by which dependence is looked for.
 _READINGS, _ROWS = 2400, 4096
 # Where the search for share and correlation begins: fast, slow and a walk.
 _STARTS = ((0.5, 0.5), (0.8, 0.9), (0.9, 0.995))
 # Longest memory, in rows: a walk over any table; and longer ones that are taken if they are as likely, the longest first.
 _LONGEST, _MEMORIES = 1e5, (3e4, 1e3, 300.0, 100.0, 30.0)
-# Twice the log-likelihood within which a memory is as likely as the likeliest: one standard deviation of a parameter, twice.
-_AS_LIKELY = 2.0
 # Logarithms of sizes of white noise, in units of that of the residuals, that are tried.
 _SIZES = np.linspace(-0.4, 0.4, 9)
 
@@ -50,7 +46,7 @@ def dependence(residuals: np.ndarray, position: np.ndarray) -> float:
         position: shape (N,), where each row stands in the order.
     """
     n = residuals.shape[1]
-    if n < _FEWEST:
+    if n < CRITERIA.fewest_in_order:
         return 0.0
     z = residuals[:, np.argsort(position, kind="stable")[:_ROWS]]
     z = z - z.mean(axis=1, keepdims=True)
@@ -144,7 +140,7 @@ def _of_station(seen: _Seen) -> Serial | None:
         return None
     sizes = [block.size for block in station.sensor.blocks]
     sound = np.flatnonzero(seen.counted)
-    some = sound[np.argsort(position[sound], kind="stable")][: max(_READINGS // sum(sizes), _FEWEST)]
+    some = sound[np.argsort(position[sound], kind="stable")][: max(_READINGS // sum(sizes), CRITERIA.fewest_in_order)]
     if _follows_joints(seen, some):
         return None
     few = station.select(some)
@@ -229,7 +225,7 @@ def _likeliest(
     for memory in np.log(_MEMORIES).tolist():
         # Of memories that the rows can't tell apart the longest: a short one takes the mean of the noise for well known.
         longer = _least(partial(at_memory, memory), best.x[:2])
-        if memory > best.x[2] and float(longer.fun) < float(best.fun) + _AS_LIKELY:
+        if memory > best.x[2] and float(longer.fun) < float(best.fun) + CRITERIA.as_likely:
             return float(1.0 - np.exp(-memory)), float(expit(longer.x[1]))
     return float(1.0 - np.exp(-best.x[2])), float(expit(best.x[1]))
 

@@ -16,9 +16,6 @@ from pincal.identify.problem import Problem
 
 Loss = Literal["screen", "huber", "none"]
 
-# Part of the readings that parameters spend at most, while a fit has not yet told how many it does spend.
-_MOST_SPENT = 0.9
-
 
 @dataclass(frozen=True)
 class Noise:
@@ -86,7 +83,7 @@ class Judge:
             is_shared = self.problem.is_shared
             shared = int(np.sum(self.free & is_shared & ~self.problem.beliefs.is_remembered))
             own = [int(np.sum((self.free & ~is_shared)[places])) for places in self.problem.places]
-            spent = self._spread(counted, shared, own, most=_MOST_SPENT)
+            spent = self._spread(counted, shared, own, most=CRITERIA.most_spent)
             estimated = np.sqrt(point.squares / np.maximum(counted - spent, 1.0))
         else:
             middle = np.array([chdtri(block.size, 0.5) for block in self.problem.blocks])
