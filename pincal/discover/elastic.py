@@ -23,16 +23,11 @@ from pincal.identify.fit import ModelFit, carried
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Factor
 from pincal.model.catalogue.bearing_features import bearing_features
-from pincal.model.chain import MomentFrame
+from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family
 from pincal.model.effects import Compliance
-from pincal.model.latest import Latest
 from pincal.parameters import Estimate
-from pincal.robot.robot import Robot
-
-# The runs that could be made instead of the latest poses, by what they are.
-_DESIGNS = Latest[dict[str, Conditions]](16)
 
 
 def elastic_way(fit: ModelFit, policy: Policy) -> Decision | None:
@@ -282,7 +277,7 @@ def deciding_measurement(fit: ModelFit, effect: Effect, value: np.ndarray, *riva
         return score_test(replace(few, problem=problem), [effect, *rivals])
 
     here = tests_at(station.conditions for station in stations)
-    designs = [_designs(few.problem.chain.robot, station.conditions) for station in stations]
+    designs = [_runs(few.problem.chain, station.conditions) for station in stations]
     for words in (words for words in designs[0] if all(words in others for others in designs)):
         try:
             there = tests_at(design[words] for design in designs)
@@ -320,41 +315,34 @@ def _separation(runs: Sequence[ScoreTests], weight: float, value: np.ndarray) ->
     return float(max(value @ left @ value, 0.0))
 
 
-def _designs(robot: Robot, c: Conditions) -> dict[str, Conditions]:
+def _runs(chain: Chain, c: Conditions) -> dict[str, Conditions]:
     """Return further runs that a user could make instead of these poses, cheapest first; the same objects if asked again."""
-    known = _DESIGNS.of(robot, c)
-    if "runs" not in known:
-        known["runs"] = dict(_runs(robot, c))
-    return known["runs"]
-
-
-def _runs(robot: Robot, c: Conditions) -> Iterator[tuple[str, Conditions]]:
-    rng = np.random.default_rng(0)
+    runs: dict[str, Conditions] = chain.kept.about("further runs", c, most=16)
+    if runs:
+        return runs
+    robot, rng = chain.robot, np.random.default_rng(0)
     if c.sighted is not None:
         # A quarter of the way around the poses, its axes as they are; that its place is found anew costs six readings.
         x, y, _ = c.sighted.mean(axis=0)
-        yield (
-            "the same poses with the instrument on another side of the robot, as a second station",
-            replace(c, sighted=c.sighted - [x + y, y - x, 0.0]),
-        )
+        away = replace(c, sighted=c.sighted - [x + y, y - x, 0.0])
+        runs["the same poses with the instrument on another side of the robot, as a second station"] = away
     load = 0.1 * float(robot.masses.sum()) if not np.any(c.payload) else 2.0 * float(c.payload.max())
     if np.ptp(c.payload) == 0.0:
-        yield "the same poses with a second payload", replace(c, payload=np.full(len(c), load))
+        runs["the same poses with a second payload"] = replace(c, payload=np.full(len(c), load))
     if c.approach is None or not np.ptp(c.approach):
-        yield (
-            "the same poses approached from both directions, with the columns approach_<joint>",
-            replace(c, approach=rng.choice([-1.0, 1.0], c.q.shape)),
-        )
+        sides = replace(c, approach=rng.choice([-1.0, 1.0], c.q.shape))
+        runs["the same poses approached from both directions, with the columns approach_<joint>"] = sides
     if c.move is not None:
         moves = np.random.default_rng(1).choice(SIGHT.moves, c.q.shape)
-        yield (
-            "the same poses, each reached by long and by short moves from both sides",
-            replace(c, move=moves, approach=np.sign(moves)),
-        )
+        reached = replace(c, move=moves, approach=np.sign(moves))
+        runs["the same poses, each reached by long and by short moves from both sides"] = reached
     temperature = np.full(len(c), 20.0) if c.temperature is None else c.temperature
     if np.ptp(temperature) < SIGHT.warmer:
-        yield "the same poses warm and cold, with the column temperature", replace(c, temperature=temperature + SIGHT.warmer)
-    yield "poses over the whole range of the joints", replace(c, q=robot.random_configurations(len(c), rng), sighted=None)
+        warm = replace(c, temperature=temperature + SIGHT.warmer)
+        runs["the same poses warm and cold, with the column temperature"] = warm
+    anywhere = replace(c, q=robot.random_configurations(len(c), rng), sighted=None)
+    runs["poses over the whole range of the joints"] = anywhere
+    return runs
 
 
 def likeliest_fit(fit: ModelFit, compliances: Sequence[Effect], frames: Sequence[MomentFrame]) -> ModelFit:

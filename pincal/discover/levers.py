@@ -21,8 +21,7 @@ from scipy.special import chdtri
 
 from pincal.discover.policy import TESTING, WAVES
 from pincal.identify.fit import ModelFit
-from pincal.identify.normal import block_rows
-from pincal.identify.problem import extended
+from pincal.identify.problem import Problem, extended
 from pincal.model import kernels
 from pincal.model.basis import FEWEST_SPLINES, spline_basis
 from pincal.model.catalogue.bearing_features import bearing_features
@@ -34,12 +33,8 @@ from pincal.model.conditions import MOMENT, Conditions, PoseSet
 from pincal.model.effect import Candidate, Effect, Family, Harmonic, Locus, Term
 from pincal.model.effects import Compliance
 from pincal.model.kernel_inputs import Payload, Values
-from pincal.model.latest import Latest
 from pincal.model.model import Model
 from pincal.parameters import Parameter
-
-# By link, of the latest poses.
-_MOMENTS = Latest[tuple[np.ndarray, ...]](2)
 
 
 @dataclass(frozen=True)
@@ -60,21 +55,18 @@ class Motions(Effect):
         return tuple(Term(p, k) for p, k in enumerate(self.coordinates))
 
 
-def levers(fit: ModelFit, coordinates: tuple[int, ...]) -> np.ndarray:
-    """Return how the readings move with K coordinates of the chain, shape (K, m, N), per rad or m."""
-    return linearised(fit, [Motions(coordinates)], np.zeros(len(fit.values), bool))[1]
+def _beside(fit: ModelFit, coordinates: Iterable[int]) -> tuple[Problem, np.ndarray, np.ndarray]:
+    """Return a fit's problem with motions of coordinates, all its values, and which of these are the motions."""
+    problem, known = extended(fit.problem, [Motions(tuple(map(int, coordinates)))])
+    values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
+    values[known], free[known] = fit.values, False
+    return problem, values, free
 
 
-def linearised(fit: ModelFit, extra: Sequence[Effect], free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals, shape (m, N), and the Jacobian by free parameters, then all of the extra effects."""
-    problem, known = extended(fit.problem, extra)
-    values, mask = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
-    values[known], mask[known] = fit.values, free
-    pieces = list(problem.stations[0].linearise(values, mask))
-    residuals = np.concatenate([r for _, r, _ in pieces], axis=1)
-    jacobian = np.concatenate([J for _, _, J in pieces], axis=2)
-    present = (np.cumsum(mask) - 1)[known[free]]
-    return residuals, jacobian[np.concatenate([present, np.setdiff1d(np.arange(len(jacobian)), present)])]
+def levers(fit: ModelFit, coordinates: Sequence[int]) -> np.ndarray:
+    """Return how the readings of the only station move with K coordinates of the chain, shape (K, m, N), per rad or m."""
+    problem, values, free = _beside(fit, coordinates)
+    return np.concatenate([J for _, _, J in problem.stations[0].linearise(values, free)], axis=2)
 
 
 @dataclass(frozen=True)
@@ -125,7 +117,7 @@ class MassError(Effect):
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add each compliance times the change of its moment."""
-        known, terms = _MOMENTS.of(chain, conditions), list[Term]()
+        known, terms = chain.kept.about("moments of links", chain, conditions, most=2), list[Term]()
         for p, i in enumerate(self.links):
             if i not in known:
                 known[i] = tuple(_moments_of_link(chain, conditions, i))
@@ -220,24 +212,15 @@ def strongest_tones(fit: ModelFit, candidates: Sequence[Candidate], near: float)
 
 def seen_along(fit: ModelFit, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return L . r and L . L of some coordinates on the whitened readings, shape (K, N) each."""
-    motions = Motions(tuple(map(int, coordinates)))
-    along, lever = np.zeros((2, len(coordinates), len(fit.problem)))
-    for (station, places, blocks), rows in zip(fit.stations, fit.problem.rows, strict=True):
-        of_model, of_sensor = station.split(fit.values[places])
-        wide = station.with_model(station.model.with_effects([*station.model.effects, motions]))
-        values = np.concatenate([of_model, np.zeros(len(coordinates)), of_sensor])
-        free = np.zeros(len(values), bool)
-        free[len(of_model) : len(of_model) + len(coordinates)] = True
+    (problem, values, free), n = _beside(fit, coordinates), len(fit.problem)
+    along, lever = np.zeros((2, len(coordinates), n))
+    for station, places, blocks, rows in zip(
+        problem.stations, problem.places, problem.block_spans, problem.rows, strict=True
+    ):
+        sigma = np.repeat(fit.solution.estimated[blocks], [block.size for block in station.sensor.blocks])
         weights = station.weights * fit.solution.weights[rows]
-        sigma = np.concatenate(
-            [
-                np.full(at.stop - at.start, s)
-                for at, s in zip(block_rows(station), fit.solution.estimated[blocks], strict=True)
-            ]
-        )
-        for piece, residuals, jacobian in wide.linearise(values, free):
-            scale = weights[piece] / sigma[:, None]
-            here = np.arange(len(fit.problem))[rows][piece]
+        for piece, residuals, jacobian in station.linearise(values[places], free[places]):
+            scale, here = weights[piece] / sigma[:, None], np.arange(n)[rows][piece]
             moved = jacobian * scale
             along[:, here] = np.einsum("kmn,mn->kn", moved, residuals * scale)
             lever[:, here] = np.einsum("kmn,kmn->kn", moved, moved)
