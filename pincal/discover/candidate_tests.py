@@ -307,23 +307,13 @@ def sampled(fit: ModelFit, policy: Policy) -> tuple[ModelFit, np.ndarray]:
     return replace(fit, problem=replace(fit.problem, stations=tuple(few)), solution=solution), rows
 
 
-def fit_of_rows(fit: ModelFit, rows: np.ndarray) -> ModelFit:
-    """Return a fit as it is, of some of its rows."""
-    solution = replace(fit.solution, weights=fit.solution.weights[rows])
-    return replace(fit, problem=fit.problem.select(rows), solution=solution)
-
-
 def over_rows_of(fit: ModelFit, whole: ModelFit) -> ModelFit:
     """Return a fit of some rows as it is, over all the rows of another one, with their weights."""
+    stations = []
+    for of, part in zip(whole.problem.stations, fit.problem.stations, strict=True):
+        # What is known of noise along the rows is that of the part.
+        serial, known = of.serial, part.serial
+        serial = None if serial is None or known is None else replace(serial, phi=known.phi, share=known.share)
+        stations.append(replace(of, model=part.model, serial=serial))
     solution = replace(fit.solution, weights=whole.solution.weights)
-    pairs = zip(whole.problem.stations, fit.problem.stations, strict=True)
-    rows = replace(whole.problem, stations=tuple(_with_noise(of, part) for of, part in pairs))
-    return replace(fit, problem=rows, solution=solution)
-
-
-def _with_noise(station: Station, part: Station) -> Station:
-    """Return a station under the model of a part of its rows, with what is known there of noise along them."""
-    serial = station.serial
-    if serial is not None:
-        serial = None if part.serial is None else replace(serial, phi=part.serial.phi, share=part.serial.share)
-    return replace(station, model=part.model, serial=serial)
+    return replace(fit, problem=replace(whole.problem, stations=tuple(stations)), solution=solution)

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from pincal.discover.candidate_tests import Search, fit_of_rows, over_rows_of, sampled
+from pincal.discover.candidate_tests import Search, over_rows_of, sampled
 from pincal.discover.decisions import each_heading_once
 from pincal.discover.drive_curves import curves_over, smoothed
 from pincal.discover.first_order import ScoreTests
@@ -140,7 +140,7 @@ def _readings(fit: ModelFit) -> Iterator[_Readings]:
         rows = sound[sample_rows(len(sound), NOISE.rows)]
         if not len(rows):
             continue
-        few = fit_of_rows(alone, rows)
+        few = alone.select(rows)
         block = np.repeat(np.arange(blocks.start, blocks.stop), [of.size for of in station.sensor.blocks])
         scale = station.weights[rows] / fit.solution.estimated[block][:, None]
         residuals = few.station.residuals(alone.values) * scale

@@ -13,7 +13,6 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import chdtrc
 
-from pincal.discover.candidate_tests import fit_of_rows
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import MassError
 from pincal.discover.policy import WHERE
@@ -117,7 +116,7 @@ def locate(fit: ModelFit, sigma: np.ndarray) -> Location:
         sigma: shape (blocks,), standard deviation of one component of each block of readings.
     """
     rows = np.flatnonzero(fit.solution.weights > 0.0)
-    fit = fit_of_rows(fit, rows[np.unique(np.linspace(0, len(rows) - 1, WHERE.rows).astype(int))])
+    fit = fit.select(rows[np.unique(np.linspace(0, len(rows) - 1, WHERE.rows).astype(int))])
     # Row by row, whatever the noise of a fit has in common.
     problem = replace(fit.problem, stations=(replace(fit.station, whitening=None, serial=None),))
     fit = replace(fit, problem=problem, solution=replace(fit.solution, estimated=sigma))

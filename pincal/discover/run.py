@@ -30,7 +30,7 @@ from pincal.calibration.calibration import Calibration, run_calibration
 from pincal.calibration.held_out import LeftOut, as_measured, leave_out_stations
 from pincal.calibration.result import result_of
 from pincal.calibration.validation import Validation
-from pincal.discover.candidate_tests import fit_of_rows, sampled
+from pincal.discover.candidate_tests import sampled
 from pincal.discover.drive_curves import notes_on_repeats
 from pincal.discover.elastic import sure_compliances
 from pincal.discover.ending import note_on_joints, widened
@@ -320,7 +320,7 @@ def _names_in_half(
     rows = np.flatnonzero(np.isin(regions, half))
     groups = np.unique(regions[rows], return_inverse=True)[1] % TESTING.blocks
     try:
-        few = fit_of_rows(first, rows)
+        few = first.select(rows)
         start = refit(few, few.options.effects, start={})
         return tuple(_groups(discover_effects(start, groups, extra=extra, policy=policy, nameless=nameless)))
     except PincalError:

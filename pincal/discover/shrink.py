@@ -10,7 +10,6 @@ import numpy as np
 from msgspec.structs import asdict
 
 from pincal.calibration.held_out import StationRows, errors_held_out, headline_of
-from pincal.discover.candidate_tests import fit_of_rows
 from pincal.discover.levers import levers
 from pincal.discover.policy import WAVES
 from pincal.discover.steps import History, ModelChange
@@ -148,7 +147,7 @@ def _at_station(fit: ModelFit, shown: Sequence[tuple[Effect, Effect]]) -> Iterat
         fit: the fit.
         shown: the effects, each with what is shown of it.
     """
-    fit = fit_of_rows(fit, np.flatnonzero(fit.solution.weights > 0.0))
+    fit = fit.select(np.flatnonzero(fit.solution.weights > 0.0))
     station, chain, few = fit.station, fit.model.chain, fit.station.conditions.select(np.zeros(1, int))
     moments, present = fit.model.static_moments(fit.model_values, station.conditions), fit.model.effects
     scale = station.weights / np.repeat(fit.solution.estimated, [block.size for block in station.sensor.blocks])[:, None]
