@@ -234,7 +234,7 @@ def _strongest(
     assert tone.band is not None
     resolution = resolution_of(q)
     step = WAVES.step * resolution
-    orders, gains = _on_steps(q, along, lever, start=tone.band[0], step=step, end=tone.band[1])
+    orders, gains = on_steps(q, along, lever, start=tone.band[0], step=step, end=tone.band[1])
     for known in fit.problem.effects:
         if isinstance(known, Harmonic) and known.locus.joint == tone.locus.joint:
             gains[np.abs(orders - (known.locus.order or 0.0)) < resolution] = 0.0
@@ -252,21 +252,32 @@ def _strongest(
         gains[np.abs(orders - orders[highest]) < resolution] = 0.0
 
 
-def _on_steps(
-    q: np.ndarray, along: np.ndarray, lever: np.ndarray, *, start: float, step: float, end: float
+def on_steps(
+    q: np.ndarray,
+    along: np.ndarray,
+    lever: np.ndarray,
+    *,
+    start: float,
+    step: float,
+    end: float,
+    is_beside_constant: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return even steps of orders, shape (K,), and what each takes off the squares, shape (K,)."""
+    """Return even steps of orders, shape (K,), and what each takes off the squares, shape (K,), beside a constant or not."""
     coarse = start + WAVES.fine * step * np.arange(int(np.ceil((end - start) / (WAVES.fine * step))))
-    fine = step * np.arange(WAVES.fine)
-    sums = np.zeros((2, len(coarse), WAVES.fine), complex)
+    fine, columns = step * np.arange(WAVES.fine), [(along, 1), (lever, 2), (lever, 1)][: 2 + is_beside_constant]
+    sums = np.zeros((len(columns), len(coarse), WAVES.fine), complex)
     for at in range(0, len(q), WAVES.piece):
         piece = slice(at, at + WAVES.piece)
         a, b = (_waves(k, q[piece]) for k in (coarse, fine))
-        sums[0] += (a * along[piece]) @ b.T
-        sums[1] += (a**2 * lever[piece]) @ (b**2).T
+        for total, (u, times) in zip(sums, columns, strict=True):
+            total += (a**times * u[piece]) @ (b**times).T
+    (F, twice, *mean), whole = sums.reshape(len(columns), -1), np.array(lever.sum())
+    for m in mean:
+        # What the constant takes up of each wave.
+        F, twice = F - m * along.sum() / whole, twice - m**2 / whole
+        whole = whole - np.abs(m) ** 2 / whole
     orders = np.add.outer(coarse, fine).ravel()
-    gains = _gains(sums.reshape(2, -1), float(lever.sum()))
-    return orders[orders <= end], gains[orders <= end]
+    return orders[orders <= end], _gains(np.stack([F, twice]), whole)[orders <= end]
 
 
 def _waves(orders: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -282,7 +293,7 @@ def _sums(q: np.ndarray, u: np.ndarray, orders: np.ndarray) -> np.ndarray:
     return np.asarray(_waves(orders, q) @ u)
 
 
-def _gains(sums: np.ndarray, whole: float) -> np.ndarray:
+def _gains(sums: np.ndarray, whole: np.ndarray | float) -> np.ndarray:
     """Return T from F_w(k) and F_v(2k), shape (2, K); zero where the positions show one phase of a wave only."""
     F, twice = sums
     rest = whole**2 - np.abs(twice) ** 2

@@ -10,7 +10,7 @@ import numpy as np
 from msgspec.structs import asdict
 
 from pincal.calibration.held_out import StationRows, errors_held_out, headline_of
-from pincal.discover.levers import levers
+from pincal.discover.levers import levers, on_steps
 from pincal.discover.policy import WAVES
 from pincal.discover.steps import History, ModelChange
 from pincal.identify.fit import ModelFit
@@ -205,37 +205,16 @@ def period_of(trace: PartialResidual) -> float | None:
     if (order := trace.effect.locus.order) is not None:
         period = 2.0 * np.pi / order
         return float(period) if width >= WAVES.periods * period else None
-    y = y - np.sum(w * y) / np.sum(w)
-    squares = float(np.sum(w * y**2))
-    cycles = np.arange(WAVES.periods, WAVES.finest * len(x), 1.0 / WAVES.oversampled)
-    if not len(cycles):
+    angle, end = 2.0 * np.pi * (x - x.min()) / width, WAVES.finest * len(x)
+    if end <= WAVES.periods:
         return None
-    gains = _tone_gains(2.0 * np.pi * (x - x.min()) / width, cycles, y, w)
+    steps = {"start": WAVES.periods, "step": 1.0 / WAVES.oversampled, "end": end}
+    cycles, gains = on_steps(angle, w * y, w, **steps, is_beside_constant=True)
     # Whitened, each row of noise adds 1 to the weighted squares, a tone of noise alone 2.
-    excess = squares - len(y)
+    excess = float(np.sum(w * (y - np.average(y, weights=w)) ** 2)) - len(y)
     best = int(np.argmax(gains))
     sure = gains[best] > 2.0 * np.log(len(cycles) / WAVES.period)
     return width / float(cycles[best]) if sure and gains[best] - 2.0 > WAVES.tone * max(excess, 1e-9) else None
-
-
-def _tone_gains(angle: np.ndarray, cycles: np.ndarray, y: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """Return what a sine and a cosine beside a constant take off the weighted squares, for evenly spaced cycles.
-
-    The weighted sums of y e^(i c angle), e^(i c angle) and its square say it all; each tone is the one before, turned.
-    """
-    tone, turn = np.exp(1j * cycles[0] * angle), np.exp(1j * angle / WAVES.oversampled)
-    sums = np.empty((len(cycles), 3), complex)
-    for found in sums:
-        found[:] = (w * y) @ tone, w @ tone, (w * tone) @ tone
-        tone *= turn
-    with_y, mean, square = sums.T
-    whole = w.sum()
-    G = 0.5 * np.array([[whole + square.real, square.imag], [square.imag, whole - square.real]])
-    parts = np.array([mean.real, mean.imag])
-    G -= parts[:, None] * parts / whole
-    b = np.array([with_y.real, with_y.imag]) - parts * (w @ y) / whole
-    inverse = np.linalg.pinv(np.moveaxis(G, -1, 0), rcond=1e-9, hermitian=True)
-    return np.asarray(np.einsum("ik,kij,jk->k", b, inverse, b))
 
 
 def _title(effect: Effect) -> str:
