@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from pincal.identify.equations import Linearised
 from pincal.identify.exact import rounding
 from pincal.identify.fit import ModelFit, carried
 from pincal.identify.noise import outlier_limit
+from pincal.identify.selection import Scored, select_stepwise
 from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.chain import MomentFrame
 from pincal.model.effect import Effect
@@ -55,17 +56,19 @@ def required_features(fit: ModelFit, least: float = 0.0) -> Called:
         kept[[places[effect] for effect in named]] = True
         return wide.gain(kept[free])
 
-    found, settled, most = tuple[Effect, ...](), gain(), gain(*asked)
+    settled, most = gain(), gain(*asked)
     if most - settled <= least:
         return Called((), 0.0)
-    reached = settled
-    while len(found) < len(asked) and most > reached + CRITERIA.bearing:
-        gains = {effect: gain(*found, effect) for effect in asked if effect not in found}
-        best = max(gains, key=lambda effect: gains[effect])
-        if gains[best] < reached + CRITERIA.bearing:
-            break
-        found, reached = (*found, best), gains[best]
-    return Called(found, reached - settled)
+
+    def offers(found: tuple[Effect, ...]) -> Iterator[Scored[Effect]]:
+        enough = gain(*found) + CRITERIA.bearing
+        # All together gain no less than any of them.
+        for effect in (effect for effect in asked if effect not in found and most > enough):
+            gained = gain(*found, effect)
+            yield Scored(effect, -gained, gained >= enough)
+
+    found = select_stepwise(tuple[Effect, ...](), offers, lambda found, effect: (*found, effect), most=len(asked))
+    return Called(found, gain(*found) - settled)
 
 
 # Rows from which it is chosen: conventions differ by more than these could miss, or by nothing that matters.
