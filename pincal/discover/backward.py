@@ -30,7 +30,7 @@ from pincal.discover.drive_curves import curves_over
 from pincal.discover.elastic import with_features
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_from, situation_of
-from pincal.discover.policy import CURVES, TESTING, WAVES, Policy
+from pincal.discover.policy import CURVES, TESTING, WAVES
 from pincal.discover.products import Information
 from pincal.discover.score_tests import BesideNuisances, score_test_given_nuisances
 from pincal.discover.steps import SearchState, SearchStep, decided, worded
@@ -62,7 +62,8 @@ def name_again(state: SearchState, search: Search) -> SearchState:
             state = state.with_replaced(step, replace(step, equivalent=told, together=decision.together))
             continue
         new = decided(rest, decision, search)
-        if _predicts_better(effect, new.effect, rest, search):
+        tests = score_test_given_nuisances(rest, [effect, new.effect], search.groups)
+        if standard_errors(tests.gains_by_block([0]) - tests.gains_by_block([1])) > TESTING.predicts:
             continue
         if _is_close(effect, new.effect):
             state, beside = state.tuned(step, new), None
@@ -80,12 +81,6 @@ def _is_close(effect: Effect, other: Effect) -> bool:
     return abs((effect.locus.order or 0.0) - (other.locus.order or 0.0)) < WAVES.close
 
 
-def _predicts_better(effect: Effect, other: Effect, fit: ModelFit, search: Search) -> bool:
-    """Return whether an effect predicts blocks of poses left out better than another, by more than chance."""
-    tests = score_test_given_nuisances(fit, [effect, other], search.groups)
-    return standard_errors(tests.gains_by_block([0]) - tests.gains_by_block([1])) > TESTING.predicts
-
-
 def drop_needless(state: SearchState, search: Search) -> SearchState:
     """Take out again, one by one, what does not predict blocks of poses left out better beside all the others.
 
@@ -94,19 +89,26 @@ def drop_needless(state: SearchState, search: Search) -> SearchState:
     several that fail it goes last, the others the least missed first. What is needed only once another has left could as
     well be that other.
     """
+    gone, failed = tuple[Effect, ...](), list[SearchStep]()
     while state.steps:
-        worth, without_it = _worths(state, search), cache(partial(_refitted_without, state.fit))
+        worth = _worths(state, search)
+        for step in [step for step in failed if worth[step] > TESTING.predicts]:
+            by = replace(step, equivalent=each_heading_once([*gone[:1], *step.equivalent], step.effect, search.policy))
+            state, worth[by] = state.with_replaced(step, by), worth[step]
+        without_it = cache(partial(_refitted_without, state.fit))
         failed = [step for step in state.steps if _fails(state, step, worth[step], search, without_it)]
         if not failed:
             break
         least = min(failed, key=lambda step: (step.is_elastic, worth[step]))
         log.info("dropped %s: the others predict held-out blocks as well without it", worded(least.effects))
         state = state.changed(without_it(least), state.without_step(least).steps, (), least.effects)
-        state = _with_rivals(state, least, [step for step in failed if step is not least], search)
-    for step in state.steps:
-        told = tuple(missing_from(state.fit, step.equivalent))
-        state = state.with_replaced(step, replace(step, equivalent=told))
-    return state
+        gone, failed = least.effects, [step for step in failed if step is not least]
+    steps = (replace(step, equivalent=tuple(missing_from(state.fit, step.equivalent))) for step in state.steps)
+    return replace(state, steps=tuple(steps))
+
+
+def _refitted_without(fit: ModelFit, step: SearchStep) -> ModelFit:
+    return refit(fit, reduce(without, with_features(fit, step.effects), fit).options.effects)
 
 
 def _fails(
@@ -120,19 +122,22 @@ def _fails(
     fit, policy, own = state.fit, search.policy, with_features(state.fit, step.effects)
     least = 0.0 if step.is_elastic else max(map(enough_errors, step.effects))
     is_one_of_many, is_rest = len(state.steps) > 1, _may_be_left_over(state, step)
-    if worth > least and not (is_rest or (is_one_of_many and _is_doubtful(fit, step, policy))):
-        return False
+    if worth > least and not is_rest:
+        # Wald's test of a step that predicts: far from zero it is not asked further.
+        found = fit.estimate.take(fit.names_of(step.effects))
+        values = found.values[found.free]
+        wald = values @ np.linalg.pinv(found.covariance.dense(), hermitian=True) @ values
+        if not is_one_of_many or wald > policy.sure * len(values):
+            return False
     rest = without_it(step)
     question: Question = "elastic" if step.is_elastic else "stay"
-    wider = 1.0 if step.is_elastic else TESTING.wider
-    tests = score_test_given_nuisances(rest, own, search.groups, wider=wider)
+    tests = score_test_given_nuisances(rest, own, search.groups, wider=1.0 if step.is_elastic else TESTING.wider)
     every = range(len(own))
     said = Unfitted(standard_errors(tests.gains_by_block(every)))
     score = replace(tests.score(every, 1), p_value=tests.p_value_of_any(every) if is_one_of_many else 0.0)
     looks = len({effect.identity for effect in addable(fit, search)}) if is_rest else 1
-    return not accepted(
-        Row(step.effect, score, score.ebic, every, question, looks, left_out=lambda: said, enough=least), policy
-    )
+    row = Row(step.effect, score, score.ebic, every, question, looks, left_out=lambda: said, enough=least)
+    return not accepted(row, policy)
 
 
 def _may_be_left_over(state: SearchState, step: SearchStep) -> bool:
@@ -141,14 +146,6 @@ def _may_be_left_over(state: SearchState, step: SearchStep) -> bool:
         return False
     others = (other for other in state.steps if other.score.gain > step.score.gain and not other.is_elastic)
     return any(effect.is_nameless for other in others for effect in (*other.effects, *other.equivalent))
-
-
-def _is_doubtful(fit: ModelFit, step: SearchStep, policy: Policy) -> bool:
-    """Return whether Wald's test leaves any doubt in a step."""
-    found = fit.estimate.take(fit.names_of(step.effects))
-    values = found.values[found.free]
-    wald = values @ np.linalg.pinv(found.covariance.dense(), hermitian=True) @ values
-    return bool(wald <= policy.sure * len(values))
 
 
 def _worths(state: SearchState, search: Search) -> dict[SearchStep, float]:
@@ -165,20 +162,6 @@ def _worths(state: SearchState, search: Search) -> dict[SearchStep, float]:
         losses = tests.losses_by_block(set(state.fit.names_of(own)) - set(still), still)
         found[step] = standard_errors(losses)
     return found
-
-
-def _with_rivals(state: SearchState, gone: SearchStep, failed: list[SearchStep], search: Search) -> SearchState:
-    """Return the state in which those are told to be perhaps what has left that are needed since it left."""
-    worth = _worths(state, search) if failed else {}
-    for step in failed:
-        if worth[step] > TESTING.predicts:
-            rivals = each_heading_once([*gone.effects[:1], *step.equivalent], step.effect, search.policy)
-            state = state.with_replaced(step, replace(step, equivalent=rivals))
-    return state
-
-
-def _refitted_without(fit: ModelFit, step: SearchStep) -> ModelFit:
-    return refit(fit, reduce(without, with_features(fit, step.effects), fit).options.effects)
 
 
 def named_given(fit: ModelFit, effects: Sequence[Effect], search: Search) -> Iterator[tuple[ModelFit, Decision | None]]:

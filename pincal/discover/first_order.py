@@ -171,9 +171,9 @@ class ScoreTests:
             best = np.argmax(gains, axis=0), np.arange(len(sizes))
             gains, ranks = gains[best], ranks[best]
         for size in np.unique(sizes) if self.doubt is None else ():
-            some, (taken, b) = np.flatnonzero(sizes == size), self._projection
+            some, (taken, b), inner = np.flatnonzero(sizes == size), self._projection, self.products.each_inner
             j = np.array([self.columns[i] for i in some])
-            roots, seen = self._roots(j, self.products.each_inner(j) - taken[j] @ taken[j].swapaxes(1, 2))
+            roots, seen = self._roots(j, inner[j[:, :, None], j[:, None]] - taken[j] @ taken[j].swapaxes(1, 2))
             gains[some] = np.sum(np.einsum("gi,gik->gk", b[j], roots) ** 2, axis=1)
             ranks[some] = seen.sum(axis=1)
         return gains, ranks, np.minimum(looks * chance_of(gains, ranks, self.squares, self.dof), 1.0)
@@ -323,8 +323,9 @@ class ScoreTests:
     def _judged(self, gain: float, rank: int, chance: float, squares: float, groups: float) -> ScoreResult:
         if rank == 0:
             return ScoreResult(0.0, 0, 1.0, np.inf)
-        cost = information_criterion(gain, rank, squares, self.readings) + 2.0 * float(np.log(max(groups, 1.0)))
-        return ScoreResult(min(gain, TESTING.most_explained * squares), rank, min(chance, 1.0), cost)
+        gain, n = min(gain, TESTING.most_explained * squares), self.readings
+        cost = n * float(np.log1p(-gain / squares)) + rank * float(np.log(n)) + 2.0 * float(np.log(max(groups, 1.0)))
+        return ScoreResult(gain, rank, min(chance, 1.0), cost)
 
     def log_evidence(self, which: Sequence[int]) -> float:
         """Return the log of how much likelier the data are with some candidates, whatever their values, than without.
@@ -378,10 +379,3 @@ def chance_of(
         np.maximum(rank, 1),
     )
     return np.asarray(np.where(rank, fdtrc(rank_seen, rest, (gain / rank_seen) / ((squares - gain) / rest)), 1.0))
-
-
-def information_criterion(gain: float, rank: int, squares: float, readings: int) -> float:
-    """Return the change of the Bayesian information criterion by what takes a gain off the squares; negative is better."""
-    return readings * float(np.log1p(-min(gain, TESTING.most_explained * squares) / squares)) + rank * float(
-        np.log(readings)
-    )

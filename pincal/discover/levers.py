@@ -311,27 +311,18 @@ def likely_maps(fit: ModelFit, joints: Sequence[str]) -> list[Effect]:
     drives = [int(chain.drives[situation.joints.index(joint)]) for joint in joints]
     along, lever = seen_along(fit, np.array(drives))
     columns = dict(zip(situation.joints, situation.conditions.q.T, strict=True))
-    splines = {name: _coarse(q) for name, q in columns.items() if np.ptp(q)}
+    splines = {name: spline_basis(q, q.min(), q.max(), FEWEST_SPLINES) for name, q in columns.items() if np.ptp(q)}
     found: list[tuple[float, Sequence[Effect]]] = []
     for joint, b, v in zip(joints, along, lever, strict=True):
         for effect in maps_of(situation, joint):
             forms = effect.resolutions(situation)
             if forms and missing_from(fit, [effect]):
                 basis = np.einsum("an,bn->abn", splines[joint], splines[effect.depends_on]).reshape(-1, len(b))
-                found.append((_gain(basis, b, v), forms))
+                S, g = (basis * v) @ basis.T, basis @ b
+                ridge = WAVES.map_seen * float(np.diag(S).max(initial=0.0))
+                gain = float(g @ np.linalg.solve(S + ridge * np.eye(len(S)), g)) if ridge else 0.0
+                found.append((gain, forms))
     gain, likeliest = max(found, key=lambda one: one[0], default=(0.0, ()))
     worth = float(chdtri(FEWEST_SPLINES**2, WAVES.worth / max(len(found), 1)))
     tried = likeliest[: WAVES.map_forms]
     return list(dict.fromkeys([tried[0], tried[-1]])) if gain > worth else []
-
-
-def _coarse(q: np.ndarray) -> np.ndarray:
-    """Return the splines of which the coarsest map is made, of positions of shape (N,), shape (4, N)."""
-    return spline_basis(q, float(q.min()), float(q.max()), FEWEST_SPLINES)
-
-
-def _gain(basis: np.ndarray, along: np.ndarray, lever: np.ndarray) -> float:
-    """Return what basis functions, shape (K, N), of a joint's position take off the squares."""
-    S, b = (basis * lever) @ basis.T, basis @ along
-    ridge = WAVES.map_seen * float(np.diag(S).max(initial=0.0))
-    return float(b @ np.linalg.solve(S + ridge * np.eye(len(S)), b)) if ridge else 0.0

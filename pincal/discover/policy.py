@@ -65,11 +65,9 @@ class Policy:
         "p-value below which elasticity enters the model",
         "every arm is elastic, so one test is enough; it is tested again at the end")
     tie: float = _number(6.0, _CRITERION, _DECISIONS + "test_rivals_are_those_that_leave_little",
-        "difference in cost below which two effects count as equally good",
-        "odds of 20 to 1 (2 log 20 = 6.0)")
+        "difference in cost below which two effects count as equally good", "odds of 20 to 1 (2 log 20 = 6.0)")
     near_tie: float = _number(15.0, _CRITERION, _DECISIONS + "test_rivals_are_those_that_leave_little",
-        "difference in cost up to which an effect is considered as a rival",
-        "2.5 ties: odds of 1800 to 1")
+        "difference in cost up to which an effect is considered as a rival", "2.5 ties: odds of 1800 to 1")
     without_name: float = _number(6.0, _CRITERION, _NAMED,
         "by how much an unnamed effect has to be better than a named one",
         "one tie: a named effect is preferred unless the odds against it are 20 to 1")
@@ -104,17 +102,15 @@ class Policy:
         "reduction of the weighted squares that is enough, however many readings there are",
         "ten standard deviations of one parameter: sure, whatever its share")
     close: int = _number(12, "effects", _EXAMPLES,
-        "named effects that take part when unnamed ones are tested",
-        "chosen: it bounds the size of the second table")
+        "named effects that take part when unnamed ones are tested", "chosen: it bounds the size of the second table")
     most_steps: int = _number(14, "steps", _EXAMPLES,
-        "effects that are added at most",
-        "chosen: a bound on the time")
+        "effects that are added at most", "chosen: a bound on the time")
     most_rivals: int = _number(6, "effects", _DECISIONS + "test_each_heading_is_listed_once",
-        "equivalent effects that are listed",
-        "what a reader can act on")
+        "equivalent effects that are listed", "what a reader can act on")
     enough_readings: int = _number(12000, "readings", "benchmark.py",
         "readings from which effects are chosen; in the end all rows are fitted and resolve the curves",
-        "an effect that reduces the squares of more readings by 100 still reduces these enough; UR10 B gives the same names")
+        "an effect that reduces the squares of more readings by 100 still reduces these enough; UR10 B gives the same "
+        "names")
 
     def least_gain(self, squares: float, *, declared: bool) -> float:
         """Return what an effect has to take off a sum of squares to matter, both in units of the noise.
@@ -139,8 +135,8 @@ class ScoreNumbers:
         "one in six by chance; other criteria are stricter")
     searched: float = _number(2.0, "standard errors", _STAGE,
         "the same for an effect selected among many on all blocks, such as harmonics of all orders",
-        "selection favours chance in the held-out blocks as well: of the significant ripples on a real UR10 only one "
-        "is found in both series, at 2.4 and 2.2; the others reach 1.7 at most")
+        "selection favours chance in the held-out blocks as well: of the significant ripples on a real UR10 only one is "
+        "found in both series, at 2.4 and 2.2; the others reach 1.7 at most")
     veto: float = _number(2.0, "standard errors", _BLOCKS,
         "that blocks of poses have to improve for one of them not to have a veto", "1 in 40 by chance")
     fewest_blocks: int = _number(6, "blocks", _BLOCKS,
@@ -162,8 +158,8 @@ class ScoreNumbers:
         "uncertainty of a first moment of mass in a URDF, in units of mass times link size", "as well as the mass")
     mass_beliefs: tuple[tuple[float, float], ...] = _number(((0.4, 0.0), (2.0, 2.0 * log(30.0))), "ratio, " + _CRITERION,
         "test_selection.py::test_priors_in_doubt_are_the_likeliest_ones_with_a_candidate_and_without",
-        "alternative factors for these, and their costs: 2 %, or, with odds of 30 to 1 against it, 10 %; the data determine "
-        "which is likelier, with an effect and without",
+        "alternative factors for these, and their costs: 2 %, or, with odds of 30 to 1 against it, 10 %; the data "
+        "determine which is likelier, with an effect and without",
         "gravity compensators and wrong payloads (lambda >= 60, masses 3 % off) are then named on more arms than with 5 % "
         "for all, and arms whose masses are 10 % off get no more false names")
     most_taken: float = _number(0.9, "ratio", "test_uneven.py::test_even_noise_changes_nothing",
@@ -274,8 +270,8 @@ class PlaceNumbers:
     """When a place or a region is worth a line."""
 
     chance: float = _number(0.01, "probability", _NOWHERE,
-        "that data without an effect show a place, or a range of the workspace", "a line of a report in a hundred may "
-        "be chance")
+        "that data without an effect show a place, or a range of the workspace",
+        "a line of a report in a hundred may be chance")
     share: float = _number(0.05, "ratio", _LOCATED,
         "part of the excess below which a further place is not worth a line", "chosen: too small to be relevant")
     places: int = _number(3, "places", _LOCATED,
@@ -336,15 +332,14 @@ class NoiseNumbers:
     joints: float = _number(25.0, "2 log likelihood", "test_joint_noise.py::test_even_noise_is_left_as_it_is",
         "that noise of the joints has to gain", "without any, 120 tables had up to 13, half of them up to 2")
     readings_each: float = _number(5.0, "readings per parameter", _JOINT_NOISE,
-        "below which a fit has shaped its residuals too much",
-        "a fifth of their variance is gone then")
+        "below which a fit has shaped its residuals too much", "a fifth of their variance is gone then")
     rows: int = _number(1000, "rows", _JOINT_NOISE,
         "that determine the variances well enough", "to 5 %")
     start: float = _number(0.3, "noise variance", "test_joint_noise.py::test_variances_are_where_residuals_are_likeliest",
         "where the search for the variances begins", "chosen: only the time depends on it")
     bounds: tuple[float, float] = _number((1e-6, 1e4), "noise variance",
-        "test_joint_noise.py::test_variances_are_where_residuals_are_likeliest", "how small and how large they may be",
-        "nothing, and everything")
+        "test_joint_noise.py::test_variances_are_where_residuals_are_likeliest",
+        "how small and how large they may be", "nothing, and everything")
 
 
 @dataclass(frozen=True, kw_only=True)

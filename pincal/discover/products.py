@@ -143,13 +143,14 @@ class Products:
         return _sum(self.blocks_g)
 
     @cached_property
-    def _inner(self) -> np.ndarray:
+    def each_inner(self) -> np.ndarray:
+        """Those of each candidate's columns with each other, of all blocks, shape (C, C); of others' perhaps not."""
         return _sum(self.blocks_inner)
 
     @cached_property
     def squares(self) -> np.ndarray:
         """Of each column with itself, shape (C,)."""
-        return np.diag(self._inner)
+        return np.diag(self.each_inner)
 
     @cached_property
     def inner(self) -> np.ndarray:
@@ -164,14 +165,10 @@ class Products:
         """Return those of some candidates' columns with each other, shape (J, J)."""
         j = self.places(which)
         if not self.is_partial or len(which) < 2:
-            return np.asarray(self._inner[np.ix_(j, j)])
+            return np.asarray(self.each_inner[np.ix_(j, j)])
         if (key := tuple(which)) not in self._asked:
             self._asked[key] = np.asarray(sum(part.gram(j) for part in self.parts))
         return self._asked[key]
-
-    def each_inner(self, columns: np.ndarray) -> np.ndarray:
-        """Return those of g columns of each of some candidates, shape (n, g), with each other, shape (n, g, g)."""
-        return np.asarray(self._inner[columns[:, :, None], columns[:, None]])
 
     def among(self, which: Sequence[int], model: np.ndarray, gone: np.ndarray, values: np.ndarray) -> Products:
         """Return those of some candidates with some of a model's columns, others gone with their values.
