@@ -84,7 +84,7 @@ def _about_itself(effect: ExponentialDrift, test: Tester) -> ExponentialDrift:
 
     About another constant it leaves what a curve of the time describes, which would pass for better where many rows tell.
     """
-    for _ in range(TESTING.expansions_tested):
+    for _ in range(TESTING.expansions):
         about = effect.about(test([effect]).estimate([0]))
         if about == effect:
             break

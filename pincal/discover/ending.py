@@ -36,7 +36,6 @@ from pincal.discover.steps import (
     History,
     SearchState,
     SearchStep,
-    about_itself,
     worded,
 )
 from pincal.identify.block_scatter import with_blocks
@@ -46,7 +45,7 @@ from pincal.identify.fit import Ending, ModelFit, without
 from pincal.identify.normal import block_rows
 from pincal.measure.sampling import sample_rows
 from pincal.model.catalogue.ripple import resolution_of
-from pincal.model.effect import Curve, Effect, ExponentialDrift, Harmonic
+from pincal.model.effect import Curve, Effect, Harmonic
 from pincal.units import format_small
 
 log = logging.getLogger(__name__)
@@ -348,10 +347,8 @@ def fit_all_rows(state: SearchState, search: Search) -> SearchState:
         chosen, fit = smoothed(fit, curves)
     for curve, (finer, _) in chosen.items():
         log.info("%s: %d pieces, smooth %d", curve.locus.joint, curve.resolution, finer.resolution)
-    settling = [e for step in state.steps for e in step.effects if isinstance(e, ExponentialDrift)] if is_thinned else []
-    by, start = dict[Effect, Effect](), dict[Effect, np.ndarray]()
-    for effect, (other, values) in (*chosen.items(), *((e, about_itself(fit, e)) for e in settling)):
-        by[effect], start[other] = other, values
+    by: dict[Effect, Effect] = {curve: finer for curve, (finer, _) in chosen.items()}
+    start: dict[Effect, np.ndarray] = dict(chosen.values())
     effects = _exchanged(fit.options.effects, by)
     fit = fit if noise is None else weighed(fit, noise)
     state = _with_others(state, by, refit(fit, effects, start=start))
@@ -364,7 +361,7 @@ def _curves_of(state: SearchState) -> list[Curve]:
 
 
 def _exchanged(effects: Iterable[Effect], by: Mapping[Effect, Effect]) -> tuple[Effect, ...]:
-    return tuple(by.get(effect, effect) if isinstance(effect, Curve | ExponentialDrift) else effect for effect in effects)
+    return tuple(by.get(effect, effect) if isinstance(effect, Curve) else effect for effect in effects)
 
 
 def _with_others(state: SearchState, by: Mapping[Effect, Effect], fit: ModelFit) -> SearchState:

@@ -335,7 +335,6 @@ _PASSES: tuple[Callable[[SearchState, Search], SearchState], ...] = (
     take_whole_curves,
     add_remainders,
     hold_up_elasticity,
-    settle,
     fit_all_rows,
     settle,
     merge_parts,

@@ -176,12 +176,8 @@ class ScoreNumbers:
     order: float = _number(0.1, "ratio", "test_rows.py::test_correlated_noise_is_estimated_and_left_white",
         "mean square of a joint's steps from row to row, over that of random ones, below which it moved along the rows",
         "a path of a few turning points, or sorted poses")
-    expansions_tested: int = _number(4, "times", _CONSTANT,
-        "that an effect with a time constant is linearised anew to be tested", "chosen: each step is Newton's")
-    expansions_entered: int = _number(3, "times", _CONSTANT,
-        "the same before the next effect is looked for", "what is left of it is found once nothing else is missing")
     expansions: int = _number(8, "times", _CONSTANT,
-        "the same in the end", "chosen: each step is Newton's")
+        "that an effect with a time constant is linearised anew at most", "chosen: each step is Newton's")
     sure: float = _number(4.0, "standard deviations", _SOFT,
         "by which a compliance has to differ from zero to be named by itself",
         "1 in 16000 by chance, of some twenty compliances")

@@ -276,7 +276,7 @@ def decided(fit: ModelFit, decision: Decision, search: Search, until: Tolerance 
     after = refit(fit, [*fit.options.effects, effect], start={effect: start}, until=until)
     if isinstance(effect, ExponentialDrift):
         # What is left of its time constant is found once nothing else is missing.
-        after, effect = linearised_about_itself(after, effect, most=TESTING.expansions_entered, until=until)
+        after, effect = linearised_about_itself(after, effect, until)
     return SearchStep((effect,), decision.row.score, decision.equivalent, fit, after, tested, estimate, decision.together)
 
 
@@ -286,42 +286,23 @@ def worded(effects: Sequence[Effect]) -> str:
 
 
 def linearised_about_itself(
-    fit: ModelFit, effect: ExponentialDrift, *, most: int = TESTING.expansions, until: Tolerance = Tolerance.SETTLED
+    fit: ModelFit, effect: ExponentialDrift, until: Tolerance = Tolerance.SETTLED
 ) -> tuple[ModelFit, ExponentialDrift]:
-    """Return a fit in which an effect stands linearised about its own parameters, and the effect.
-
-    Args:
-        fit: the fit.
-        effect: the effect.
-        most: fits at most.
-        until: how far each goes.
-    """
-    for _ in range(most):
-        about, start = about_itself(fit, effect)
+    """Return a fit in which an effect stands linearised about its own parameters, and the effect."""
+    for _ in range(TESTING.expansions):
+        values = fit.values[fit.problem.places_at(effect)]
+        about = effect.about(values)
         if about == effect:
             break
+        start = np.zeros(len(values))
+        start[0] = values[0]
         others = [other for other in fit.options.effects if other != effect]
         fit, effect = refit(fit, [*others, about], start={about: start}, until=until), about
     return fit, effect
 
 
-def about_itself(fit: ModelFit, effect: ExponentialDrift) -> tuple[ExponentialDrift, np.ndarray]:
-    """Return an effect of a fit linearised about its parameters as they are, and what these are then, shape (K,)."""
-    values = fit.values[fit.problem.places_at(effect)]
-    about = effect.about(values)
-    start = np.zeros(len(about.parameters(fit.problem.chain)))
-    start[0] = values[0]
-    return about, start
-
-
 def settle(state: SearchState, search: Search) -> SearchState:
-    """Linearise each effect with a time constant about its parameters as they are beside all others.
-
-    All rows of a large table move it little from where the rows that effects are chosen by left it: they are fitted with it
-    about where they have it, and that is enough.
-    """
-    if len(state.fit.problem) > len(search.groups):
-        return state
+    """Linearise each effect with a time constant about its parameters as they are beside all others."""
     for step in state.steps:
         for effect in step.effects:
             if isinstance(effect, ExponentialDrift):
