@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
 import pytest
 
 from pincal.discover.decisions import (
@@ -47,14 +46,8 @@ class Told:
     """Evidence as a test wants it: everything is told apart and predicts unless said otherwise."""
 
     left: dict[tuple[int, int], float] = field(default_factory=dict)
-    together: dict[tuple[int, int], float] = field(default_factory=dict)
     silent: frozenset[int] = frozenset()
     beside: dict[tuple[tuple[int, ...], tuple[int, ...]], float] = field(default_factory=dict)
-
-    def score(self, which: Sequence[int], groups: int) -> ScoreResult:
-        """Return what the test says of a pair, else that none is worth its cost."""
-        one, other = which
-        return ScoreResult(200.0, 1, 1e-9, self.together.get((one, other), np.inf))
 
     def score_given(self, which: Sequence[int], given: Sequence[int]) -> ScoreResult:
         """Return what the test says, else that they are told apart beyond doubt."""
@@ -203,31 +196,6 @@ def test_dependences_without_a_name_are_rivals_of_a_name() -> None:
     names = table(row(OTHER, -60.0), row(PLAY, -58.0), told=Told(left={(0, 1): 0.5}))
     found = decided(names, row(STRANGE, -57.0), told=Told(left={(0, 2): 0.5}))
     assert found is not None and found.equivalent == (PLAY, STRANGE)
-
-
-def test_a_simple_curve_may_be_part_of_a_whole_one() -> None:
-    """The drive curve is an equivalent where it hints at more, and is chosen where it surely explains more."""
-    rows = row(RATIO, -60.0), row(CURVE, -50.0), row(PLAY, -20.0)
-    for left, effect, equivalent in ((0.5, RATIO, ()), (0.1, RATIO, (CURVE,)), (1e-6, CURVE, ())):
-        found = decided(table(*rows, told=Told(left={(1, 0): left})))
-        assert found is not None and (found.effect, found.equivalent) == (effect, equivalent)
-
-
-def test_a_second_name_is_better_than_a_whole_curve() -> None:
-    """Two names that together cost less than the curve keep it from being chosen."""
-    rows = row(RATIO, -60.0), row(CURVE, -65.0, p=0.5), row(WAVE, -20.0)
-    told = {(1, 0): 1e-6}
-    alone = decided(table(*rows, told=Told(left=told, together={(0, 2): -64.0})))
-    pair = decided(table(*rows, told=Told(left=told, together={(0, 2): -66.0})))
-    assert alone is not None and alone.effect == CURVE
-    assert pair is not None and pair.effect == RATIO and CURVE in pair.equivalent
-
-
-def test_the_best_of_simple_curves_counts() -> None:
-    """The drive curve has to add something to every simple curve of the joint that is nearly as good."""
-    rows = row(RATIO, -60.0), row(CURVE, -50.0), row(WAVE, -55.0)
-    found = decided(table(*rows, told=Told(left={(1, 0): 1e-9, (1, 2): 0.9})))
-    assert found is not None and found.effect == RATIO and found.equivalent == ()
 
 
 def test_each_heading_is_listed_once() -> None:

@@ -15,7 +15,7 @@ from pincal.identify import criteria
 from pincal.identify.problem import Problem
 
 # What there was when this was written, with 3 200 for programs in five languages of controllers; 44 000 is the aim.
-MOST_LINES = 59_800
+MOST_LINES = 59_400
 TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [

@@ -13,7 +13,15 @@ from functools import cache, partial, reduce
 
 import numpy as np
 
-from pincal.discover.candidate_tests import Search, addable, explanation, spare_compliances, table_of, unnamed_given
+from pincal.discover.candidate_tests import (
+    Search,
+    addable,
+    explanation,
+    spare_compliances,
+    table_of,
+    unnamed_given,
+    variants,
+)
 from pincal.discover.decisions import (
     CandidateTable,
     Decision,
@@ -26,7 +34,6 @@ from pincal.discover.decisions import (
     is_own_curve,
     standard_errors,
 )
-from pincal.discover.drive_curves import curves_over
 from pincal.discover.elastic import with_features
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_from, situation_of
@@ -215,68 +222,64 @@ class _Shared:
 
     def without(self, gone: Effect, effects: Sequence[Effect], groups: np.ndarray | None = None) -> ScoreTests:
         """Return the tests of candidates against the fit without one of its effects."""
-        found = self._tested(effects, groups)
-        if found is None:
+        keys, has_blocks = [key_of(effect) for effect in effects], groups is not None
+        if not any(blocks == has_blocks and number.keys() >= set(keys) for blocks, number, _ in self.passes):
             self.test(effects, groups)
-            found = self._tested(effects, groups)
-            assert found is not None
-        which, tests = found
+        tested = (of for of in self.passes if of[0] == has_blocks and of[1].keys() >= set(keys))
+        _, number, tests = next(tested)
         key = id(tests.model), id(gone)
-        rest = tests.among(which, self.beside.fit.names_of([gone]), self.known.get(key))
+        rest = tests.among([number[k] for k in keys], self.beside.fit.names_of([gone]), self.known.get(key))
         self.known[key] = rest.model
         return rest
 
-    def _tested(self, effects: Sequence[Effect], groups: np.ndarray | None) -> tuple[list[int], ScoreTests] | None:
-        """Return a pass in which all of some candidates were tested, and their numbers there."""
-        for has_blocks, number, tests in self.passes:
-            which = [number.get(key_of(effect), -1) for effect in effects]
-            if has_blocks == (groups is not None) and min(which, default=0) >= 0:
-                return which, tests
-        return None
 
+def judge_remainders(state: SearchState, search: Search) -> SearchState:
+    """Ask of each name that follows a joint's position what it leaves of this position where it acts.
 
-def add_remainders(state: SearchState, search: Search) -> SearchState:
-    """Add, beside each name that follows a joint's position, the wave or curve of this position that it leaves there.
-
-    What a name leaves of its own variable in its own place is one of a few smooth functions, so that far less of it is more
-    than chance than in a search among all dependences. It has to predict blocks left out, too. Where there is but a hint of
-    it, it is told as what the name may be part of.
+    That is one of a few smooth functions, so that far less of it is more than chance than in a search among all dependences.
+    It has to predict blocks left out, too. The whole curve of a joint's drive takes the place of a simple one that leaves
+    some of it; what acts beside a name is added. Where there is but a hint of either, or where two simple curves of one
+    joint may be one irregular one, it is told as what the name may be part of.
     """
-    for step in state.steps:
-        smooth = _smooth_beside(step.effect, state.fit, search) if len(step.effects) == 1 else ()
-        rest = _most_left(smooth, state.fit, search)
-        if rest is None:
-            continue
-        if accepted(rest.row, search.policy):
-            log.info("%s leaves %s", worded(step.effects), worded([rest.effect]))
-            state = state.with_step(decided(state.fit, rest, search))
-        elif rest.row.score.p_value * len(smooth) < search.policy.hint:
-            others = each_heading_once([*step.equivalent, rest.effect, *rest.equivalent], step.effect, search.policy)
-            state = state.with_replaced(step, replace(step, equivalent=others))
+    simple = [step.effect.locus.joint for step in state.steps if is_own_curve(step.effect)]
+    for step in [step for step in state.steps if len(step.effects) == 1]:
+        curves, hinted = _whole_curves(step.effect, state.fit), list[Effect]()
+        coarse, finer = curves[: CURVES.forms], curves[CURVES.forms :]
+        for smooth in (coarse, finer, _smooth_beside(step.effect, state.fit, search)):
+            rest = _most_left(smooth, state.fit, search)
+            if rest is None:
+                continue
+            if smooth is finer or not accepted(rest.row, search.policy):
+                is_hint = rest.row.score.p_value * len(smooth) < search.policy.hint
+                hinted += [rest.effect, *rest.equivalent] if is_hint else []
+            elif smooth is coarse:
+                state = _with_whole(state, step, rest, search)
+                break
+            else:
+                log.info("%s leaves %s", worded(step.effects), worded([rest.effect]))
+                state = state.with_step(decided(state.fit, rest, search))
+        else:
+            several = curves[:1] if simple.count(step.effect.locus.joint) > 1 else []
+            told = each_heading_once([*several, *step.equivalent, *hinted], step.effect, search.policy)
+            state = state.with_replaced(step, replace(step, equivalent=told))
     return state
 
 
-def take_whole_curves(state: SearchState, search: Search) -> SearchState:
-    """Take the whole curve of a joint's drive in the place of a simple one that leaves some of it.
+def _with_whole(state: SearchState, step: SearchStep, whole: Decision, search: Search) -> SearchState:
+    """Return the state with the whole curve of a drive in the place of a simple one."""
+    rest = without(state.fit, step.effect)
+    score = score_test_given_nuisances(rest, [whole.effect]).score([0], int(whole.row.among))
+    new = decided(rest, replace(whole, row=replace(whole.row, score=score)), search)
+    log.info("%s is part of %s", worded(step.effects), worded(new.effects))
+    others = each_heading_once([step.effect, *step.equivalent], new.effect, search.policy)
+    by = replace(new, equivalent=others, before=step.before, after=step.after)
+    return state.changed(new.after, state.with_replaced(step, by).steps, new.effects, step.effects)
 
-    Where both explain the data the simple one was chosen, and the curve stands beside it as equivalent.
-    """
-    for step in state.steps:
-        curve = next((effect for effect in step.equivalent if isinstance(effect, Curve)), None)
-        if curve is None or len(step.effects) > 1 or not is_own_curve(step.effect):
-            continue
-        sizes = [round(curve.resolution * finer) for finer in CURVES.finer]
-        decision = _most_left(curves_over(state.fit, curve, sizes), state.fit, search)
-        if decision is None or not accepted(decision.row, search.policy):
-            continue
-        rest = without(state.fit, step.effect)
-        score = score_test_given_nuisances(rest, [decision.effect]).score([0], len(sizes))
-        new = decided(rest, replace(decision, row=replace(decision.row, score=score)), search)
-        log.info("%s is part of %s", worded(step.effects), worded(new.effects))
-        others = each_heading_once([step.effect, *step.equivalent], new.effect, search.policy)
-        whole = replace(new, equivalent=others, before=step.before, after=step.after)
-        state = state.changed(new.after, state.with_replaced(step, whole).steps, new.effects, step.effects)
-    return state
+
+def _whole_curves(effect: Effect, fit: ModelFit) -> list[Effect]:
+    """Return the curves of a joint's drive, the coarsest first, of which a simple one may be a part."""
+    own = variants(fit, ("drive",)) if is_own_curve(effect) else ()
+    return missing_from(fit, (e for e in own if isinstance(e, Curve) and e.locus.joint == effect.locus.joint))
 
 
 def _most_left(smooth: Sequence[Effect], fit: ModelFit, search: Search) -> Decision | None:

@@ -97,9 +97,6 @@ def accepted(row: Row, policy: Policy) -> bool:
 class Tests(Protocol):
     """Tests of several candidates against one fit; see :class:`ScoreTests`."""
 
-    def score(self, which: Sequence[int], groups: int, /) -> ScoreResult:
-        """Return the test of some candidates taken as one, of so many that are tested."""
-
     def score_given(self, which: Sequence[int], given: Sequence[int], /) -> ScoreResult:
         """Return the test of what some candidates still explain once others are in the model."""
 
@@ -134,13 +131,6 @@ class CandidateTable:
             if self.left([best], [i]) > (policy.told_apart if worse < policy.tie else policy.adds_nothing):
                 found.append(row.effect)
         return found
-
-    def competing_curves(self, effect: Effect) -> list[int]:
-        """Return the drive curves of the joint on which a simple curve of its position acts; none of another effect."""
-        if not is_own_curve(effect):
-            return []
-        joint = effect.locus.joint
-        return [i for i, row in enumerate(self.rows) if isinstance(row.effect, Curve) and row.effect.locus.joint == joint]
 
     def parts(self, whole: int, policy: Policy) -> list[int]:
         """Return the plainer simple curves of the joint's position that together do what a simple curve does; else none.
@@ -203,19 +193,16 @@ def decide(names: CandidateTable, contest_of: Callable[[Sequence[Row]], Candidat
     contest = contest_of([names.rows[i] for i in close])
     nameless = _better_without_name(contest, None if best is None else names.rows[best].effect, policy)
     if nameless is not None:
-        whole = [names.rows[i].effect for i in names.competing_curves(contest.rows[nameless].effect)[:1]]
-        more = [] if best is None else _larger_curves(names, best, policy)
-        return _decision(contest, nameless, [*whole, *more], policy)
+        effect = contest.rows[nameless].effect
+        curves = (row.effect for row in names.rows if isinstance(row.effect, Curve) and is_own_curve(effect))
+        whole = [curve for curve in curves if curve.locus.joint == effect.locus.joint][:1]
+        return _decision(contest, nameless, whole, policy)
     if best is None:
         return None
-    curve = _promoted(names, best, policy)
-    if curve is not None:
-        return _decision(names, curve, [], policy)
     same = next(i for i, row in enumerate(contest.rows) if row.effect is names.rows[best].effect)
     others = [effect for effect in contest.rivals(same, policy) if effect.is_nameless]
     together = tuple(names.rows[i].effect for i in names.parts(best, policy))
-    decision = _decision(names, best, [*together, *others, *_larger_curves(names, best, policy)], policy)
-    return replace(decision, together=together)
+    return replace(_decision(names, best, [*together, *others], policy), together=together)
 
 
 def _without_equivalents(names: CandidateTable, best: int, policy: Policy) -> int:
@@ -263,37 +250,6 @@ def is_own_curve(effect: Effect) -> bool:
     at = effect.locus
     is_about_axis = at.acts_on in ("drive", "gamma_z")
     return is_about_axis and at.joint is not None and at.follows == at.joint and not isinstance(effect, Curve | Harmonic)
-
-
-def _beyond(names: CandidateTable, best: int, policy: Policy) -> tuple[float, int]:
-    """Return the chance that some simple curve of the joint's position is all of the curve, and the drive curve."""
-    rows, effect = names.rows, names.rows[best].effect
-    curves = names.competing_curves(effect)
-    simple = [
-        i
-        for i, row in enumerate(rows)
-        if is_own_curve(row.effect)
-        and row.effect.locus.joint == effect.locus.joint
-        and (i == best or row.cost < rows[best].cost + policy.near_tie)
-    ]
-    chances = [(max(names.left([i], [j]) for j in simple) * len(curves), i) for i in curves]
-    return min(chances, default=(1.0, -1))
-
-
-def _promoted(names: CandidateTable, best: int, policy: Policy) -> int | None:
-    """Return the drive curve of which the simple names are only a part, unless a second name explains the rest as well."""
-    chance, curve = _beyond(names, best, policy)
-    if chance > policy.adds_nothing:
-        return None
-    others = [i for i, row in enumerate(names.rows) if i != best and not isinstance(row.effect, Curve)]
-    pairs = [names.tests.score([*names.rows[best].which, *names.rows[i].which], len(names.rows)).ebic for i in others]
-    return curve if names.rows[curve].cost < min(pairs, default=np.inf) else None
-
-
-def _larger_curves(names: CandidateTable, best: int, policy: Policy) -> list[Effect]:
-    """Return the drive curve that leaves something to a simple curve of the joint's position, if there is a hint of one."""
-    chance, curve = _beyond(names, best, policy)
-    return [names.rows[curve].effect] if chance < policy.hint else []
 
 
 def standard_errors(gains: np.ndarray) -> float:

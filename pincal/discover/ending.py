@@ -27,9 +27,9 @@ from scipy.optimize import minimize
 
 from pincal.discover.candidate_tests import Search, over_rows_of, sampled
 from pincal.discover.decisions import each_heading_once
-from pincal.discover.drive_curves import curves_over, smoothed
+from pincal.discover.drive_curves import smoothed
 from pincal.discover.first_order import ScoreTests
-from pincal.discover.levers import MassError, levers, missing_features
+from pincal.discover.levers import MassError, levers, missing_features, situation_of
 from pincal.discover.policy import NOISE, WAVES
 from pincal.discover.score_tests import score_test_given_nuisances
 from pincal.discover.steps import (
@@ -336,7 +336,8 @@ def fit_all_rows(state: SearchState, search: Search) -> SearchState:
     is_thinned, noise = len(fit.problem) < len(first.problem), joint_noise(fit)
     if is_thinned:
         whole = over_rows_of(fit, first)
-        wider: dict[Effect, Effect] = {e: curves_over(whole, e, [e.resolution])[0] for e in _curves_of(state)}
+        situation = situation_of(whole)
+        wider: dict[Effect, Effect] = {e: e.resized(situation, e.resolution) for e in _curves_of(state)}
         fit = refit(whole, _exchanged(fit.options.effects, wider), until=Tolerance.ROUGH)
         state = _with_others(state, wider, fit)
     curves = _curves_of(state)

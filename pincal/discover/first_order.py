@@ -109,6 +109,17 @@ class ScoreTests:
         """Inverse variances of the priors, shape (N + C,)."""
         return np.asarray(self.sizes**-2.0)
 
+    def prior(self, which: Sequence[int]) -> np.ndarray:
+        """Return the information of the priors of some candidates' J parameters, smoothness of curves included, (J, J)."""
+        own = self.products.places(which)
+        L, start = np.diag(self.precision[self.n_model + own]), 0
+        for i in which:
+            end = start + len(self.columns[i])
+            if (smooth := self.effects[i].smoothness()) is not None:
+                L[start:end, start:end] += smooth
+            start = end
+        return L
+
     @cached_property
     def projected(self) -> tuple[np.ndarray, np.ndarray]:
         """S' and b' of all candidate columns."""
@@ -212,8 +223,7 @@ class ScoreTests:
         model, model_step = self.model.without_block[k]
         cross = products.cross[:, j] - across
         taken = model.half(cross)
-        precision = np.diag(self.precision[self.n_model + j])
-        factor = Factor.of(products.inner_of(which) - own - taken.T @ taken + precision)
+        factor = Factor.of(products.inner_of(which) - own - taken.T @ taken + self.prior(which))
         step = factor.solve(products.g[j] - b - cross.T @ model_step)
         change = -model.back(taken @ step)
         along = model_S @ change + across @ step
@@ -290,8 +300,8 @@ class ScoreTests:
 
     def estimate(self, which: Sequence[int]) -> np.ndarray:
         """Return some candidates' parameters to first order, priors included."""
-        j, S, b = self.within(which)
-        return np.asarray(np.linalg.inv(S + np.diag(self.precision[self.n_model + j])) @ b)
+        _, S, b = self.within(which)
+        return np.asarray(np.linalg.inv(S + self.prior(which)) @ b)
 
     @property
     def dof(self) -> float:
@@ -336,10 +346,12 @@ class ScoreTests:
         cost, tests = self.likeliest(which)
         j, S, b = tests.within(which)
         size = self.sizes[self.n_model + j]
-        information = np.outer(size, size) * S + np.eye(len(j))
+        prior = np.outer(size, size) * tests.prior(which)
+        information = np.outer(size, size) * S + prior
         step = np.linalg.solve(information, size * b)
+        spread = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(information)[1]
         looks = sum(float(np.log(self.effects[i].looks)) for i in which)
-        return float(0.5 * ((size * b) @ step - np.linalg.slogdet(information)[1] - cost)) - looks
+        return float(0.5 * ((size * b) @ step + spread - cost)) - looks
 
     def costs_instead(self, which: Sequence[int], lost: Mapping[str, float]) -> list[float]:
         """Return the changes of the information criterion if each candidate took the place of some parameters of the model.
@@ -351,8 +363,8 @@ class ScoreTests:
         values = np.array([lost[self.names[i]] for i in j]) + columns.T @ (self.model.rows.g + self.model.prior.g)
         spared = float(np.sum(np.clip(1.0 - np.diag(columns[j]) * self.precision[j], 0.0, 1.0)))
         costs = []
-        for c, S, b in (self.within([i]) for i in which):
-            inverse = np.linalg.inv(S + np.diag(self.precision[self.n_model + c]))
+        for i, (c, S, b) in ((i, self.within([i])) for i in which):
+            inverse = np.linalg.inv(S + self.prior([i]))
             cross = columns.T @ self.products.cross[:, c]
             left = values - cross @ inverse @ b
             loss = left @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, left) - b @ inverse @ b

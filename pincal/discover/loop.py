@@ -9,21 +9,16 @@ from functools import partial
 
 import numpy as np
 
-from pincal.discover.backward import add_remainders, drop_needless, merge_parts, name_again, take_whole_curves
-from pincal.discover.candidate_tests import Search, addable, has_compliance, is_small_table, sampled, variants
+from pincal.discover.backward import drop_needless, judge_remainders, merge_parts, name_again
+from pincal.discover.candidate_tests import Search, addable, has_compliance, is_small_table, sampled, table_of, variants
 from pincal.discover.decisions import (
     Decision,
     Row,
-    Unfitted,
     accepted,
     each_heading_once,
-    enough_errors,
-    is_own_curve,
-    standard_errors,
 )
 from pincal.discover.elastic import elastic_way, likeliest_fit
 from pincal.discover.ending import fit_all_rows, name_lines
-from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_compliances
 from pincal.discover.policy import POLICY, TESTING, Policy
 from pincal.discover.score_tests import score_test, score_test_given_nuisances
@@ -45,7 +40,7 @@ from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import is_dependent, serial_noise, with_serial
 from pincal.identify.fit import ModelFit
 from pincal.model.chain import MomentFrame
-from pincal.model.effect import Curve, Effect
+from pincal.model.effect import Effect
 from pincal.validate.midway import change_in
 
 log = logging.getLogger(__name__)
@@ -202,22 +197,6 @@ def _cost(state: SearchState, search: Search) -> float:
     return fit_cost(state.fit) + 2.0 * named * float(np.log(choices)) + CRITERIA.moment_frame * is_other
 
 
-def suggest_whole_curves(state: SearchState, search: Search) -> SearchState:
-    """Add, to two simple curves of one joint's position, that together they may be one irregular one."""
-    simple = [step.effect.locus.joint for step in state.steps if is_own_curve(step.effect)]
-    several = {joint for joint in simple if simple.count(joint) > 1}
-    if not several:
-        return state
-    # The coarsest of each joint.
-    curves = {e.locus.joint: e for e in reversed(list(variants(state.fit))) if isinstance(e, Curve)}
-    for step in state.steps:
-        joint = step.effect.locus.joint
-        if is_own_curve(step.effect) and joint in several and joint in curves:
-            equivalent = each_heading_once([curves[joint], *step.equivalent], step.effect, search.policy)
-            state = state.with_replaced(step, replace(step, equivalent=equivalent))
-    return state
-
-
 def in_frame(fit: ModelFit, frame: MomentFrame) -> ModelFit:
     """Return a fit in another convention, fitted again if it has moments."""
     effects = fit.options.effects
@@ -302,16 +281,10 @@ def _still_to_gain(fit: ModelFit, search: Search) -> float:
     # What else moves base or links, such as time, is for every convention to explain.
     others = (effect for effect in variants(fit, _LIKE_A_BEARING) if effect not in fit.problem.effects)
     effects = [effect for effect in others if effect.is_of_loads]
-    tests, rows = score_test(fit, effects, search.groups), list[Row]()
-    for i, effect in enumerate(effects):
-        score, said = tests.score([i], len(effects)), partial(_said_of, tests, i)
-        rows.append(Row(effect, score, score.ebic, among=len(effects), left_out=said, enough=enough_errors(effect)))
-    rows.sort(key=lambda row: row.cost)
-    return next((row.cost for row in rows if accepted(row, search.policy)), 0.0)
-
-
-def _said_of(tests: ScoreTests, i: int) -> Unfitted:
-    return Unfitted(standard_errors(tests.gains_by_block([i])))
+    if not effects:
+        return 0.0
+    table = table_of(fit, search, partial(score_test, fit), effects, among=len(effects))
+    return next((table.rows[i].cost for i in table.cheapest() if accepted(table.rows[i], search.policy)), 0.0)
 
 
 def is_brought(step: SearchStep) -> bool:
@@ -332,13 +305,11 @@ _PASSES: tuple[Callable[[SearchState, Search], SearchState], ...] = (
     compare_frames,
     name_again,
     drop_needless,
-    take_whole_curves,
-    add_remainders,
+    judge_remainders,
     hold_up_elasticity,
     fit_all_rows,
     settle,
     merge_parts,
-    suggest_whole_curves,
     add_hidden_waves,
     judge_outliers_again,
     name_lines,

@@ -74,7 +74,7 @@ class Policy:
     across: float = _number(2.0, _CRITERION, _NO_NAME,
         "by how much more if it acts across a joint's axis",
         "a rotation of a joint across its axis often resembles one of a neighbour about its own, which is simpler")
-    hint: float = _number(0.3, "probability", _DECISIONS + "test_a_simple_curve_may_be_part_of_a_whole_one",
+    hint: float = _number(0.3, "probability", "test_whole_curves.py::test_a_simple_curve_may_be_part_of_a_whole_one",
         "p-value below which a simple curve of a joint's position may be part of a finer one",
         "a hint, not a finding: it only adds an equivalent effect, so it may be wrong in a third of the cases")
     adds_nothing: float = _number(1e-3, "probability", _MANY_NAMED,
@@ -232,16 +232,11 @@ class WaveNumbers:
 class CurveNumbers:
     """How fine and how smooth drive curves are."""
 
-    sizes: tuple[int, ...] = _number(
-        (8, 10, 12, 15, 18, 22, 26, 32, 38, 44, 52, 60, 70, 80, 100, 120, 150, 180), "functions",
-        _REPEATS + "test_no_curve_is_finer_than_the_positions_of_its_joint",
-        "numbers of basis functions that are tried", "chosen: about a fifth apart")
-    at_once: int = _number(400, "parameters", _REPEATS + "test_curves_tested_a_few_at_a_time_are_the_same",
-        "of curves that are tested at once", "chosen for memory, which grows with the square")
     enough: int = _number(44, "positions", _REPEATS + "test_what_repeated_positions_can_not_tell_is_said",
         "distinct positions of a joint that are enough for most gears", "fewer are worth a word where the poses carry more")
-    finer: tuple[float, ...] = _number((1.0, 1.5, 2.25), "ratio", _RATES + "test_a_whole_curve_takes_the_place_of_its_part",
-        "pieces of a whole curve over those of the coarsest", "chosen: three are enough to tell whether there is more")
+    forms: int = _number(3, "resolutions", _RATES + "test_a_whole_curve_takes_the_place_of_its_part",
+        "of a whole curve, the coarsest ones, in which it is asked whether a simple one leaves some of it",
+        "chosen: three are enough to tell whether there is more, and each pays for the others")
     roughness: float = _number(0.1, "rad^-0.5", _LIKELIEST,
         "where the search for the roughness begins", "chosen: only the time depends on it")
     moves: int = _number(15, "times", _LIKELIEST,
