@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from pincal.discover.first_order import ScoreTests
-from pincal.discover.levers import MassError
+from pincal.discover.levers import MassError, levers
 from pincal.discover.policy import WHERE
 from pincal.discover.score_tests import Tangent
 from pincal.identify.fit import ModelFit
@@ -167,8 +167,10 @@ def _described(fit: ModelFit, tests: ScoreTests, best: int, excess: float) -> Lo
     assert isinstance(motion, MovedPlace)
     height = whitening @ (whitening.T @ tests.within([best])[2])
     change = np.concatenate([moved[0] for _, _, moved in tests.along_rows([best], height[:, None])], axis=1)
-    still = replace(motion, depends_on="", curves=np.ones((1, len(fit.station))))
-    lever = Tangent.at(fit, (), None).tests([still]).products.squares.sum()
+    noise = np.repeat(fit.solution.estimated, [block.size for block in fit.station.sensor.blocks])
+    scale = fit.station.weights * fit.solution.weights / noise[:, None]
+    each = (np.tensordot([*by.values()], levers(fit, [*by]), axes=1) * scale for by in motion.moved(fit.model.chain))
+    lever = sum(float(np.sum(moved**2)) for moved in each)
     gain, window, inside = float(tests.gain([best])[0]) - whitening.shape[1], None, 0.0
     if motion.depends_on in fit.model.chain.robot.joint_names:
         x = _variable(fit, None, motion.depends_on)
