@@ -16,6 +16,7 @@ from scipy.special import chdtri
 from pincal.errors import BadInputError, MeasurementError, nearest_first
 from pincal.identify.beliefs import excited_of, is_frame, of_stations, priors_of, released_of
 from pincal.identify.choices import along_gauge, best_of, required_features, some_rows_of, weight_of
+from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import is_dependent, serial_noise, with_blocks, with_serial
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import FitStage, ModelFit, Solution, carried
@@ -23,7 +24,6 @@ from pincal.identify.initial import begin
 from pincal.identify.noise import is_exact, rounding
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Earlier, Problem
-from pincal.identify.selection import CRITERIA
 from pincal.identify.solve import SETTLED, Course, solve
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose

@@ -25,8 +25,8 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, solve_tri
 from scipy.optimize import OptimizeResult, minimize
 from scipy.special import expit
 
+from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit, equations_of
-from pincal.identify.selection import CRITERIA
 from pincal.identify.station import Station
 from pincal.identify.whitening import Serial
 
@@ -35,23 +35,17 @@ from pincal.identify.whitening import Serial
 _BANDS = ((1, 1), (2, 5), (6, 20))
 # Rows that are near each other in the order; and pairs of rows far apart in it, nearest in the joints, that tell.
 _NEAR, _NEAREST = 5, 500
-# Fewest rows that show it.
-_FEWEST = 20
 # Readings by which it is estimated; and rows by which dependence is looked for.
 _READINGS, _ROWS = 2400, 4096
 # Where the search for share and correlation begins: fast, slow and a walk.
 _STARTS = ((0.5, 0.5), (0.8, 0.9), (0.9, 0.995))
 # Longest memory, in rows: a walk over any table; and longer ones that are taken if they are as likely, the longest first.
 _LONGEST, _MEMORIES = 1e5, (3e4, 1e3, 300.0, 100.0, 30.0)
-# Twice the log-likelihood within which a memory is as likely as the likeliest: one standard deviation of a parameter, twice.
-_AS_LIKELY = 2.0
 # Logarithms of sizes of white noise, in units of that of the residuals, that are tried.
 _SIZES = np.linspace(-0.4, 0.4, 9)
 
-# Rows of a block. Of a table of so few that it has fewer than some blocks none are looked at.
-_LENGTHS, _FEWEST_BLOCKS = (5, 10, 20, 40), 8
-# Standard deviations of the factor, were rows in any order, from which it is believed: as for dependence along rows.
-_BELIEVED = 4.0
+# Rows of a block.
+_LENGTHS = (5, 10, 20, 40)
 # Readings of a station by which it is told, and stations that are asked.
 _BLOCK_READINGS, _MOST_STATIONS = 1500, 8
 
@@ -66,7 +60,7 @@ def dependence(residuals: np.ndarray, position: np.ndarray) -> float:
         position: shape (N,), where each row stands in the order.
     """
     n = residuals.shape[1]
-    if n < _FEWEST:
+    if n < CRITERIA.fewest_in_order:
         return 0.0
     z = residuals[:, np.argsort(position, kind="stable")[:_ROWS]]
     z = z - z.mean(axis=1, keepdims=True)
@@ -149,7 +143,7 @@ class _Seen:
         """Return the rows that count with the first so many readings in the order, shape (n,)."""
         assert self.station.position is not None
         sound = np.flatnonzero(self.counted)
-        few = max(most // int(self.station.block_sizes.sum()), _FEWEST)
+        few = max(most // int(self.station.block_sizes.sum()), CRITERIA.fewest_in_order)
         return np.asarray(sound[np.argsort(self.station.position[sound], kind="stable")][:few])
 
     def columns(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -205,7 +199,7 @@ class _Seen:
         if self.station.position is None or self.station.sensor.is_whole:
             return 1.0
         some = self.first(_BLOCK_READINGS)
-        if len(some) < _FEWEST_BLOCKS * _LENGTHS[0]:
+        if len(some) < CRITERIA.fewest_blocks * _LENGTHS[0]:
             return 1.0
         columns, places = self.columns(some)
         J = columns[1:]
@@ -261,7 +255,7 @@ def _likeliest(
     for memory in np.log(_MEMORIES).tolist():
         # Of memories that the rows can't tell apart the longest: a short one takes the mean of the noise for well known.
         longer = _least(lambda at, memory=memory: misfit(np.append(at, memory)), best.x[:2])  # type: ignore[misc]
-        if memory > best.x[2] and float(longer.fun) < float(best.fun) + _AS_LIKELY:
+        if memory > best.x[2] and float(longer.fun) < float(best.fun) + CRITERIA.as_likely:
             return float(1.0 - np.exp(-memory)), float(expit(longer.x[1]))
     return float(1.0 - np.exp(-best.x[2])), float(expit(best.x[1]))
 
@@ -304,9 +298,9 @@ def _largest_factor(scores: np.ndarray, normal: np.ndarray) -> float:
     pairs = n * (n - 1)
     mean = (float(np.sum(u.sum(axis=1) ** 2)) - own.sum()) / pairs
     spread = max((float(np.sum((u @ u.T) ** 2)) - float(own @ own)) / pairs, 1e-300)
-    surest, factor = _BELIEVED, 1.0
+    surest, factor = CRITERIA.of_blocks, 1.0
     for length in _LENGTHS:
-        if n < _FEWEST_BLOCKS * length:
+        if n < CRITERIA.fewest_blocks * length:
             break
         whole = n // length * length
         of_blocks = u[:, :whole].reshape(len(u), -1, length).sum(axis=2)
