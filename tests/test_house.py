@@ -13,8 +13,8 @@ import pincal
 from pincal.discover import policy
 from pincal.identify.problem import Problem
 
-# What there was when this was written, with 3 200 for programs in five languages of controllers; 44 000 is the aim.
-MOST_LINES = 59_800
+# What there was when this was written, with 3 800 for programs in five languages of controllers; 44 000 is the aim.
+MOST_LINES = 60_400
 TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [

@@ -155,7 +155,7 @@ def test_a_line_that_takes_no_points_is_named(model: Path, tmp_path: Path, capsy
         ("a.src", "DEF a( )\nLOOP\nPTP XP1\nEND\n", "a.src, line 4, column 1: 'END' within LOOP of line 2"),
         ("a.src", "MODULE a\nENDMODULE\n", "a.src, line 1, column 1: a statement outside of DEF"),
         ("a.src", "DEF a( )\nPTP XP1\n", "a.src, line 3, column 1: the end of the file within DEF of line 1: is it cut?"),
-        ("a.mod", "MODULE a\nPROC b()\nENDPROC\n", "a.mod, line 4, column 1: the end of the file, within MODULE of line 1"),
+        ("a.mod", "MODULE a\nPROC b()\nENDPROC\n", "a.mod, line 4, column 1: the end of the file within MODULE of line 1"),
         ("a.mod", "DEF a( )\nEND\n", "a.mod, line 3, column 1: the end of the file, expected RAPID"),
         ("a.ls", "/PROG A\n/MN\n   1:J P[1] 10% FINE ;\n/POS\nP[1]{\n  GP1:\n  UF : 0, UT", "a.ls, line 7, column 13"),
         ("a.script", "def a():\n  movej([0,0,0,0,0,0])\n", "a.script, line 3, column 1: the end of the file within def"),

@@ -91,6 +91,12 @@ def correct_file(
             f"--out {out}: a program in {language.name} stays one; expected a name that ends in {path.suffix}"
         )
     files = files_of(path, language)
+    outs = [out.with_suffix(file.suffix) for file in files]
+    if any(target.resolve() == file.resolve() for target, file in zip(outs, files, strict=True)):
+        raise click.UsageError(
+            f"--out {out}: the program itself; expected another name, or the same one in another folder, so that a second "
+            "run does not correct what is corrected already"
+        )
     if options.pulses is not None:
         language = language.with_pulses(options.pulses)
     program = language.read(read_sources([*files, *options.with_files]))
@@ -105,7 +111,6 @@ def correct_file(
     if options.path_error is not None:
         more, others, inserted = follower.inserted(program, legs, options.path_error)
         edits, left = edits + more, left + others
-    outs = [out.with_suffix(file.suffix) for file in files]
     for target, content in zip(outs, written_program(program, edits), strict=False):
         write_atomic(target, content)
     result = _result(program, list(changes.values()), left, deviations)

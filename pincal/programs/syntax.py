@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
@@ -225,6 +225,18 @@ def numbers_of(parts: Iterable[Iterable[Any]]) -> tuple[Number, ...] | None:
     return found if len(found) == len(list(parts)) else None
 
 
+def aggregate(items: Sequence[Any], kind: str) -> Brackets | None:
+    """Return the brackets of a kind that items are, None if they are something else."""
+    return items[0] if len(items) == 1 and isinstance(items[0], Brackets) and items[0].kind == kind else None
+
+
+def call_of(items: Sequence[Any]) -> tuple[str, Brackets] | None:
+    """Return name and arguments of the call that items are, None if they are none."""
+    if len(items) == 2 and is_token(items[0], "WORD") and isinstance(items[1], Brackets) and items[1].kind == "(":
+        return str(items[0]), items[1]
+    return None
+
+
 def is_token(item: Any, kind: str, *texts: str) -> bool:
     """Return whether an item is a token of a kind, and of one of some texts."""
     return not isinstance(item, Brackets) and item.type == kind and (not texts or str(item).upper() in texts)
@@ -235,18 +247,56 @@ def word(item: Any) -> str:
     return str(item).upper() if is_token(item, "WORD") else ""
 
 
-def text_of_items(items: Iterable[Any]) -> str:
-    """Return the name that items spell, in capitals and without blanks: ``P [ 3 ]`` is ``P[3]``."""
-    return "".join(
-        f"{item.kind}{text_of_items(item.items)}{_PAIRS[item.kind]}" if isinstance(item, Brackets) else str(item).upper()
-        for item in items
-    )
-
-
-def words_in(items: Iterable[Any]) -> Iterator[str]:
-    """Yield all words of items in capitals, those in brackets too."""
+def text_of_items(items: Iterable[Any], *, case: bool = False) -> str:
+    """Return what items spell, without blanks and, unless capitals make a difference, in capitals: ``P [ 3 ]`` is P[3]."""
+    found = ""
     for item in items:
         if isinstance(item, Brackets):
-            yield from words_in(item.items)
+            found += item.kind + text_of_items(item.items, case=case) + _PAIRS[item.kind]
+        else:
+            found += str(item) if case else str(item).upper()
+    return found
+
+
+def element_name(items: Sequence[Any], *, case: bool = False) -> tuple[str, bool]:
+    """Return the name that items spell and whether only a part of it is meant; an empty text if they spell none.
+
+    An element of an array is ``P[3]``, and ``P[*]`` if its index is computed.
+
+    Args:
+        items: a word, perhaps an index, perhaps a part: ``P[I].X``.
+        case: whether capitals make a difference.
+    """
+    if not items or not is_token(items[0], "WORD"):
+        return "", False
+    name, rest = str(items[0]) if case else str(items[0]).upper(), items[1:]
+    if rest and isinstance(rest[0], Brackets) and rest[0].kind in "[{":
+        plain = all(len(part) == 1 and is_token(part[0], "NUMBER") for part in rest[0].parts)
+        name, rest = f"{name}[{text_of_items(rest[0].items) if plain else '*'}]", rest[1:]
+    is_part = bool(rest) and (is_token(rest[0], "SIGN", ".") or isinstance(rest[0], Brackets))
+    return (name, is_part) if not rest or is_part else ("", False)
+
+
+def calls_in(items: Sequence[Any]) -> Iterator[tuple[str, Brackets]]:
+    """Yield the words that stand before round brackets, with these, those within brackets too."""
+    for k, item in enumerate(items):
+        if isinstance(item, Brackets):
+            if item.kind == "(" and k and is_token(items[k - 1], "WORD"):
+                yield str(items[k - 1]), item
+            yield from calls_in(item.items)
+
+
+def words_in(items: Sequence[Any], *, case: bool = False) -> Iterator[str]:
+    """Yield all words of items, those in brackets too, and the elements of arrays that they name: P and P[3].
+
+    The names of an aggregate's fields are none of them: ``{X A.Z, Y 5}`` has A and Z.
+    """
+    for k, item in enumerate(items):
+        is_index = k > 0 and not isinstance(items[k - 1], Brackets) and items[k - 1].type == "WORD"
+        if isinstance(item, Brackets):
+            for part in item.parts:
+                yield from words_in(part[1:] if item.kind == "{" and not is_index else part, case=case)
         elif item.type == "WORD":
-            yield str(item).upper()
+            yield str(item) if case else str(item).upper()
+            if k + 1 < len(items) and isinstance(items[k + 1], Brackets) and items[k + 1].kind in "[{":
+                yield element_name(items[k : k + 2], case=case)[0]
