@@ -13,8 +13,9 @@ import pincal
 from pincal.discover import policy
 from pincal.identify.problem import Problem
 
-# What there was when this was written, with 3 800 for programs in five languages of controllers; 44 000 is the aim.
-MOST_LINES = 60_400
+# What there was when this was written, with 4 400 for programs in five languages of controllers, in the page, too; 44 000 is
+# the aim.
+MOST_LINES = 60_900
 TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [

@@ -255,8 +255,8 @@ class ArmSearch:
     def _counts(self, q: np.ndarray, turn: Turn) -> np.ndarray:
         """Return whether a turn number holds at joint positions, shape (N, n), or hardly beside them, shape (N,)."""
         asides = np.array([[-_ON_EDGE], [0.0], [_ON_EDGE]]) * (np.arange(q.shape[1]) == turn.joint)
-        counted = [turn.counted(self.axes.to_program(q + aside)) for aside in asides]
-        return np.asarray(np.any(np.array(counted) == turn.value, axis=0))
+        angles = [self.axes.to_program(q + aside)[:, turn.joint] for aside in asides]
+        return np.array([any(turn.counted(angle) == turn.value for angle in row) for row in np.transpose(angles).tolist()])
 
 
 def rigid_pose(robot: Robot, link: str, seen_from: str) -> np.ndarray | None:

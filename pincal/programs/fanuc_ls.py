@@ -64,6 +64,7 @@ class FanucLs(ControllerLanguage):
 
     name = "FANUC LS"
     suffixes = (".ls",)
+    grammars = (_LINES, _POSITIONS)
 
     def read(self, sources: Sequence[Source]) -> Program:
         """Return the program of a listing."""

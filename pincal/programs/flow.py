@@ -73,10 +73,11 @@ def followed(
     Raises:
         ProgramError: if a block is not closed, or closed without being open.
     """
-    effects = _effects([steps for *_, steps in files])
+    effects = _effects([steps for _, _, steps in files])
     changed = [[step.sets.union(step.clears, *(effects.get(name, outside) for name in step.calls)) for step in steps]
-               for *_, steps in files]  # fmt: skip
-    inside = [_set_within(*file, changed=of) for file, of in zip(files, changed, strict=True)]
+               for _, _, steps in files]  # fmt: skip
+    inside = [_set_within(source, statements, steps, changed=of)
+              for (source, statements, steps), of in zip(files, changed, strict=True)]  # fmt: skip
     at_any_time: dict[str, int | str] = {}
     for _, statements, steps in files:
         for statement, step in zip(statements, steps, strict=True):
@@ -84,13 +85,12 @@ def followed(
                 why = f"{name}, which line {statement.line} starts, may set it at any time"
                 at_any_time |= dict.fromkeys(effects.get(name, ()), why)
     return [
-        _followed(*file, inside=within, effects=effects, outside=outside, at_any_time=at_any_time)
-        for file, within in zip(files, inside, strict=True)
+        _followed(statements, steps, inside=within, effects=effects, outside=outside, at_any_time=at_any_time)
+        for (_, statements, steps), within in zip(files, inside, strict=True)
     ]
 
 
 def _followed(
-    source: Source,
     statements: Sequence[Statement],
     steps: Sequence[Step],
     *,

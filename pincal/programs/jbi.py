@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -55,6 +56,7 @@ class Jbi(ControllerLanguage):
     pulses: tuple[float, ...] | None = None
     name = "JBI"
     suffixes = (".jbi",)
+    grammars = (_GRAMMAR,)
     digits = (4, 6, 0)
 
     def with_pulses(self, text: str) -> Jbi:
@@ -67,7 +69,7 @@ class Jbi(ControllerLanguage):
             found = tuple(float(word) for word in text.replace(",", " ").split())
         except ValueError:
             found = ()
-        if not found or not np.all(np.isfinite(found)) or 0.0 in found:
+        if not found or not all(math.isfinite(number) and number != 0.0 for number in found):
             raise BadInputError(f"pulses {text!r}; expected pulses for a degree, one number an axis, none of them 0")
         return Jbi(found)
 

@@ -23,6 +23,7 @@ from pincal.programs.syntax import (
     calls_in,
     element_name,
     is_token,
+    nested,
     number_of,
     place_of,
     split,
@@ -77,8 +78,10 @@ class Krl(ControllerLanguage):
     name = "KRL"
     suffixes = (".src", ".dat")
     is_pair = True
+    reads_others = True
     convention = "kuka"
     can_insert = True
+    grammars = (nested(_TOKENS),)
 
     def read(self, sources: Sequence[Source]) -> Program:
         """Return the program of a ``.src`` and its ``.dat``."""
@@ -245,10 +248,11 @@ class _Reader(Reader):
         if not isinstance(found, int):
             return Frame(variable, reason=f"{variable}: {found}" if found is not None else "")
         setter = self.statements[found].items
-        call = call_of(setter)
-        if call is None:
-            return self._frame_of(variable, k, split(setter, "=")[1], data)
-        what, index = _by_bas(setter), number_of(call[1].parts[1]) if len(call[1].parts) > 1 else None
+        call, sides = call_of(setter), split(setter, "=")
+        if len(sides) == 2:
+            return self._frame_of(variable, k, sides[1], data)
+        index = number_of(call[1].parts[1]) if call is not None and len(call[1].parts) > 1 else None
+        what = _by_bas(setter)
         if what in ("#TOOL", "#BASE") and index is not None:
             return _frame_named(f"{what[1:]}_DATA[{index.text}]")
         source = self.flow[found].setters.get("FDAT_ACT")

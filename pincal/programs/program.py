@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -37,16 +38,13 @@ class Turn:
     number: Number
     bit: int | None = None
 
-    def counted(self, q: np.ndarray) -> np.ndarray:
-        """Return the number at joint positions, shape (N, n), shape (N,)."""
-        angle = q[:, self.joint]
-        count = {
-            "negative": angle < 0.0,
-            "quarter": np.floor(angle / (0.5 * np.pi)),
-            "whole": np.floor((angle + np.pi) / (2.0 * np.pi)),
-            "half": np.abs(angle) >= np.pi,
-        }[self.kind]
-        return np.asarray(count).astype(int)
+    def counted(self, angle: float) -> int:
+        """Return the number where the joint is at an angle [rad]."""
+        if self.kind == "negative":
+            return int(angle < 0.0)
+        if self.kind == "half":
+            return int(abs(angle) >= math.pi)
+        return math.floor(angle / (0.5 * math.pi) if self.kind == "quarter" else (angle + math.pi) / (2.0 * math.pi))
 
 
 @dataclass(frozen=True)

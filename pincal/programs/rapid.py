@@ -12,7 +12,7 @@ from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
 from pincal.programs.program import Frame, Left, Motion, Point, Posture, Program, Turn
-from pincal.programs.rapid_blocks import ENDS_IT, MOTIONS, OF_OPTIONS, ONCE, SWITCHES, check_blocks, statements_of
+from pincal.programs.rapid_blocks import ENDS_IT, GRAMMAR, MOTIONS, OF_OPTIONS, ONCE, SWITCHES, check_blocks, statements_of
 from pincal.programs.statement_reader import Reader, formal_names
 from pincal.programs.syntax import (
     Brackets,
@@ -50,9 +50,11 @@ class Rapid(ControllerLanguage):
 
     name = "RAPID"
     suffixes = (".mod", ".prg", ".sys", ".modx", ".sysx")
+    reads_others = True
     convention = "abb"
     digits = (4, 9, 7)
     can_insert = True
+    grammars = (GRAMMAR,)
 
     def read(self, sources: Sequence[Source]) -> Program:
         """Return the program of a module."""
@@ -281,7 +283,7 @@ def _that_change_parameters(
         for name, group in calls_in(statement.items):
             if name.upper() not in harmless:
                 touched |= {element_name(part)[0] for part in group.parts}
-        if touched & set(formal_names(statements[routine], *_DATA)):
+        if touched & set(formal_names(statements[routine], _DATA)):
             found.append(steps[routine].routine)
     return found
 

@@ -13,6 +13,7 @@ from pincal.programs.syntax import (
     Statement,
     calls_in,
     is_token,
+    nested,
     place_of,
     split,
     text_of_items,
@@ -29,6 +30,7 @@ COMMENT.5: /![^\r\n]*/
 %ignore COMMENT
 %ignore /[ \t\f\r\n\xa0]+/
 """
+GRAMMAR = nested(_TOKENS)
 _WORDS = "RAPID: MODULE ... ENDMODULE with statements that end in ';'"
 _ROUTINES = {"PROC": "ENDPROC", "FUNC": "ENDFUNC", "TRAP": "ENDTRAP"}
 _LOOPS = {"WHILE": "ENDWHILE", "FOR": "ENDFOR"}

@@ -93,7 +93,7 @@ class Reader:
                 self.draft.hand([element_name(part, case=self.case)[0] for part in group.parts], line, called)
 
 
-def formal_names(statement: Statement, *kinds: str, case: bool = False) -> list[str]:
+def formal_names(statement: Statement, kinds: Sequence[str] = (), *, case: bool = False) -> list[str]:
     """Return the names of the parameters of a routine, of some kinds or all, by the statement that opens it."""
     found = []
     for item in statement.items:

@@ -149,8 +149,7 @@ class Source:
             over_lines: whether brackets go on over what ends statements outside.
         """
         found = []
-        inner = "_inner: _item | _END" if over_lines else "_inner: _item"
-        for tree in self.parse(_NESTED.replace("_inner: _item", inner) + tokens, words).children:
+        for tree in self.parse(nested(tokens, over_lines=over_lines), words).children:
             items = tuple(self._items(tree.children, words))
             if items:
                 start, end = place_of(items[0])[0], place_of(items[-1])[1]
@@ -167,6 +166,11 @@ class Source:
             if _PAIRS[first] != last:
                 raise self.error(f"{str(last)!r}; expected {_PAIRS[first]!r} in {words}", last.start_pos)
             yield Brackets(str(first), tuple(self._items(inner, words)), first.start_pos, last.end_pos)
+
+
+def nested(tokens: str, *, over_lines: bool = False) -> str:
+    """Return the grammar of a language of nested brackets by its tokens."""
+    return _NESTED.replace("_inner: _item", "_inner: _item | _END" if over_lines else "_inner: _item") + tokens
 
 
 @lru_cache(8)
@@ -195,19 +199,19 @@ def split(items: Iterable[Any], sign: str = ",") -> list[tuple[Any, ...]]:
     return [tuple(part) for part in parts]
 
 
-def number_of(items: Iterable[Any]) -> Number | None:
+def number_of(items: Sequence[Any]) -> Number | None:
     """Return the number that items are, with its sign; None if they are something else."""
-    match list(items):
-        case [sign, number] if is_token(sign, "SIGN", "+", "-") and is_token(number, "NUMBER"):
-            if sign.end_pos != number.start_pos:
-                return None
-            text, start = str(sign) + str(number), sign.start_pos
-        case [number] if is_token(number, "NUMBER"):
-            text, start = str(number), number.start_pos
-        case _:
-            return None
-    value = float(text)
-    return Number(value, start, number.end_pos, text) if math.isfinite(value) else None
+    if len(items) == 2 and is_token(items[0], "SIGN", "+", "-") and items[0].end_pos == items[1].start_pos:
+        sign, number = str(items[0]), items[1]
+    elif len(items) == 1:
+        sign, number = "", items[0]
+    else:
+        return None
+    if not is_token(number, "NUMBER"):
+        return None
+    value = float(sign + str(number))
+    start = items[0].start_pos
+    return Number(value, start, number.end_pos, sign + str(number)) if math.isfinite(value) else None
 
 
 def number_at(token: Token) -> Number | None:
@@ -219,10 +223,10 @@ def number_at(token: Token) -> Number | None:
         return None
 
 
-def numbers_of(parts: Iterable[Iterable[Any]]) -> tuple[Number, ...] | None:
+def numbers_of(parts: Sequence[Sequence[Any]]) -> tuple[Number, ...] | None:
     """Return the numbers that parts are; None if one of them is something else."""
-    found = tuple(number for part in parts if (number := number_of(part)) is not None)
-    return found if len(found) == len(list(parts)) else None
+    found = [number_of(part) for part in parts]
+    return tuple(number for number in found if number is not None) if None not in found else None
 
 
 def aggregate(items: Sequence[Any], kind: str) -> Brackets | None:
@@ -237,9 +241,9 @@ def call_of(items: Sequence[Any]) -> tuple[str, Brackets] | None:
     return None
 
 
-def is_token(item: Any, kind: str, *texts: str) -> bool:
+def is_token(item: Any, kind: str, text: str = "", other: str = "") -> bool:
     """Return whether an item is a token of a kind, and of one of some texts."""
-    return not isinstance(item, Brackets) and item.type == kind and (not texts or str(item).upper() in texts)
+    return not isinstance(item, Brackets) and item.type == kind and (not text or str(item).upper() in (text, other))
 
 
 def word(item: Any) -> str:

@@ -21,6 +21,7 @@ from pincal.programs.syntax import (
     calls_in,
     element_name,
     is_token,
+    nested,
     numbers_of,
     place_of,
     split,
@@ -57,6 +58,7 @@ class UrScript(ControllerLanguage):
     in_degrees = False
     digits = (7, 8, 9)
     can_insert = True
+    grammars = (nested(_TOKENS, over_lines=True),)
 
     def read(self, sources: Sequence[Source]) -> Program:
         """Return the program of a script."""
@@ -69,7 +71,7 @@ class UrScript(ControllerLanguage):
                 raise source.error(f"nothing that is called or defined; expected {_WORDS}", 0)
             files.append((source, statements, steps))
         flows = followed(files)
-        displaced = {name for *_, steps in files for step in steps for name in step.sets if name != "tcp"}
+        displaced = {name for _, _, steps in files for step in steps for name in step.sets if name != "tcp"}
         for i, (_, statements, steps) in enumerate(files):
             # What is handed to a function is a copy.
             harmless = frozenset(name for statement in statements for name, _ in calls_in(statement.items))
