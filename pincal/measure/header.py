@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pincal.errors import MeasurementError, nearest_first, warn
 from pincal.measure.fields import CONDITIONS, SIGMA, Field, Schema
 from pincal.measure.heading import NUMBERED, normal_unit
-from pincal.measure.orientation import CONVENTIONS, Convention, find_orientation, looks_like_orientation
+from pincal.measure.orientation import CONVENTIONS, Convention, find_orientation, looks_like_orientation, looks_like_place
 from pincal.measure.sheet import Sheet, SheetColumn
 from pincal.units import UNITS
 
@@ -255,6 +255,13 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
             len(some) == len(part.columns) for part in readings if (some := told & {*part.columns})
         )
         others = [label for label in unknown if label is not flag]
+        # A program is complete without a pose, unless other columns may be one.
+        is_whole |= (
+            schema.may_lack_joints
+            and bool(joints)
+            and not found
+            and not looks_like_place([without_unit(label.name) for label in others])
+        )
         is_turned = orientation is None and looks_like_orientation([label.name for label in others])
         _check_unknown(sheet, others, free, is_complete=is_whole and not is_turned)
     measured = {name for part in readings for name in part.columns} | {*(orientation.columns if orientation else ())}

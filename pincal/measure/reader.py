@@ -30,7 +30,8 @@ from pincal.measure.header import (
 )
 from pincal.measure.joined import Log, held_rows, join
 from pincal.measure.nested_sheet import nested_kind, open_nested
-from pincal.measure.sheet import FrameSheet, Sheet, read_cells
+from pincal.measure.orientation import Convention
+from pincal.measure.sheet import FrameSheet, Sheet, SheetColumn, read_cells
 from pincal.measure.text_sheet import open_text
 
 # Formats that other programs can turn into one that is read.
@@ -103,12 +104,18 @@ class Cells:
         rows: shape (N,), line of each row in its file, the header being line 1.
         units: the units that the header gave, by column.
         approach_from: where directions of approach come from, in words; empty where there are none.
+        sheet: where they stand.
+        columns: which of them were read.
+        orientation: how they tell an orientation, if not by a quaternion.
     """
 
     arrays: dict[str, np.ndarray]
     rows: np.ndarray
     units: dict[str, str]
-    approach_from: str = ""
+    approach_from: str
+    sheet: Sheet
+    columns: tuple[SheetColumn, ...]
+    orientation: Convention | None
 
 
 def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | None = None) -> Cells:
@@ -160,7 +167,8 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
     for of in schema.fields:
         if any(name in values for name in of.columns):
             arrays[of.name] = _whole(of, values, source=path.name)
-    return Cells(arrays, rows, {column.name: column.unit for column in header.columns if column.unit}, origin)
+    units = {column.name: column.unit for column in header.columns if column.unit}
+    return Cells(arrays, rows, units, origin, sheet, header.columns, header.orientation)
 
 
 def _part(sheet: Sheet, part: range) -> Sheet:

@@ -14,8 +14,8 @@ const CONVENTIONS = [
   { columns: ["Roll", "Pitch", "Yaw"], order: "xyz", unit: "rad", kind: "angles", words: "roll, pitch, yaw" },
   { columns: ["qx", "qy", "qz", "qw"], order: "xyzw", unit: "", kind: "quaternion", words: "a quaternion x y z w" },
 ];
-// Decimals that a written number has at least: a millionth of a degree, a hundred-thousandth of a millimetre.
-const DECIMALS = { m: 8, cm: 6, mm: 5, um: 2, "µm": 2, in: 7, rad: 9, mrad: 6, deg: 7, "°": 7, "": 10 };
+// Decimals that a written number has at least, as in pincal/compensate/returned_table.py.
+const DECIMALS = { m: 11, cm: 9, mm: 8, um: 5, "µm": 5, in: 10, rad: 11, mrad: 8, urad: 5, deg: 9, "°": 9 };
 // Sizes beyond which numbers without a unit are taken to be in another one: rad, and reaches of the robot.
 const MOST_RAD = 13, MOST_REACHES = 50;
 const OTHERS = { tp: "a FANUC binary: save it as .ls", xlsx: "an Excel workbook: save it as CSV", xls: "an Excel workbook: save it as CSV",
@@ -48,12 +48,12 @@ function readNumber(text, comma) {
   const plain = comma ? text.replace(",", ".") : text;
   return /^[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$/.test(plain) ? Number(plain) : NaN;
 }
-// A value [SI] as a number like the one that it replaces: decimal mark, sign, and no fewer decimals.
+// A value [SI] as a number like the one that it replaces: decimal mark, sign, no fewer decimals; that one if it says the same.
 function writeNumber(value, unit, old) {
-  const has = (/[.,](\d*)/.exec(old) || ["", ""])[1].length;
-  const text = (value / (unit ? sizeOf(unit) : 1)).toFixed(Math.min(Math.max(has, DECIMALS[unit] ?? 9), 20));
-  const marked = old.includes(",") ? text.replace(".", ",") : text;
-  return old.startsWith("+") && !marked.startsWith("-") ? `+${marked}` : marked;
+  const has = (/[.,](\d*)/.exec(old) || ["", ""])[1].length, least = DECIMALS[unit] ?? 11, number = value / (unit ? sizeOf(unit) : 1);
+  if (Math.abs(number - Number(old.replace(",", "."))) < 0.5 * 10 ** -least) return old;
+  const text = number.toFixed(Math.max(has, least)), marked = old.includes(",") ? text.replace(".", ",") : text;
+  return old.startsWith("+") && number >= 0 ? `+${marked}` : marked;
 }
 
 function product(a, b) {
