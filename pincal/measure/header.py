@@ -256,12 +256,8 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
         )
         others = [label for label in unknown if label is not flag]
         # A program is complete without a pose, unless other columns may be one.
-        is_whole |= (
-            schema.may_lack_joints
-            and bool(joints)
-            and not found
-            and not looks_like_place([without_unit(label.name) for label in others])
-        )
+        names = [without_unit(label.name) for label in others]
+        is_whole |= schema.may_lack_joints and bool(joints) and not found and not looks_like_place(names)
         is_turned = orientation is None and looks_like_orientation([label.name for label in others])
         _check_unknown(sheet, others, free, is_complete=is_whole and not is_turned)
     measured = {name for part in readings for name in part.columns} | {*(orientation.columns if orientation else ())}
