@@ -118,6 +118,8 @@ def correct_file(
     links = {
         "world": options.world or (robot.base if np.array_equal(cell.world, np.eye(4)) else _WORLD),
         "flange": options.flange or (robot.tip if np.array_equal(cell.flange, np.eye(4)) else _FLANGE),
+        "axes": options.axes or "the model's joints",
+        "must_be_named": path.name if language.is_pair and out.stem.lower() != path.stem.lower() else "",
     }
     return result | links | {"inserted": inserted, "out": [str(target) for target in outs]}, list(changes.values())
 
@@ -201,7 +203,8 @@ def summary_of_program(result: dict[str, Any], language: str) -> Iterator[str]:
     """Yield what a person wants to know of a corrected program."""
     points, left = result["points"], result["left"]
     yield f"{language}: {len(points)} points corrected, {len(left)} left as they were"
-    yield f"  the controller's world is {result['world']}, its flange {result['flange']} (--world, --flange)"
+    yield f"  the controller's world is {result['world']}, its flange {result['flange']} (--world, --flange), its axes are"
+    yield f"  {result['axes']} (--axes)"
     width = max((len(f"{point['file']} line {point['line']}, {point['name']}") for point in points), default=0)
     for point in points:
         name = f"{point['file']} line {point['line']}, {point['name']}"
@@ -219,3 +222,5 @@ def summary_of_program(result: dict[str, Any], language: str) -> Iterator[str]:
     for one in left:
         yield f"  {one['file']} line {one['line']}, {one['name']}: {one['reason']}"
     yield f"written to {', '.join(result['out'])}"
+    if result["must_be_named"]:
+        yield f"its controller wants the file named as its module: {result['must_be_named']}"
