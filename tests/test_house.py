@@ -15,7 +15,7 @@ from pincal.identify.problem import Problem
 
 # What there was when this was written, with 4 400 for programs in five languages of controllers, in the page, too, and 200
 # for tables that come back as they went in; 44 000 is the aim.
-MOST_LINES = 61_150
+MOST_LINES = 61_250
 TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [

@@ -19,6 +19,7 @@ from pincal.export.numpy_source import numpy_source, refuse_wrong
 from pincal.export.python_to_js import Translator, as_text
 from pincal.export.source import as_comment, checked_poses, filled, header, notes_on, placed_in
 from pincal.export.statements import Language, written
+from pincal.measure.heading import NUMBERED
 from pincal.programs.arms import rigid_pose
 from pincal.programs.language import LANGUAGES
 from pincal.programs.syntax import parser_of
@@ -149,6 +150,7 @@ def _about(calibrated: CalibratedModel, formulas: Formulas, frame: str) -> dict[
         "frame": frame if stands else "base",
         "base": bases[0].ravel().tolist() if stands else None,
         "reach": robot.reach,
+        "numbered": NUMBERED.pattern,
         "lower": [_limit(value) for value in robot.lower[own]],
         "upper": [_limit(value) for value in robot.upper[own]],
         "combination": combination.tolist(),

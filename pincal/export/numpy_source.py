@@ -16,6 +16,7 @@ from pincal.export.exported import FORMATS, Exported, Format
 from pincal.export.formulas import Formulas, formulas_of
 from pincal.export.source import as_comment, checked_poses, filled, header, notes_on, placed_in
 from pincal.export.statements import Language, written
+from pincal.measure.heading import NUMBERED
 from pincal.units import SIZES, UNITS
 
 # Largest distance of the formulas' poses from the model's [m, and elements of the rotation matrix].
@@ -84,6 +85,7 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
         units=repr({quantity: {unit: SIZES[unit] for unit in units} for quantity, units in UNITS.items()}),
         names=", ".join(as_comment(chain.robot.joint_names[i]) for i in own),
         reach=repr(float(chain.robot.reach)),
+        numbered=repr(NUMBERED.pattern),
     )
     return filled(
         "model.py.in",

@@ -17,18 +17,9 @@ from pincal.errors import MeasurementError, warn
 from pincal.measure import bag_sheet, excel_sheet, parquet_sheet
 from pincal.measure.approach import BY_COLUMNS, agreeing, completed, moves_of_table, tells_order
 from pincal.measure.fields import CONDITIONS, OF_EACH_JOINT, OTHERS, Field, Schema, TableOptions
-from pincal.measure.header import (
-    check_joints,
-    is_named,
-    matched,
-    renamed,
-    rotations,
-    spelled,
-    understood,
-    unignored,
-    with_joints,
-)
+from pincal.measure.header import check_joints, matched, rotations, understood, with_joints
 from pincal.measure.joined import Log, held_rows, join
+from pincal.measure.labels import is_named, renamed, spelled, unignored
 from pincal.measure.nested_sheet import nested_kind, open_nested
 from pincal.measure.orientation import Convention
 from pincal.measure.sheet import FrameSheet, Sheet, SheetColumn, read_cells

@@ -11,6 +11,9 @@ from dataclasses import dataclass
 
 from pincal.programs.syntax import Source, Statement
 
+OUTSIDE = "is not in these files and may set it"
+"""What is said of a routine that is in none of the files."""
+
 
 @dataclass(frozen=True)
 class Step:
@@ -119,7 +122,7 @@ def _followed(
         known.append(InForce({**state, **at_any_time}, tuple(stack), run, routine))
         for name in step.calls:
             why = f"line {line} calls {name}, which "
-            why += "sets it" if name in effects else "is not in these files and may set it"
+            why += "sets it" if name in effects else OUTSIDE
             state = state | dict.fromkeys(effects.get(name, outside), why)
         if step.sets or step.clears:
             state = state | dict.fromkeys(step.clears, f"line {line} may set it") | dict.fromkeys(step.sets, i)

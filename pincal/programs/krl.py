@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pincal.programs.draft import Draft
-from pincal.programs.flow import Step, followed
+from pincal.programs.flow import OUTSIDE, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
 from pincal.programs.program import Frame, Left, Motion, Path, Point, Posture, Program, Turn
 from pincal.programs.statement_reader import Reader
@@ -246,7 +246,9 @@ class _Reader(Reader):
                 return self._frame_of(variable, k, sides[1], data)
         found = self.flow[k].setters.get(variable)
         if not isinstance(found, int):
-            return Frame(variable, reason=f"{variable}: {found}" if found is not None else "")
+            hint = f" (--with its file, or --{variable[1:].lower()} '{variable}=X,Y,Z,...')"
+            said = f"{variable}: {found}{hint if found is not None and OUTSIDE in found else ''}"
+            return Frame(variable, reason=said if found is not None else "")
         setter = self.statements[found].items
         call, sides = call_of(setter), split(setter, "=")
         if len(sides) == 2:

@@ -163,7 +163,10 @@ class ProgramCorrector {
     if (frame.pose) return frame.pose;
     const given = this.cell[`${option}s`][frame.name];
     if (given) return given;
-    if (frame.reason) return frame.reason;
+    if (frame.reason) {
+      if (frame.reason.includes(MODULES.flow.OUTSIDE)) this.asked.push({ option, name: frame.name });
+      return frame.reason;
+    }
     const pose = declared.get(frame.name);
     if (pose) return typeof pose === "string" ? `${option} ${frame.name}: ${pose}` : pose;
     this.asked.push({ option, name: frame.name });

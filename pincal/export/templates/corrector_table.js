@@ -2,7 +2,7 @@
 
 class Refused extends Error {}
 
-const DEGREE = Math.PI / 180;
+const DEGREE = Math.PI / 180, NUMBERED = new RegExp(`^(?:${ABOUT.numbered})$`, "i");
 
 const CONVENTIONS = [
   { columns: ["A", "B", "C"], order: "zyx", unit: "deg", kind: "angles", words: "KUKA's A B C" },
@@ -179,7 +179,7 @@ function understood(labels) {
     const families = {};
     labels.forEach((label, index) => {
       const split = taken.has(index) ? [] : spellings(label).map(([name, unit]) =>
-        [/^(j|joint|a|axis|q|actual_q|actualq|theta|rax)[ _.-]?(\d{1,2})$/i.exec(name), unit]).filter(([m]) => m);
+        [NUMBERED.exec(name), unit]).filter(([m]) => m);
       if (split.length) (families[split[0][0][1].toLowerCase()] ??= []).push([Number(split[0][0][2]), index, split[0][1], label]);
     });
     const n = JOINTS.length, whole = Object.entries(families).filter(([prefix, all]) => {
