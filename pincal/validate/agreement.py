@@ -43,8 +43,8 @@ _RIVAL = 2.0
 # Zeros that are farther off than this are named [rad]; beside them those that are farther off than that are shifted, too.
 _SHIFT, _SLIGHT = np.deg2rad(2.0), 0.01
 # What shifted zeros have to explain of what a calibration leaves: a third of it; or nothing, where the data have pulled a
-# zero by so many times its prior.
-_IMPROVED, _NO_WORSE, _PULLED = 1.5, 1.1, 5.0
+# zero by so many times its prior, and no more is left than of real arms.
+_IMPROVED, _NO_WORSE, _PULLED, _USUAL = 1.5, 1.1, 1.2, 0.1
 # A correction by the calibration that is smaller than so many times what is left of it anyway tells no robots apart.
 _TELLING = 2.0
 # Rows that are looked at; every trial is a fit. How many of the best are fitted in full.
@@ -102,7 +102,8 @@ def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: ModelFit)
         if shifted is not None and shifted.correction is not None:
             insisted = pulled & shifted.correction.shifts.keys()
             exceeded = limits.exceeded(after)
-            if exceeded < min(1.0, limits.exceeded(left) * (_NO_WORSE if insisted else 1.0 / _IMPROVED)):
+            before = limits.exceeded(left)
+            if exceeded < (min(1.0, max(_NO_WORSE * before, _USUAL) if insisted else before / _IMPROVED)):
                 found.append((exceeded, shifted, after))
         if found:
             return _chosen(found, f"{table.source}: ", got, is_held=fit.options.earlier is not None)
