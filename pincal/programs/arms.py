@@ -194,10 +194,9 @@ class ArmSearch:
             q = self.robot.spread(q)
             sides = self.sides(q)
             for k, i in enumerate(rows):
-                right = reached & (owner == k)
-                if self.has_sides:
-                    right &= [postures[i].allows(row) for row in sides]
-                found.append(self._distinct(q[right]))
+                mine = np.flatnonzero(reached & (owner == k))
+                allowed = [not self.has_sides or postures[i].allows(sides[row]) for row in mine]
+                found.append(self._distinct(q[mine[allowed]]))
         return found
 
     def _starts(self, tip: np.ndarray, posture: Posture, near: np.ndarray | None) -> np.ndarray:
