@@ -345,8 +345,10 @@ def _failures(result: dict[str, Any]) -> Iterator[str]:
         )
     turn = result["turn"]
     if turn["unreached"]:
+        lacks_places = any(row["status"] == "unreachable" for row in result["not_ok"])
         yield (
-            f"this arm has too few joints to turn the target {turn['unreached']} where it stands: positions are reached, "
+            f"this arm has too few joints to turn the target {turn['unreached']} where it stands: "
+            f"{'not all positions' if lacks_places else 'positions'} are reached, "
             f"orientations stay off by up to {turn['max_mrad']:.3f} mrad (line {turn['line']})"
         )
     for row in result["not_ok"][:_SHOWN]:
