@@ -24,6 +24,7 @@ from pincal.model.effects import GEOMETRIC
 from pincal.robot.mastering import remastered
 from pincal.robot.robot import Robot
 from pincal.robot.tree import Coupling
+from pincal.validate.cures import descriptions
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 PLAIN = Options(effects=GEOMETRIC)
@@ -116,6 +117,14 @@ def test_a_coupling_is_undone_wherever_joints_go_in_and_out(table: Measurements,
     joints, reached = names["compensate"](wanted, at + 1e-3)
     assert reached.all()
     np.testing.assert_allclose(loaded.predict(joints), wanted, atol=1e-7)
+
+
+def test_a_coupled_robot_may_differ_in_another_way(table: Measurements, kuka: Robot) -> None:
+    """Its two joints aren't coupled once more, the other way: from that no positions would follow."""
+    coupled = kuka.with_couplings("joint_3=+joint_2")
+    tried = [cure.correction.couplings for cure in descriptions(coupled, table) if cure.correction is not None]
+    pairs = {frozenset((one.joint, one.source)) for couplings in tried for one in couplings}
+    assert len(pairs) >= 3 and frozenset(("joint_2", "joint_3")) not in pairs
 
 
 def load_model_of(fit, folder: Path):
