@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -111,6 +112,9 @@ def correct_file(
     if options.path_error is not None:
         more, others, inserted = follower.inserted(program, legs, options.path_error)
         edits, left = edits + more, left + others
+    # A pair keeps its name, hence has to be written into another folder.
+    with contextlib.suppress(OSError):
+        out.parent.mkdir(parents=True, exist_ok=True)
     for target, content in zip(outs, written_program(program, edits), strict=False):
         write_atomic(target, content)
     result = _result(program, list(changes.values()), left, deviations)

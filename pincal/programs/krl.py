@@ -114,7 +114,9 @@ class Krl(ControllerLanguage):
     def statement(self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture) -> str:
         """Return the motion with a pose in the place of its target, passed without a stop."""
         start, end = motion.span
-        pose = ",".join(f"{name} {value:.{4 if name in 'XYZ' else 6}f}" for name, value in zip(_POSE, values, strict=True))
+        # Angles near those of the end may be more than half a turn, which no pendant shows.
+        numbers = [*values[:3], *(angle - 360.0 * round(angle / 360.0) for angle in values[3:])]
+        pose = ",".join(f"{name} {value:.{4 if name in 'XYZ' else 6}f}" for name, value in zip(_POSE, numbers, strict=True))
         after = source.text[end : motion.statement.end]
         approximate = "" if any(word in after.upper() for word in _AFTER) or after.strip() else " C_DIS"
         return source.text[motion.statement.start : start] + "{" + pose + "}" + after + approximate
