@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from machines import kuka as true_kuka
 from placed_arms import measured, run, written
-from zeros_study import ARMS, CASES, corrections, drawn, tried
+from zeros_study import ARMS, CASES, corrections, drawn, is_named, tried
 
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibrated_fit import calibrate
@@ -88,6 +88,9 @@ def test_unknown_zeros_have_no_prior(table: Measurements, kuka: Robot) -> None:
 
     assert free.estimate["joint_2.theta"] == pytest.approx(np.deg2rad(1.5), abs=5e-3)
     assert abs(held.estimate["joint_2.theta"]) < abs(free.estimate["joint_2.theta"])
+    far = replace(table, q=table.q - np.deg2rad([7, 0, -10, 0, 0, 8]))
+    found = run_calibration(kuka, far, replace(PLAIN, zeros=("*",)))
+    assert len(corrections(found)) == 1 and is_named("joint_3 is shifted by -10", corrections(found))
     with pytest.raises(BadInputError, match=r"joint 'joint_9'.*joint_1"):
         run_calibration(kuka, off, replace(PLAIN, zeros=("joint_9",)))
 

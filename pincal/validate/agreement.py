@@ -22,7 +22,7 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.sampling import sample_rows
 from pincal.model.effects import GEOMETRIC, JointOffset
 from pincal.robot.robot import Robot
-from pincal.validate.cures import Correction, TableCorrection, cures, scaled
+from pincal.validate.cures import Correction, TableCorrection, cures, scaled, shift_words
 from pincal.validate.zeros import shifts_found, typical_left
 
 # Nominal error, relative to the reach, from which a mix-up is looked for; errors of real robots are a fifth of it and less.
@@ -42,6 +42,8 @@ _CURED = 4.0
 _RIVAL = 2.0
 # Zeros that are farther off than this are named [rad]; beside them those that are farther off than that are shifted, too.
 _SHIFT, _SLIGHT = np.deg2rad(2.0), 0.01
+# A zero of which so little is believed is unknown [rad].
+_UNKNOWN = 1.0
 # What shifted zeros have to explain of what a calibration leaves: a third of it; or nothing, where the data have pulled a
 # zero by so many times its prior, and no more is left than of real arms.
 _IMPROVED, _NO_WORSE, _PULLED, _USUAL = 1.5, 1.1, 1.2, 0.1
@@ -145,6 +147,15 @@ def _pulled(fit: ModelFit) -> set[str]:
     """Return the joints whose zeros the data have pulled far from what is believed of them."""
     offsets = [(p, fit.values[i]) for i, p in enumerate(fit.problem.parameters) if p.effect == JointOffset.name]
     return {p.name.split(".")[0] for p, value in offsets if p.unit == "rad" and abs(value) > _PULLED * p.size}
+
+
+def unknown_zeros(fit: ModelFit) -> Iterator[str]:
+    """Yield what is to be said of joints whose zeros were not believed, where the rows tell that they are off."""
+    for i, parameter in enumerate(fit.problem.parameters):
+        is_unknown = parameter.effect == JointOffset.name and parameter.unit == "rad" and fit.priors.sizes[i] > _UNKNOWN
+        # Of the first joint it is a turn of the base, of the last one of the tool: what is as uncertain is not named.
+        if is_unknown and abs(fit.values[i]) > _SHIFT and fit.estimate.sigma[i] < _SLIGHT:
+            yield shift_words(parameter.name.split(".")[0], float(fit.values[i]))
 
 
 def _shifted(robot: Robot, table: Measurements, options: Options) -> tuple[TableCorrection | None, tuple[float, float]]:
