@@ -271,8 +271,9 @@ def _columns(calibrated: CalibratedModel, done: CompensatedTable, arguments: Com
         columns |= {"large_change": large.astype(int)} if large.any() else {}
     columns["status"] = found.status
     if arguments.false_targets:
-        poses, cells = poses_to_give(calibrated, done.commanded, of=arguments.false_targets), done.targets.cells
-        own = false_columns(cells, poses) if "position" in cells.arrays and cells.orientation is not None else None
+        poses, targets = poses_to_give(calibrated, done.commanded, of=arguments.false_targets), done.targets
+        has_poses = targets.rows.position is not None and targets.cells.orientation is not None
+        own = false_columns(targets.cells, poses) if has_poses else None
         named = columns_of_poses(poses, with_orientation=True)
         columns |= own or {f"false_{name}": column for name, column in named.items()}
     return columns

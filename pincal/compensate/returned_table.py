@@ -93,7 +93,7 @@ def cells_in(line: str, separator: str) -> list[tuple[int, int]]:
 
     Example:
         >>> cells_in('1; "2,5" ;x', ";")
-        [(0, 1), (4, 7), (9, 10)]
+        [(0, 1), (4, 7), (10, 11)]
     """
     if separator == " ":
         return [match.span() for match in re.finditer(r"\S+", line)]
