@@ -100,6 +100,12 @@ def in_si(values: np.ndarray, unit: str) -> np.ndarray:
     return values if (size, offset) == (1.0, 0.0) else values * size + offset
 
 
+def in_unit(values: np.ndarray, unit: str) -> np.ndarray:
+    """Return values in SI units in another unit; an empty one is SI."""
+    size, offset = SIZES.get(unit, 1.0), _OFFSETS.get(unit, 0.0)
+    return values if (size, offset) == (1.0, 0.0) else (values - offset) / size
+
+
 # Size of gravity [m/s^2] that can be meant if it is not zero: from what is left in orbit to a hundred times that on earth.
 _LEAST_GRAVITY, _MOST_GRAVITY = 1e-6, 1e3
 GRAVITIES = f"0 0 0, or a vector of {_LEAST_GRAVITY:g} to {_MOST_GRAVITY:g} m/s^2"

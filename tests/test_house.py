@@ -14,8 +14,9 @@ from pincal.discover import policy
 from pincal.identify import criteria
 from pincal.identify.problem import Problem
 
-# What there was when this was written, with 3 200 for programs in five languages of controllers; 44 000 is the aim.
-MOST_LINES = 57_900
+# What there was when this was written, with 4 400 for programs in five languages of controllers, in the page, too, and 200
+# for tables that come back as they went in; 44 000 is the aim.
+MOST_LINES = 59_400
 TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [
@@ -36,7 +37,9 @@ BOUNDS = {
     "identify.beliefs": "_FARTHEST _FREE",
     "identify.calibrate": "_WEIGHINGS _SAME_WEIGHT _CLOSE",
     "identify.choices": "_ROWS",
-    "identify.dependence": "_BANDS _NEAR _NEAREST _READINGS _ROWS _STARTS _LONGEST _MEMORIES _LENGTHS _BLOCK_READINGS _MOST_STATIONS",
+    "identify.dependence": (
+        "_BANDS _NEAR _NEAREST _READINGS _ROWS _STARTS _LONGEST _MEMORIES _LENGTHS _BLOCK_READINGS _MOST_STATIONS"
+    ),
     "identify.equations": "_MOST_KEPT",
     "identify.explain": "_ONE _SAME _RANK _ROWS _TOGETHER",
     "identify.fit": "MOST_STEPS",

@@ -50,7 +50,7 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
     """
     import polars as pl
 
-    lines = _lines(path, sheet, joints)
+    title, lines = _lines(path, sheet, joints)
     if not lines:
         raise MeasurementError(f"{path.name}: is empty; expected a header line and one line a pose")
     found = find_heading([["" if cell is None else str(cell) for cell in cells] for _, cells in lines[:_LOOKED_AT]], joints)
@@ -65,11 +65,12 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
                 "delete the lines above it, or begin them with #"
             )
     columns = [_series([cells[i] if i < len(cells) else None for _, cells in body], str(i)) for i in range(count)]
-    return FrameSheet(path, found.labels, False, pl.LazyFrame(columns), np.array([row for row, _ in body], int))
+    rows = np.array([row for row, _ in body], int)
+    return FrameSheet(path, found.labels, False, pl.LazyFrame(columns), rows, worksheet=title, header_line=top)
 
 
-def _lines(path: Path, named: str | None, joints: Collection[str]) -> list[tuple[int, tuple[Any, ...]]]:
-    """Return number and cells of each line that has some, comments left out; report what else the workbook has."""
+def _lines(path: Path, named: str | None, joints: Collection[str]) -> tuple[str, list[tuple[int, tuple[Any, ...]]]]:
+    """Return a worksheet's name, and number and cells of each line that has some; report what else the workbook has."""
     install = "'pincal[excel]', or save the table as CSV"
     with needed("openpyxl", f"{path.name}: Excel files", install=install, error=MeasurementError):
         import openpyxl
@@ -92,7 +93,7 @@ def _lines(path: Path, named: str | None, joints: Collection[str]) -> list[tuple
                         others += sheets[sheets.index(sheet) + 1 :]
                         break
             if first is None:
-                return []
+                return "", []
             _tell_hidden(first[0], {row for row, _ in first[1]}, path.name)
             others.remove(first[0])
             if named is None and others:
@@ -101,7 +102,7 @@ def _lines(path: Path, named: str | None, joints: Collection[str]) -> list[tuple
                     f"{path.name}: worksheet {first[0].title} is read; worksheets {listed} are not read (--sheet NAME reads "
                     "another one)"
                 )
-            return first[1]
+            return first[0].title, first[1]
     except (OSError, MeasurementError):
         raise
     except Exception as error:  # Whatever a broken archive does to the libraries below.
