@@ -11,13 +11,16 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import MassError, levers
 from pincal.discover.policy import WHERE
+from pincal.discover.products import Information
 from pincal.discover.score_tests import Tangent
 from pincal.identify.fit import ModelFit
+from pincal.identify.quadratic import Form
 from pincal.io.discovery_file import Disagreement
 from pincal.model.basis import spline_basis
 from pincal.model.catalogue.transmission import most_pieces
@@ -122,30 +125,46 @@ def locate(fit: ModelFit, sigma: np.ndarray) -> Location:
     fit = replace(fit, problem=problem, solution=replace(fit.solution, estimated=sigma))
     every, places = _motions(fit), list[Located]()
     masses = MassError.of(fit.model, fit.values)
-    taken: list[Effect] = [masses] if masses else []
-    tests = _tests_beside(fit, taken, every, fit.solution.effective)
+    tests = Tangent.at(fit, [masses] if masses else [], None).tests(every, wider=1.0)
+    # What a refit leaves of readings and priors; masses are known as they are.
+    known = float(np.sum((fit.values / fit.priors.sizes) ** 2)) + fit.problem.beliefs.square(fit.values, fit.priors.sizes)
+    squares = tests.squares + known - float(tests.model.slope @ tests.model.slope)
+    tests = replace(tests, doubt=None, squares=squares)
     left, dof, excess = _left(tests), tests.dof, tests.squares - tests.dof
     p_value = float(chdtrc(dof, tests.squares))
     while len(places) < WHERE.places and (best := _best(tests)) is not None:
-        place, score = _described(fit, tests, best, excess), tests.score([best], 1)
+        place = _described(fit, tests, best, excess)
         if place.share < WHERE.share:
             break
         places.append(place)
-        taken, every = [*taken, tests.effects[best]], [e for e in every if e is not tests.effects[best]]
-        tests = _tests_beside(fit, taken, every, tests.spent + score.rank)
+        tests = _taking(tests, best)
     regions: tuple[Disagreement, ...] = ()
     if fit.station.sensor.blocks[0].size == 3 and (places or p_value < WHERE.chance):
         regions = tuple(regions_of(fit, left[:3], 3.0 * dof / tests.readings))
     return Location(p_value, tuple(places), regions)
 
 
-def _tests_beside(fit: ModelFit, taken: list[Effect], every: list[MovedPlace], spent: float) -> ScoreTests:
-    """Return the tests of motions against what a refit with all that is taken up leaves of readings and priors."""
-    tests = Tangent.at(fit, taken, None).tests(every, wider=1.0)
-    known = float(np.sum((fit.values / fit.priors.sizes) ** 2)) + fit.problem.beliefs.square(fit.values, fit.priors.sizes)
-    squares = tests.squares + known - float(tests.model.slope @ tests.model.slope)
-    # Masses are known as they are.
-    return replace(tests, doubt=None, squares=squares, spent=spent)
+def _taking(tests: ScoreTests, best: int) -> ScoreTests:
+    """Return the tests of the other motions once one is a part of the model."""
+    products, model, n = tests.products, tests.model, tests.n_model
+    j, sizes = products.columns[best], tests.sizes
+    cross, own = products.blocks_cross[:, :, j], products.blocks_inner[:, j[:, None], j]
+    rows = np.block([[model.blocks.H, cross], [cross.swapaxes(1, 2), own]])
+    blocks = Form.of(rows, np.concatenate([model.blocks.g, products.blocks_g[:, j]], axis=1))
+    prior = Form.of(block_diag(model.prior.H, tests.prior([best])), np.append(model.prior.g, np.zeros(len(j))))
+    beside, effect = Information(blocks, prior), tests.effects[best]
+    assert isinstance(effect, MovedPlace)
+    return replace(
+        tests,
+        effects=tuple(other for other in tests.effects if other is not effect),
+        names=(*tests.names, *(f"{effect.joint}.{effect.acts_on}.{k}" for k in range(len(j)))),
+        values=np.append(tests.values, np.zeros(len(j))),
+        sizes=np.concatenate([sizes[:n], sizes[n + j], sizes[n:]]),
+        model=beside,
+        products=products.taking(best),
+        squares=tests.squares + float(model.slope @ model.slope - beside.slope @ beside.slope),
+        spent=tests.spent + tests.score([best], 1).rank,
+    )
 
 
 def _left(tests: ScoreTests) -> np.ndarray:

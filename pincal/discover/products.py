@@ -81,6 +81,7 @@ class RowPart(NamedTuple):
         at: where these stand among those of the model, -1 for nowhere.
         candidates: the station's columns of the candidates.
         own: where these stand among those of the candidates, -1 for nowhere.
+        taken: where these stand among those of the model, -1 for nowhere.
     """
 
     rows: np.ndarray
@@ -89,12 +90,14 @@ class RowPart(NamedTuple):
     at: np.ndarray
     candidates: Jacobian
     own: np.ndarray
+    taken: np.ndarray
 
     def moved(self, model: np.ndarray, candidates: np.ndarray) -> np.ndarray:
         """Return how R steps of the N parameters of the model and the C of candidates move the rows, shape (R, m, n)."""
         # What stands nowhere takes no step.
         of_model, of_candidates = (np.vstack([steps, np.zeros(steps.shape[1])]) for steps in (model, candidates))
-        return np.asarray(self.model.along(of_model[self.at]) + self.candidates.along(of_candidates[self.own]))
+        added = of_candidates[self.own] + of_model[self.taken]
+        return np.asarray(self.model.along(of_model[self.at]) + self.candidates.along(added))
 
     def gram(self, columns: np.ndarray) -> np.ndarray:
         """Return the products of J columns of candidates with each other, shape (J, J)."""
@@ -104,10 +107,20 @@ class RowPart(NamedTuple):
         G[np.ix_(here, here)] = own
         return G
 
+    def across(self, columns: np.ndarray, n: int) -> np.ndarray:
+        """Return the products of J columns of candidates with all n, shape (J, n)."""
+        here, mine = np.nonzero(columns[:, None] == self.own)
+        own, all_of_them, placed = np.zeros((len(here), len(self.own))), np.zeros((len(columns), n)), self.own >= 0
+        self.candidates.only(mine).add_products(self.candidates, own)
+        all_of_them[np.ix_(here, self.own[placed])] = own[:, placed]
+        return all_of_them
+
     def among(self, model: np.ndarray, candidates: np.ndarray, undone: np.ndarray) -> RowPart:
         """Return the same of some columns, by the places that they get, once those of the model have gone back so far."""
-        residuals = self.residuals + self.model.along(undone[self.at, None])[0]
-        return self._replace(residuals=residuals, at=model[self.at], own=candidates[self.own])
+        some = np.flatnonzero(self.taken >= 0)
+        back = self.model.along(undone[self.at, None]) + self.candidates.only(some).along(undone[self.taken[some], None])
+        at, taken, own = model[self.at], model[self.taken], candidates[self.own]
+        return self._replace(residuals=self.residuals + back[0], at=at, own=own, taken=taken)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +203,21 @@ class Products:
             blocks_inner=self.blocks_inner[:, j[:, None], j],
             blocks_g=self.blocks_g[:, j] + values @ cross[:, gone],
             parts=tuple(part.among(of_model, of_candidates, undone) for part in self.parts),
+        )
+
+    def taking(self, which: int) -> Products:
+        """Return those of the other candidates with a model to which one's columns are appended; all columns stay."""
+        j, (n_model, n) = self.columns[which], self.blocks_cross.shape[1:]
+        across = self.blocks_inner[:, j]
+        if self.is_partial:
+            across = np.sum([part.across(j, n) for part in self.parts], axis=0)[None]
+        at = _slots(j, n)
+        at[at >= 0] += n_model
+        return replace(
+            self,
+            columns=(*self.columns[:which], *self.columns[which + 1 :]),
+            blocks_cross=np.concatenate([self.blocks_cross, across], axis=1),
+            parts=tuple(part._replace(taken=np.maximum(part.taken, at[part.own])) for part in self.parts),
         )
 
 

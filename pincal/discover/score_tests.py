@@ -170,7 +170,7 @@ class Tangent:
                     part = added.poses(some)
                     part.add_gram(piece.residuals[:, some], own_inner[k], own_b[k], candidate[ours])
                     piece.jacobian.poses(some).add_products(part, own_cross[k])
-                parts.append(RowPart(piece.rows, piece.residuals, piece.jacobian, mine, added, ours))
+                parts.append(RowPart(piece.rows, piece.residuals, piece.jacobian, mine, added, ours, np.full(len(ours), -1)))
             b[:, ours] += own_b
             _add(own_cross, mine, ours, cross)
             _add(own_inner, ours, ours, inner)
