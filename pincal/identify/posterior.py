@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky
 from scipy.linalg.lapack import dpotri
 
 from pincal.identify.quadratic import NULL, Form
@@ -219,7 +219,11 @@ class Balance:
             return self.posterior.step
         D, g = self.sizes[prior], self.form.g
         reduced = (g[prior] - F.T @ g[frames]) * D - self.offsets[prior] / D
-        factor = cho_factor(self._reduced(), overwrite_a=True, check_finite=False)
+        try:
+            factor = cho_factor(self._reduced(), overwrite_a=True, check_finite=False)
+        except LinAlgError:
+            # Few poses tell so little apart of what frames absorb that the rest is their rounding.
+            return self.posterior.step
         step = np.empty(len(g))
         step[prior] = D * cho_solve(factor, reduced, check_finite=False)
         step[frames] = inverse @ g[frames] - F @ step[prior]
@@ -234,9 +238,11 @@ class Balance:
         prior, frames = self._parts
         if self._is_rounded or (believed is not None and np.any(believed[frames])):
             return None
-        C, failed = dpotri(
-            cholesky(self._reduced(), lower=True, overwrite_a=True, check_finite=False), lower=1, overwrite_c=1
-        )
+        try:
+            root = cholesky(self._reduced(), lower=True, overwrite_a=True, check_finite=False)
+        except LinAlgError:
+            return None
+        C, failed = dpotri(root, lower=1, overwrite_c=1)
         if failed:
             return None
         spent = float(self._frames[1]) + float(np.sum(1.0 - np.diag(C)))
