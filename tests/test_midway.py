@@ -27,6 +27,8 @@ def table(seed: int, *, change: str = "", cut: int = 0, noise: str = "white", n:
     true = q.copy()
     if change in machine.names:
         true[cut:, machine.names.index(change)] += 1e-3
+    if noise == "joint":
+        true[:, 1] += 1e-4 * rng.standard_normal(n)
     position = _read(machine, true, TARGET, seed)
     if change == "tool":
         position[cut:] = _read(machine, true, TARGET + OTHER_TOOL, seed)[cut:]
@@ -81,14 +83,19 @@ def test_the_line_is_found_among_many_rows() -> None:
     assert found is not None and found.cause.name == "joint_3" and abs(found.line - rows.rows[900]) <= 1
 
 
-@pytest.mark.parametrize("noise", ["white", "ar", "walk", "heat"])
+@pytest.mark.parametrize("noise", ["white", "ar", "walk", "heat", "joint"])
 def test_a_table_in_which_nothing_changed_is_left_alone(noise: str) -> None:
     """Whatever its noise."""
     assert [seen(table(100 + seed, noise=noise)) for seed in range(3)] == [None] * 3
 
 
+def test_a_joint_that_arrives_unevenly_was_not_remastered() -> None:
+    """Rows scatter along its lever most; as if they did so in all directions, this was 0.11 mrad from a line on."""
+    assert seen(table(9055, noise="joint")) is None
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("noise", ["white", "ar", "walk", "heat"])
+@pytest.mark.parametrize("noise", ["white", "ar", "walk", "heat", "joint"])
 def test_drifts_are_no_changes(noise: str) -> None:
     """In sixty tables of each noise none is seen: at most 4.9 % by the exact 95 % interval, one-sided."""
     alarms = sum(seen(table(9000 + seed, noise=noise)) is not None for seed in range(60))
