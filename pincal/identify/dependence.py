@@ -18,7 +18,7 @@ from scipy.special import expit
 
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit
-from pincal.identify.serial import Serial
+from pincal.identify.serial import Serial, turned
 from pincal.identify.station import Station
 
 # Bands of lags [rows] whose products of residuals are added up: noise that changes fast shows in the first, drifts in the
@@ -106,11 +106,31 @@ class _Seen:
     @property
     def dependence(self) -> float:
         """By how much more than chance what is left agrees at rows near each other, as the fit weighs it."""
+        return max((self.dependence_in(turns) for turns in self.frames), default=0.0)
+
+    @property
+    def frames(self) -> tuple[np.ndarray | None, ...]:
+        """Where errors may persist: in the frame of the readings, and in a target's, by its rotations, shape (N, 3, 3)."""
+        if self.station.position is None:
+            return ()
+        sensor, (of_model, _) = self.station.sensor, self.station.split(self.values)
+        if not sensor.reads_pose or any(block.size != 3 for block in sensor.blocks):
+            return (None,)
+        return None, self.station.model.predict(of_model, self.station.conditions)[:, :, :3]
+
+    def left(self, turns: np.ndarray | None) -> np.ndarray:
+        """Return what is left, as the fit weighs it, in units of its noise, shape (m, N), in one of the frames."""
         station = self.station
-        if station.position is None:
-            return 0.0
         left = station.whitened(station.residuals(self.values)) * station.weights / self.sigma
-        left, position = left[:, self.counted], station.position[self.counted]
+        if station.serial is not None and station.serial.turns is not None:
+            left = turned(station.serial.turns.swapaxes(1, 2), left)
+        return left if turns is None else turned(turns, left)
+
+    def dependence_in(self, turns: np.ndarray | None) -> float:
+        """Return the same in one of the frames."""
+        station = self.station
+        assert station.position is not None
+        left, position = self.left(turns)[:, self.counted], station.position[self.counted]
         by_rows = dependence(left, position)
         pose = self.poses[self.counted] if by_rows > CRITERIA.dependent else np.arange(len(position))
         if len(np.unique(pose)) == len(pose):
@@ -145,22 +165,28 @@ def _of_station(seen: _Seen) -> Serial | None:
     sizes = [block.size for block in station.sensor.blocks]
     sound = np.flatnonzero(seen.counted)
     some = sound[np.argsort(position[sound], kind="stable")][: max(_READINGS // sum(sizes), _FEWEST)]
-    if _follows_joints(seen, some):
-        return None
     few = station.select(some)
     ((_, residuals, jacobian),) = few.linearise_shared(seen.values, free)
     J, places = jacobian.dense_columns()
-    columns = np.concatenate([residuals[None], J]) * (few.weights / seen.sigma)
+    every = np.concatenate([residuals[None], J]) * (few.weights / seen.sigma)
     priors = seen.sizes[free][places] ** -2.0, seen.values[free][places]
-    phi, share, ends = np.zeros(sum(sizes)), np.zeros(sum(sizes)), np.cumsum([0, *sizes])
-    for a, b in pairwise(ends.tolist()):
-        found = _likeliest(columns[:, a:b], position[some], *priors)
-        if found is not None:
-            phi[a:b], share[a:b] = found
-    return Serial(phi, share, position, seen.counted) if share.any() else None
+    ends, likeliest, gained = np.cumsum([0, *sizes]).tolist(), None, 0.0
+    for turns in seen.frames:
+        if seen.dependence_in(turns) < CRITERIA.dependent or _follows_joints(seen, some, turns):
+            continue
+        columns, gains = every if turns is None else turned(turns[some], every), 0.0
+        phi, share = np.zeros(sum(sizes)), np.zeros(sum(sizes))
+        for a, b in pairwise(ends):
+            found = _likeliest(columns[:, a:b], position[some], *priors)
+            if found is not None:
+                gain, phi[a:b], share[a:b] = found
+                gains += gain
+        if gains > gained:
+            likeliest, gained = Serial(phi, share, position, seen.counted, turns), gains
+    return likeliest
 
 
-def _follows_joints(seen: _Seen, rows: np.ndarray) -> bool:
+def _follows_joints(seen: _Seen, rows: np.ndarray, turns: np.ndarray | None) -> bool:
     """Return whether rows near each other in the joints, or in one, agree however far apart they are in the order.
 
     What is left is then a function of the pose, along which the rows follow each other, and no noise.
@@ -168,9 +194,10 @@ def _follows_joints(seen: _Seen, rows: np.ndarray) -> bool:
     Args:
         seen: the station.
         rows: shape (n,), rows in their order.
+        turns: the frame in which they agree.
     """
     station, n = seen.station, len(rows)
-    left = (station.whitened(station.residuals(seen.values)) * station.weights / seen.sigma)[:, rows]
+    left = seen.left(turns)[:, rows]
     left = left - left.mean(axis=1, keepdims=True)
     q = station.conditions.q[rows]
     q = q / np.maximum(q.std(axis=0), 1e-12)
@@ -188,8 +215,8 @@ def _follows_joints(seen: _Seen, rows: np.ndarray) -> bool:
 
 def _likeliest(
     columns: np.ndarray, position: np.ndarray, precision: np.ndarray, values: np.ndarray
-) -> tuple[float, float] | None:
-    """Return the likeliest correlation and share of the noise of some components; None if it gains too little.
+) -> tuple[float, float, float] | None:
+    """Return what the likeliest noise of some components gains, its correlation and share; None if that is too little.
 
     Args:
         columns: shape (1 + P, m, N), residuals, then the model's columns, in units of the noise.
@@ -230,8 +257,8 @@ def _likeliest(
         # Of memories that the rows can't tell apart the longest: a short one takes the mean of the noise for well known.
         longer = _least(partial(at_memory, memory), best.x[:2])
         if memory > best.x[2] and float(longer.fun) < float(best.fun) + _AS_LIKELY:
-            return float(1.0 - np.exp(-memory)), float(expit(longer.x[1]))
-    return float(1.0 - np.exp(-best.x[2])), float(expit(best.x[1]))
+            return white - float(longer.fun), float(1.0 - np.exp(-memory)), float(expit(longer.x[1]))
+    return white - float(best.fun), float(1.0 - np.exp(-best.x[2])), float(expit(best.x[1]))
 
 
 def _least(misfit: Callable[[np.ndarray], float], start: np.ndarray) -> OptimizeResult:
