@@ -14,7 +14,8 @@ from pincal.discover import policy
 from pincal.identify.problem import Problem
 
 # What there was when this was written, with 3 200 for programs in five languages of controllers; 44 000 is the aim.
-MOST_LINES = 59_800
+# 100 are for errors that persist in the target's frame and for few poses, which no older code looked for.
+MOST_LINES = 59_900
 TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [

@@ -18,7 +18,7 @@ from scipy.special import expit
 
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit
-from pincal.identify.serial import Serial, turned
+from pincal.identify.serial import Serial, turned_into
 from pincal.identify.station import Station
 
 # Bands of lags [rows] whose products of residuals are added up: noise that changes fast shows in the first, drifts in the
@@ -123,8 +123,8 @@ class _Seen:
         station = self.station
         left = station.whitened(station.residuals(self.values)) * station.weights / self.sigma
         if station.serial is not None and station.serial.turns is not None:
-            left = turned(station.serial.turns.swapaxes(1, 2), left)
-        return left if turns is None else turned(turns, left)
+            left = turned_into(station.serial.turns.swapaxes(1, 2), left)
+        return left if turns is None else turned_into(turns, left)
 
     def dependence_in(self, turns: np.ndarray | None) -> float:
         """Return the same in one of the frames."""
@@ -174,7 +174,7 @@ def _of_station(seen: _Seen) -> Serial | None:
     for turns in seen.frames:
         if seen.dependence_in(turns) < CRITERIA.dependent or _follows_joints(seen, some, turns):
             continue
-        columns, gains = every if turns is None else turned(turns[some], every), 0.0
+        columns, gains = every if turns is None else turned_into(turns[some], every), 0.0
         phi, share = np.zeros(sum(sizes)), np.zeros(sum(sizes))
         for a, b in pairwise(ends):
             found = _likeliest(columns[:, a:b], position[some], *priors)

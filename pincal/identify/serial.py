@@ -75,16 +75,16 @@ class Serial:
     def innovations(self, columns: np.ndarray) -> np.ndarray:
         """Return columns of all rows, shape (D, m, N), as independent and even as those of white noise of the same size."""
         if self.turns is not None:
-            columns = turned(self.turns, columns)
+            columns = turned_into(self.turns, columns)
         return np.asarray(filtered(np.ascontiguousarray(columns), *self._recursion))
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
         """Return independent and even noise, shape (m, N), as readings have it."""
         found = np.asarray(unfiltered(np.ascontiguousarray(noise[None]), *self._recursion)[0])
-        return found if self.turns is None else turned(self.turns.swapaxes(1, 2), found)
+        return found if self.turns is None else turned_into(self.turns.swapaxes(1, 2), found)
 
 
-def turned(turns: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def turned_into(turns: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return columns, shape (..., m, N), in the frames of N rotations, shape (N, 3, 3), three components at a time."""
     shape = columns.shape
     vectors = columns.reshape(*shape[:-2], shape[-2] // 3, 3, shape[-1])
