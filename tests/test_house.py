@@ -15,8 +15,9 @@ from pincal.identify import criteria
 from pincal.identify.problem import Problem
 
 # What there was when this was written, with 4 400 for programs in five languages of controllers, in the page, too, and 200
-# for tables that come back as they went in; 44 000 is the aim.
-MOST_LINES = 59_400
+# for tables that come back as they went in; 44 000 is the aim. 100 are for errors that persist in the target's frame and for
+# few poses, which no older code looked for.
+MOST_LINES = 59_500
 TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [
@@ -34,7 +35,7 @@ BOUNDS = {
     "diagnosis.excluded": "_MORE _TRIED _SHOWN _TELLABLE _SEEN",
     "diagnosis.lineup": "_MOST_STEPS _HALVINGS _SHORT",
     "diagnosis.row_evidence": "_POSES",
-    "identify.beliefs": "_FARTHEST _FREE",
+    "identify.beliefs": "_FARTHEST _FREE _LEAST _MOST",
     "identify.calibrate": "_WEIGHINGS _SAME_WEIGHT _CLOSE",
     "identify.choices": "_ROWS",
     "identify.dependence": (

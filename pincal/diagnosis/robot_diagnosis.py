@@ -39,7 +39,7 @@ from pincal.measure.measurements import Measurements
 from pincal.model.conditions import recorded_variable
 from pincal.model.effect import Curve
 from pincal.notes import Note, Severity, doubts_first
-from pincal.validate.accuracy import error_summary
+from pincal.validate.accuracy import error_summary, pose_error_sizes
 
 # Chance of a false alarm.
 FALSE_ALARM = CHANGES.false_alarm
@@ -161,7 +161,7 @@ def diagnose(
         gap={"before": error_summary(placed.station, placed.values), "after": after},
         station=MovedEntry(**way.to_dict()),
         rows=len(measurements),
-        warnings=doubts_first([*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, measurements)]),
+        warnings=doubts_first([*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, placed, measurements)]),
         curves=curves,
         is_judged=not doubts,
     )
@@ -288,7 +288,7 @@ def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Itera
         )
 
 
-def _notes(verdict: ChangeVerdict, measurements: Measurements) -> Iterator[Note | str]:
+def _notes(verdict: ChangeVerdict, placed: Placed, measurements: Measurements) -> Iterator[Note | str]:
     for i in verdict.beside:
         change = verdict.lineup.changes[i]
         where = "" if change.joint is None else f" of {change.joint}"
@@ -304,4 +304,10 @@ def _notes(verdict: ChangeVerdict, measurements: Measurements) -> Iterator[Note 
         )
     if verdict.wrong_rows:
         lines = ", ".join(str(measurements.rows[i]) for i in verdict.wrong_rows)
-        yield f"excluded because they contradict all other rows: lines {lines}"
+        unit, errors = next(iter(pose_error_sizes(placed.station, placed.values).items()))
+        others = np.delete(errors, verdict.wrong_rows)
+        yield Note(
+            Severity.DOUBT,
+            f"{len(verdict.wrong_rows)} of {len(measurements)} rows are excluded because they contradict all others, which "
+            f"are off by {others.mean():.4f} {unit} on average; wrong readings or joints: lines {lines}",
+        )

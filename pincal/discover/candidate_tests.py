@@ -247,7 +247,7 @@ def _of_stations(fit: ModelFit) -> Iterator[Effect]:
     yield from everywhere
     for k, station in enumerate(stations):
         yield from (own for own in own_effects(tested[k], station.name) if own.effect not in everywhere)
-        yield from changed_effects(fit.problem.effects, situations[k], station.name) if k else ()
+        yield from changed_effects(fit.problem.effects, situations[k], tested[k], station.name) if k else ()
 
 
 def has_compliance(effects: Sequence[Effect]) -> bool:

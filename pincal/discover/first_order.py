@@ -28,7 +28,7 @@ from scipy.special import fdtrc
 
 from pincal.discover.policy import TESTING
 from pincal.discover.products import Information, Products
-from pincal.identify.quadratic import SEEN, Factor
+from pincal.identify.quadratic import ROUNDING, SEEN, Factor
 from pincal.model.effects import Effect
 
 
@@ -223,7 +223,9 @@ class ScoreTests:
         model, model_step = self.model.without_block[k]
         cross = products.cross[:, j] - across
         taken = model.half(cross)
-        factor = Factor.of(products.inner_of(which) - own - taken.T @ taken + self.prior(which))
+        known = products.inner_of(which) - own + self.prior(which)
+        # Where few rows tell nearly all of it, what the model does not take is less than its rounding.
+        factor = Factor.of(known - taken.T @ taken + ROUNDING * np.diag(np.diag(known)))
         step = factor.solve(products.g[j] - b - cross.T @ model_step)
         change = -model.back(taken @ step)
         along = model_S @ change + across @ step

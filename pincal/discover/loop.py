@@ -39,6 +39,7 @@ from pincal.identify.choices import deviance
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import is_dependent, serial_noise, with_serial
 from pincal.identify.fit import ModelFit
+from pincal.identify.station import Station
 from pincal.model.chain import MomentFrame
 from pincal.model.effect import Effect
 from pincal.validate.midway import change_in
@@ -122,9 +123,13 @@ def withdraw_names_at_change(found: History) -> History:
 def _is_changed_midway(fit: ModelFit) -> bool:
     """Return whether something changed between two rows of a station."""
     return any(
-        change_in(station, fit.values[places], fit.solution.free[places], np.arange(len(station)))
+        change_in(station, fit.values[places], fit.solution.free[places], _order(station))
         for station, places, _ in fit.stations
     )
+
+
+def _order(station: Station) -> np.ndarray:
+    return np.arange(len(station)) if station.position is None else station.position
 
 
 def _follows_the_order(effect: Effect, fit: ModelFit) -> bool:

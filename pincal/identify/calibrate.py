@@ -33,6 +33,7 @@ from pincal.model.catalogue.bearing_features import without_idle_features
 from pincal.model.catalogue.masses import with_masses
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effects import Effect
+from pincal.recorded import RECORDED
 from pincal.robot.robot import Robot
 
 Tables = Measurements | Sequence[Measurements] | Mapping[str, Measurements]
@@ -96,6 +97,12 @@ def tables_of(measurements: Tables) -> dict[str, Measurements]:
     tables = stations_of(measurements.items())
     if not tables:
         raise BadInputError("no tables of measurements; expected one or more")
+    for name, variable in RECORDED.items():
+        # How joints arrived is recorded on some days only; on the others it is unknown.
+        if variable.unknown is not None and any(getattr(table, name) is not None for table in tables.values()):
+            for key in [key for key, table in tables.items() if getattr(table, name) is None]:
+                unknown: dict[str, Any] = {name: np.full(tables[key].q.shape, variable.unknown)}
+                tables[key] = replace(tables[key], **unknown)
     return tables
 
 

@@ -28,7 +28,7 @@ from scipy.special import expit
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit, equations_of
 from pincal.identify.station import Station
-from pincal.identify.whitening import Serial
+from pincal.identify.whitening import Serial, turned_into
 
 # Bands of lags [rows] whose products of residuals are added up: noise that changes fast shows in the first, drifts in the
 # last.
@@ -114,22 +114,37 @@ class _Seen:
     sigma: np.ndarray
 
     @property
-    def left(self) -> np.ndarray:
-        """What the fit leaves at all rows, as it weighs it, in units of the noise, shape (m, N)."""
-        station = self.station
-        return np.asarray(station.whitened(station.residuals(self.values)) * station.weights / self.sigma)
-
-    @property
     def poses(self) -> np.ndarray:
         """The pose of each row, shape (N,)."""
         return np.unique(self.station.conditions.q, axis=0, return_inverse=True)[1].ravel()
 
     @property
     def dependence(self) -> float:
-        """By how much more than chance what is left agrees at rows near each other."""
+        """By how much more than chance what is left agrees at rows near each other, as the fit weighs it."""
+        return max((self.dependence_in(turns) for turns in self.frames), default=0.0)
+
+    @property
+    def frames(self) -> tuple[np.ndarray | None, ...]:
+        """Where errors may persist: in the frame of the readings, and in a target's, by its rotations, shape (N, 3, 3)."""
         if self.station.position is None:
-            return 0.0
-        left, position = self.left[:, self.counted], self.station.position[self.counted]
+            return ()
+        sensor, (of_model, _) = self.station.sensor, self.station.split(self.values)
+        if not sensor.reads_pose or any(block.size != 3 for block in sensor.blocks):
+            return (None,)
+        return None, self.station.model.predict(of_model, self.station.conditions)[:, :, :3]
+
+    def left(self, turns: np.ndarray | None) -> np.ndarray:
+        """Return what is left, as the fit weighs it, in units of its noise, shape (m, N), in one of the frames."""
+        station = self.station
+        left = station.whitened(station.residuals(self.values)) * station.weights / self.sigma
+        if station.serial is not None and station.serial.turns is not None:
+            left = turned_into(station.serial.turns.swapaxes(1, 2), left)
+        return left if turns is None else turned_into(turns, left)
+
+    def dependence_in(self, turns: np.ndarray | None) -> float:
+        """Return the same in one of the frames."""
+        assert self.station.position is not None
+        left, position = self.left(turns)[:, self.counted], self.station.position[self.counted]
         by_rows = dependence(left, position)
         pose = self.poses[self.counted] if by_rows > CRITERIA.dependent else np.arange(len(position))
         if len(np.unique(pose)) == len(pose):
@@ -163,24 +178,29 @@ class _Seen:
             # Several readings of a pose hang together by the pose, which is another noise.
             return None
         some = seen.first(_READINGS)
-        if seen.follows_joints(some):
-            return None
-        columns, places = seen.columns(some)
+        every, places = seen.columns(some)
         priors = seen.sizes[seen.free][places] ** -2.0, seen.values[seen.free][places]
-        ends = np.cumsum([0, *station.block_sizes]).tolist()
-        phi, share = np.zeros(ends[-1]), np.zeros(ends[-1])
-        for a, b in pairwise(ends):
-            found = _likeliest(columns[:, a:b], position[some], *priors)
-            if found is not None:
-                phi[a:b], share[a:b] = found
-        return Serial(phi, share, position, seen.counted) if share.any() else None
+        ends, likeliest, gained = np.cumsum([0, *station.block_sizes]).tolist(), None, 0.0
+        for turns in seen.frames:
+            if seen.dependence_in(turns) < CRITERIA.dependent or seen.follows_joints(some, turns):
+                continue
+            columns, gains = every if turns is None else turned_into(turns[some], every), 0.0
+            phi, share = np.zeros(ends[-1]), np.zeros(ends[-1])
+            for a, b in pairwise(ends):
+                found = _likeliest(columns[:, a:b], position[some], *priors)
+                if found is not None:
+                    gain, phi[a:b], share[a:b] = found
+                    gains += gain
+            if gains > gained:
+                likeliest, gained = Serial(phi, share, position, seen.counted, turns), gains
+        return likeliest
 
-    def follows_joints(self, rows: np.ndarray) -> bool:
+    def follows_joints(self, rows: np.ndarray, turns: np.ndarray | None) -> bool:
         """Return whether rows near each other in the joints, or in one, agree however far apart they are in the order.
 
         What is left is then a function of the pose, along which the rows follow each other, and no noise.
         """
-        n, left, q = len(rows), self.left[:, rows], self.station.conditions.q[rows]
+        n, left, q = len(rows), self.left(turns)[:, rows], self.station.conditions.q[rows]
         left = left - left.mean(axis=1, keepdims=True)
         q = q / np.maximum(q.std(axis=0), 1e-12)
         by_order = np.mean([np.mean(np.sum(left[:, :-lag] * left[:, lag:], axis=0)) for lag in range(1, _NEAR + 1)])
@@ -217,8 +237,8 @@ def _seen(fit: ModelFit) -> Iterator[_Seen]:
 
 def _likeliest(
     columns: np.ndarray, position: np.ndarray, precision: np.ndarray, values: np.ndarray
-) -> tuple[float, float] | None:
-    """Return the likeliest correlation and share of the noise of some components; None if it gains too little.
+) -> tuple[float, float, float] | None:
+    """Return what the likeliest noise of some components gains, its correlation and share; None if that is too little.
 
     Args:
         columns: shape (1 + P, m, N), residuals, then the model's columns, in units of the noise.
@@ -256,8 +276,8 @@ def _likeliest(
         # Of memories that the rows can't tell apart the longest: a short one takes the mean of the noise for well known.
         longer = _least(lambda at, memory=memory: misfit(np.append(at, memory)), best.x[:2])  # type: ignore[misc]
         if memory > best.x[2] and float(longer.fun) < float(best.fun) + CRITERIA.as_likely:
-            return float(1.0 - np.exp(-memory)), float(expit(longer.x[1]))
-    return float(1.0 - np.exp(-best.x[2])), float(expit(best.x[1]))
+            return white - float(longer.fun), float(1.0 - np.exp(-memory)), float(expit(longer.x[1]))
+    return white - float(best.fun), float(1.0 - np.exp(-best.x[2])), float(expit(best.x[1]))
 
 
 def _least(misfit: Callable[[np.ndarray], float], start: np.ndarray) -> OptimizeResult:

@@ -94,7 +94,7 @@ def _lines(path: Path, named: str | None, joints: Collection[str]) -> tuple[str,
                         break
             if first is None:
                 return "", []
-            _tell_hidden(first[0], {row for row, _ in first[1]}, path.name)
+            _tell_hidden(first[0], {row for row, _ in first[1]}, path.name, is_wanted=named is not None)
             others.remove(first[0])
             if named is None and others:
                 listed = ", ".join(sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in others)
@@ -130,9 +130,9 @@ def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
         yield row, tuple(values[:count])
 
 
-def _tell_hidden(sheet: Any, rows: set[int], name: str) -> None:
-    """Warn of a worksheet that is hidden, and of those of its rows that are."""
-    if sheet.sheet_state != "visible":
+def _tell_hidden(sheet: Any, rows: set[int], name: str, *, is_wanted: bool) -> None:
+    """Warn of a worksheet that is hidden, unless it was asked for, and of those of its rows that are."""
+    if sheet.sheet_state != "visible" and not is_wanted:
         warn(f"{name}: the visible worksheets are empty; the hidden one {sheet.title} is read")
     # In this mode openpyxl keeps none of the attributes of rows.
     with sheet._get_source() as source:
