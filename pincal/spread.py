@@ -20,7 +20,7 @@ import warnings
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import import_module
@@ -40,6 +40,8 @@ _KEPT = 4
 # one task, which Dask calls by this name.
 _BROKEN = (BrokenExecutor, CancelledError)
 _GIVEN_UP = ("KilledWorker",)
+# How often a wait for workers is interrupted to see whether it is still wanted [s].
+_GLANCE = 0.3
 
 log = logging.getLogger(__name__)
 
@@ -205,6 +207,10 @@ def _results(futures: Sequence[Future[_R]], label: str, *needed: object) -> Iter
     try:
         for future in futures:
             with _losses(label):
+                # A wait without an end outlasts Ctrl-C where a library has it restart system calls, as polars does.
+                while not future.done():
+                    with suppress(TimeoutError):
+                        future.exception(timeout=_GLANCE)
                 result = future.result()
             yield result
     finally:

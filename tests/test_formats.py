@@ -492,6 +492,9 @@ def test_a_hidden_worksheet_gives_way_to_a_visible_one(tmp_path: Path) -> None:
     book.save(path)
     with pytest.warns(PincalWarning, match="the visible worksheets are empty; the hidden one measured is read"):
         assert len(read_measurements(path, JOINTS)) == N
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", PincalWarning)
+        assert len(read_measurements(path, JOINTS, sheet="measured")) == N
 
 
 def test_hidden_rows_of_a_worksheet_are_told_of(tmp_path: Path) -> None:

@@ -146,7 +146,11 @@ def test_gross_rows_of_a_sound_robot_are_no_changes(
 
     assert not found.changed and found.found.is_judged
     lines = ", ".join(str(line) for line in new.rows[gross])
-    assert any(note.text.endswith(f"lines {lines}") for note in found.found.warnings)
+    (said,) = [note for note in found.found.warnings if note.text.endswith(f"lines {lines}")]
+    assert said.is_doubt and f"{len(gross)} of {len(new)} rows are excluded" in said.text
+    validated = validate_rows([model], spoilt(new, gross))
+    (said,) = [note for note in validated.notes if "held-out rows are off" in note.text]
+    assert said.is_doubt and said.text.startswith(f"{len(gross)} of {len(new)} held-out rows")
 
 
 def test_rows_of_which_many_are_gross_tell_nothing(

@@ -56,6 +56,8 @@ def test_a_prior_counts_as_much_as_a_reading_of_the_parameter(kuka: Robot, table
         ({"*.theta": "1mm"}, "expected a number in rad"),
         ({"*.theta": -1.0}, "a standard deviation"),
         ({"*.theta": float("nan")}, "a standard deviation"),
+        ({"*.theta": 1e300}, "from 1e-30 to 1e\\+30"),
+        ({"*.theta": 1e-300}, "from 1e-30 to 1e\\+30"),
     ],
 )
 def test_a_prior_that_means_nothing_is_refused(

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yourdfpy
+from test_cli import run
 
 from pincal.calibration.calibrated_robot import load_model
 from pincal.calibration.calibration import run_calibration
@@ -196,3 +197,11 @@ def test_the_tip_is_no_finger(name: str, tip: str, last: str) -> None:
     robot = Robot.from_urdf(name)
 
     assert (robot.tip, robot.joint_names[-1]) == (tip, last)
+
+
+@pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
+def test_a_planar_arm_of_two_joints_is_fitted(tmp_path: Path) -> None:
+    """Rounding in what its frames absorb is more than its priors: no Cholesky factor exists."""
+    assert run("simulate", "double_pendulum", "--poses", 60, "--seed", 1, "--out", tmp_path / "t.csv") == 0
+    found = run_calibration(Robot.from_urdf("double_pendulum"), read_measurements(tmp_path / "t.csv", ("joint1", "joint2")))
+    assert found.result.error["calibrated"]["test"]["rms_mm"] < 0.2

@@ -38,7 +38,7 @@ from pincal.measure.measurements import Measurements, concatenate, measurements_
 from pincal.measure.setup import Setup
 from pincal.measure.table import stations_of
 from pincal.model.at_station import AtStation
-from pincal.model.catalogue import BaseDrift, GearEccentricity, ThermalExpansion
+from pincal.model.catalogue import Backlash, BaseDrift, GearEccentricity, ThermalExpansion
 from pincal.model.effects import GEOMETRIC, Effect, JointElasticity
 from pincal.robot.robot import Robot
 
@@ -667,3 +667,16 @@ def test_candidates_of_one_station_are_told_from_those_of_all(two: ModelFit) -> 
     for k, effect in enumerate(asked):
         alone = score_test(two, [effect], groups)
         assert found.gain([k])[0] == pytest.approx(alone.gain([0])[0], rel=1e-6)
+
+
+def test_directions_that_one_station_records_are_unknown_at_the_other(kuka: Robot) -> None:
+    """An effect that follows them is fitted with those of the one, instead of refused for want of the other's."""
+    rng = np.random.default_rng(0)
+    with_them, without = (
+        measurements_from_arrays(kuka.joint_names, q, position=kuka.forward_kinematics(q)[:, :3, 3])
+        for q in (kuka.random_configurations(40, rng) for _ in range(2))
+    )
+    with_them = replace(with_them, approach=rng.choice([-1.0, 1.0], with_them.q.shape))
+    fit = fit_tables(kuka, {"a": with_them, "b": without}, Options(effects=(*GEOMETRIC, Backlash("joint_2")), sigma=1e-5))
+
+    assert fit.solution.free[[parameter.name for parameter in fit.problem.parameters].index("joint_2.backlash")]

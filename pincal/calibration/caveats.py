@@ -241,7 +241,8 @@ def findings_on_order(station: Station) -> list[Caveat]:
         share = float(np.max(serial.share))
         rows = 1.0 / (1.0 - float(np.max(serial.phi)))
         lasts = f"for about {rows:.0f} rows" if rows < n else "over all rows"
-        what = f"{100 * share:.0f} % of its variance is an error that persists {lasts}; rows were weighted accordingly"
+        error = "an error" if serial.turns is None else "an error of the target's place on the tool"
+        what = f"{100 * share:.0f} % of its variance is {error} that persists {lasts}; rows were weighted accordingly"
         found.append(Caveat(CaveatKind.DEPENDENT_ROWS, {"what": what}, station.name))
     if station.position is not None and n >= _ROWS:
         # What sets one load apart from another may be elastic.

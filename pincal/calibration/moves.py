@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtr, chdtrc
 
+from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import ModelFit
 from pincal.identify.normal import accumulate
 from pincal.identify.posterior import eliminate, posterior
@@ -27,22 +28,12 @@ from pincal.model.effect import Family
 from pincal.parameters import Parameter
 from pincal.validate.outcome import MovedParameter
 
-# Chance that anything is said to have moved on a robot that is the same at all stations.
-_ALPHA = 0.01
 # Part of a parameter's information that the station's own ones must leave, for the station to tell of it.
 _SEEN = 1e-4
 # Part of a value's information that is added to it, well above rounding and far below what matters.
 _ROUNDING = 1e-8
 # What is well above the error of an eigenvalue that came out negative, over its size.
 _BEYOND_ROUNDING = 10.0
-# How far values of stations may be apart, in sizes that are typical of the parameter: as good as any.
-_WIDE = 30.0
-# Part of a station's rows up to which those that were rejected are taken for wrong readings.
-_OUTLIERS = 0.05
-# Chance of as little noise as a station shows by itself below which the fit has taken something else for noise.
-_UNLIKELY = 1e-3
-# How much likelier it is that a drive lost its zero than that anything else moved, before any row is seen: -2 log odds.
-_USUAL = 2.0 * np.log(10.0)
 # Parameters released at most, and stations beyond which none is looked for: work and memory grow with their square.
 _MOST, _MOST_STATIONS = 6, 100
 
@@ -69,7 +60,7 @@ class StationInformation:
         """
         gain, rank = self.form.gain(np.arange(len(self.places)), _SEEN)
         square, degrees = self.form.square - gain, self.form.degrees - rank
-        return max(square, 1e-12) / degrees if degrees > 0 and chdtr(degrees, square) < _UNLIKELY else 1.0
+        return max(square, 1e-12) / degrees if degrees > 0 and chdtr(degrees, square) < CHANGES.too_quiet else 1.0
 
 
 @dataclass(frozen=True)
@@ -151,7 +142,7 @@ def _information_of(fit: ModelFit, shared: np.ndarray) -> _StationsInformation:
         rows, blocks = problem.rows[k], problem.block_spans[k]
         weights = solution.weights[rows]
         # So many rows do not contradict the robot by mistake: it is another one there.
-        weights = weights if np.mean(weights == 0.0) <= _OUTLIERS else np.ones_like(weights)
+        weights = weights if np.mean(weights == 0.0) <= CHANGES.wrong_rows else np.ones_like(weights)
         said = information_at(fit, k, weights)
         declared = fit.noise.declared[blocks.start] or 0.0
         at, noise = said.places, max(said.noise_squared, (declared / solution.sigma[blocks.start]) ** 2)
@@ -163,7 +154,9 @@ def _information_of(fit: ModelFit, shared: np.ndarray) -> _StationsInformation:
     usual = np.array([problem.parameters[place].name in of_drives for place in shared], bool)
     sizes, offsets = fit.priors.sizes[shared], fit.values[shared]
     found = posterior(Form.of(G.sum(axis=0), g.sum(axis=0)), sizes, offsets)
-    return _StationsInformation(G, g - G @ found.step, seen & np.isfinite(sizes), found.covariance, _WIDE * sizes, usual)
+    return _StationsInformation(
+        G, g - G @ found.step, seen & np.isfinite(sizes), found.covariance, CHANGES.wide * sizes, usual
+    )
 
 
 def information_at(fit: ModelFit, k: int, weights: np.ndarray | None = None) -> StationInformation:
@@ -211,7 +204,7 @@ def _moved(told: _StationsInformation) -> tuple[int, ...]:
         for p in (p for p in candidates if p not in chosen):
             gain = told.gain([*chosen, p]) - before
             chance = chdtrc(told.seen[:, p].sum() - 1, gain)
-            yield Scored(p, -gain - _USUAL * told.usual[p], chance < _ALPHA / len(candidates))
+            yield Scored(p, -gain - CHANGES.usual * told.usual[p], chance < CHANGES.moved / len(candidates))
 
     return select_stepwise((), gains, lambda chosen, p: (*chosen, p), most=_MOST)
 
@@ -224,7 +217,7 @@ def _course(station: np.ndarray, values: np.ndarray, covariance: np.ndarray) -> 
         since = np.array([0, i - 1])
         variance = np.maximum(own[since] + own[i] - 2.0 * covariance[since, i], 1e-300)
         change, step = values[i] - values[since]
-        moved = chdtrc(1, step**2 / variance[1]) < _ALPHA / (len(station) - 1)
+        moved = chdtrc(1, step**2 / variance[1]) < CHANGES.moved / (len(station) - 1)
         yield int(station[i]), float(change), float(np.sqrt(variance[0])), bool(moved)
 
 

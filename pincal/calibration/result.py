@@ -157,6 +157,8 @@ def result_of(
     if len(on_replicates) == len(seen) and all(n.kind is CaveatKind.NOISY_REPLICATES for n in on_replicates):
         # What exceeds the declared noise is the scatter between replicates, which is told.
         found = [n for n in found if n.kind is not CaveatKind.NOISE_EXCEEDED]
+    # A change midway explains the others, so it comes before them.
+    found.sort(key=lambda n: n.kind is not CaveatKind.STEP)
     fitted, held = (sum(len(part.rows.measured[k]) for part in seen) for k in (0, 1))
     error = _errors(fit, seen)
     alone = [one for one in left_out if one.sizes]

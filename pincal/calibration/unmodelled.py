@@ -19,6 +19,7 @@ from typing import Annotated
 import numpy as np
 
 from pincal.calibration.moves import information_at, shared_places
+from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import ModelFit, Priors
 from pincal.identify.posterior import eliminate
 from pincal.identify.problem import extended
@@ -30,8 +31,6 @@ from pincal.model.catalogue.candidates import testable
 from pincal.model.conditions import PoseSet, joined_conditions
 from pincal.model.effect import Curve, Effect
 
-# Chance of one such effect, all candidates counted, beyond which none is taken for real.
-_ALPHA = 1e-3
 # Effects at most; rows and stations that are looked at, which bound the work on large tables.
 _MOST, _ROWS, _STATIONS = 8, 2000, 20
 # Part of a parameter's information that must be left for the rows to see it, and to be more than rounding.
@@ -76,7 +75,7 @@ def unmodelled_by(fit: ModelFit) -> Unmodelled | None:
         for i in range(len(effects)):
             if known.isdisjoint(names[i]):
                 chance = rest.chance(places[i], _SEEN)
-                yield Scored(i, chance, chance < _ALPHA / len(effects))
+                yield Scored(i, chance, chance < CHANGES.unmodelled / len(effects))
 
     chosen = select_stepwise(tuple[int, ...](), chances, lambda before, i: (*before, i), most=_MOST)
     if not chosen:

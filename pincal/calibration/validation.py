@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.caveats import findings_on_held_out
 from pincal.calibration.covered import curves_at
 from pincal.calibration.placing import FrameShift, Placed, expected_noise, place_station
 from pincal.errors import BadInputError
@@ -78,7 +79,8 @@ class Validation:
         )
         told = (self.doubt, self.note, rest if is_noted else "", fitted if self.fitted_rows else "")
         doubts = (Note(Severity.DOUBT, text) for text in filter(None, told))
-        return (*doubts, *(Note(Severity.NOTE, text) for text in self.of_day))
+        far = (found.note for found in findings_on_held_out(self.station, self.values, self.table))
+        return (*doubts, *far, *(Note(Severity.NOTE, text) for text in self.of_day))
 
     @property
     def verdict(self) -> Verdict:

@@ -140,7 +140,8 @@ def main(arguments: list[str] | None = None) -> None:
         if (error.name or "").startswith("pincal") or os.environ.get("PINCAL_TRACEBACK"):
             raise
         click.echo(
-            f"pincal: {error.name} is not installed; README.md lists what each part of pincal needs",
+            f"pincal: {error.name} is not installed; README.md lists what each part of pincal needs, and what to do where "
+            "it can't be installed",
             err=True,
         )
         sys.exit(Exit.BAD_INPUT)

@@ -161,6 +161,9 @@ class CompensateArguments(_AtPlace):
         words="2deg",
     )
     ignore_limits: bool = option("Ignore the joint limits of the URDF.", False)
+    only_numbers: bool = option(
+        "Write a table of joints with other numbers and no further columns; rows that are not ok keep theirs.", False
+    )
     strict: bool = option("Fail (exit code 4) if any row is not ok; the table is written nevertheless.", False)
     program: ProgramOptions = group("Programs of controllers")
 
@@ -173,8 +176,8 @@ def compensate(arguments: CompensateArguments) -> Exit:
     """
     from pincal.cli.inputs import find_place, print_doubt
     from pincal.cli.progress import end_progress
+    from pincal.compensate.returned_table import write_returned
     from pincal.compensate.targets import read_targets, run_compensation, unreached_turns
-    from pincal.measure.table import write_table
     from pincal.programs.language import language_of
 
     place = find_place(arguments.model, arguments.place, arguments.table.options)
@@ -195,7 +198,13 @@ def compensate(arguments: CompensateArguments) -> Exit:
         any_orientation=arguments.free_orientation,
         limits=not arguments.ignore_limits,
     )
-    write_table(arguments.out, _columns(calibrated, done, arguments))
+    columns = _columns(calibrated, done, arguments)
+    if arguments.only_numbers:
+        if not table.has_joints:
+            raise click.UsageError("--only-numbers is for tables with joint columns, whose numbers it changes; leave it out")
+        kept = np.where(done.found.is_ok[:, None], done.found.q, robot.as_reported(done.seeds.q))
+        columns = dict(zip(robot.joint_names, kept.T, strict=True))
+    write_returned(arguments.out, table.cells, columns, robot.joint_names)
     beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
     result = _result(robot, done, beyond, max_change=arguments.max_change) | place.contents | {"out": str(arguments.out)}
     result["turn"]["unreached"] = unreached_turns(calibrated, done)
@@ -250,6 +259,7 @@ def _seed(robot: Robot, table: Targets | None, text: str | None) -> np.ndarray |
 
 
 def _columns(calibrated: CalibratedModel, done: CompensatedTable, arguments: CompensateArguments) -> dict[str, np.ndarray]:
+    from pincal.compensate.returned_table import false_columns
     from pincal.compensate.robot_frames import false_targets as poses_to_give
 
     rows, found = done.targets.rows, done.found
@@ -270,10 +280,11 @@ def _columns(calibrated: CalibratedModel, done: CompensatedTable, arguments: Com
         columns |= {"large_change": large.astype(int)} if large.any() else {}
     columns["status"] = found.status
     if arguments.false_targets:
-        poses = columns_of_poses(
-            poses_to_give(calibrated, done.commanded, of=arguments.false_targets), with_orientation=True
-        )
-        columns |= {f"false_{name}": column for name, column in poses.items()}
+        poses, targets = poses_to_give(calibrated, done.commanded, of=arguments.false_targets), done.targets
+        has_poses = targets.rows.position is not None and targets.cells.orientation is not None
+        own = false_columns(targets.cells, poses) if has_poses else None
+        named = columns_of_poses(poses, with_orientation=True)
+        columns |= own or {f"false_{name}": column for name, column in named.items()}
     return columns
 
 
@@ -344,8 +355,10 @@ def _failures(result: dict[str, Any]) -> Iterator[str]:
         )
     turn = result["turn"]
     if turn["unreached"]:
+        lacks_places = any(row["status"] == "unreachable" for row in result["not_ok"])
         yield (
-            f"this arm has too few joints to turn the target {turn['unreached']} in place: positions are reached, "
+            f"this arm has too few joints to turn the target {turn['unreached']} in place: "
+            f"{'not all positions' if lacks_places else 'positions'} are reached, "
             f"orientations stay off by up to {turn['max_mrad']:.3f} mrad (line {turn['line']})"
         )
     for row in result["not_ok"][:_SHOWN]:

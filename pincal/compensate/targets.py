@@ -16,7 +16,7 @@ from pincal.errors import MeasurementError
 from pincal.measure.admit import check_joints_of
 from pincal.measure.fields import CONDITIONS, Schema, TableOptions
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.reader import read_table
+from pincal.measure.reader import Cells, read_table
 from pincal.measure.registry import known_fields
 from pincal.model.effects import Conditions
 from pincal.robot.robot import Robot
@@ -48,10 +48,12 @@ class Targets:
         rows: wanted positions or poses (kind "none" for a program), and the conditions of each row; joint positions are 0 if
             the table has none.
         has_joints: whether the table has joint positions.
+        cells: the table.
     """
 
     rows: Measurements
     has_joints: bool
+    cells: Cells
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ def read_targets(path: str | os.PathLike[str], robot: Robot, *, options: TableOp
     rows = measurements_from_arrays(robot.joint_names, **arrays, rows=cells.rows, source=path.name, units=cells.units)
     if has_joints:
         check_joints_of(robot, rows)
-    return Targets(rows, has_joints)
+    return Targets(rows, has_joints, cells)
 
 
 def run_compensation(

@@ -11,13 +11,12 @@ from scipy.special import fdtri, ncfdtr
 
 from pincal.diagnosis.change_search import ChangeVerdict, NamedChange
 from pincal.diagnosis.lineup import PossibleChange
+from pincal.identify.criteria import CHANGES
 from pincal.identify.station import Station
 from pincal.io.diagnosis_file import ExcludedEntry
 
 # Chance with which a change of the size that is given would have been noticed.
-DETECTED = 0.9
-# Non-centrality at which two changes are told apart: 5.5 standard deviations of one parameter.
-_TOLD_APART = 30.0
+DETECTED = CHANGES.detected
 # Numbers of further poses that may tell changes apart, random poses among which they are chosen, and those shown.
 _MORE, _TRIED, _SHOWN = (3, 6, 12, 25, 50), 200, 2
 # Poses whose targets are closer than this [m] are one to any instrument: the best laser trackers resolve a tenth of it, and
@@ -83,7 +82,7 @@ def tell_apart(verdict: ChangeVerdict, step: NamedChange) -> str:
     there, apart = most_different_poses(verdict, change, rival)
     most = f"{1e3 * apart[0]:.2g} mm"
     for n in _MORE if apart[0] > _TELLABLE else ():
-        if separation(verdict, there.select(np.arange(n)), change, rival) > _TOLD_APART:
+        if separation(verdict, there.select(np.arange(n)), change, rival) > CHANGES.told_apart:
             shown = ", then ".join(_pose_words(verdict, there, i) for i in range(min(n, _SHOWN)))
             like = " and poses like these" if n > _SHOWN else ""
             return f"measure {n} more poses in which the two differ most, by {most} at the target: {shown}{like}"

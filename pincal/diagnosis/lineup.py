@@ -14,6 +14,7 @@ import numpy as np
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.diagnosis.row_evidence import Known, RowEvidence, prior_root, rows_in_noise
 from pincal.discover.levers import compliances_of
+from pincal.identify.criteria import CHANGES
 from pincal.identify.quadratic import ROUNDING, SEEN, Quadratic, root_of_inverse
 from pincal.identify.station import Station
 from pincal.model.catalogue.candidates import elasticity, testable
@@ -23,9 +24,6 @@ from pincal.model.effects import Compliance
 from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.parameters import Parameter, estimate_of
-
-# A curve with more parameters than this part of the rows is not tried.
-_ROWS_PER_PARAMETER = 4
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,7 @@ def _catalogue(model: Model, situation: PoseSet) -> Iterator[Effect]:
     for candidate in testable(situation):
         for form in candidate.forms:
             size = form.resolution if isinstance(form, Curve) else 1
-            if form.identity not in present and size * _ROWS_PER_PARAMETER <= len(situation.conditions):
+            if form.identity not in present and size * CHANGES.rows_each <= len(situation.conditions):
                 yield form
 
 

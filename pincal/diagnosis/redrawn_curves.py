@@ -16,20 +16,13 @@ from scipy.linalg import block_diag
 from pincal.calibration.placing import Placed
 from pincal.diagnosis.lineup import belief_of
 from pincal.diagnosis.row_evidence import rows_in_noise
+from pincal.identify.criteria import CHANGES
 from pincal.identify.quadratic import Factor
 from pincal.identify.split import row_groups
 from pincal.io.diagnosis_file import CurveEntry, CurvesEntry
 from pincal.measure.measurements import Measurements
 from pincal.model.conditions import recorded_variable
 from pincal.model.effect import Curve
-
-# Rows from which on there is something to leave out.
-_FEWEST = 24
-# Blocks that are left out in turn, each of a few regions of joint space.
-_BLOCKS = 8
-# A curve was seen where its standard deviation, its mean apart, is at most this part of what was believed of it before: a
-# quarter of the variance. In gaps of 25 degrees of a UR10's table it is .6 and more of that, beside its rows .1.
-_SEEN = 0.5
 
 
 @dataclass(frozen=True)
@@ -78,12 +71,12 @@ def redrawn_curves(placed: Placed, table: Measurements, *, kept: np.ndarray, ses
         for effect, span in zip(model.effects, model.spans, strict=True)
         if isinstance(effect, Curve) and (belief := belief_of(effect, effect.parameters(model.chain))) is not None
     ]
-    if not curves or kept.sum() < _FEWEST:
+    if not curves or kept.sum() < CHANGES.curve_rows:
         return None
     own = np.flatnonzero(placed.solution.free)
     places = [np.arange(span.start, span.stop) for _, span, _ in curves]
     free = np.unique(np.concatenate([own, *places]))
-    rows = _rows(placed, free, block=row_groups(table, split="blocked", seed=0) % _BLOCKS, kept=kept)
+    rows = _rows(placed, free, block=row_groups(table, split="blocked", seed=0) % CHANGES.curve_blocks, kept=kept)
 
     def reestimated(some: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         at = np.searchsorted(free, np.concatenate([own, *(places[i] for i in some)]))
@@ -138,5 +131,5 @@ def _entry(
         correlation=float(old @ new) / both if both else None,
         rms=float(np.sqrt(np.mean(difference**2))),
         unit=chain.robot.joint_units[i],
-        seen=float(np.mean(known <= _SEEN**2 * np.maximum(believed, 1e-300))),
+        seen=float(np.mean(known <= CHANGES.curve_seen**2 * np.maximum(believed, 1e-300))),
     )

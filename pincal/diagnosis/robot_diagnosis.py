@@ -19,6 +19,7 @@ from pincal.diagnosis.lineup import ChangeHypotheses, Refitted
 from pincal.diagnosis.redrawn_curves import redrawn_curves
 from pincal.diagnosis.row_evidence import Known
 from pincal.errors import BadInputError, MeasurementError
+from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import Priors
 from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
@@ -38,21 +39,10 @@ from pincal.measure.measurements import Measurements
 from pincal.model.conditions import recorded_variable
 from pincal.model.effect import Curve
 from pincal.notes import Note, Severity, doubts_first
-from pincal.validate.accuracy import error_summary
+from pincal.validate.accuracy import error_summary, pose_error_sizes
 
 # Chance of a false alarm.
-FALSE_ALARM = 0.01
-# What is left after all changes, relative to the reach, beyond which the rows are not of this robot; and what is left before
-# any, beyond which it is not worth while to look for them: a drive that is off by 0.2 rad leaves half as much.
-_HOPELESS, _STRANGE = 0.01, 0.1
-# Degrees of freedom by which a calibration is taken to know its noise, where nobody knows how many rows it had.
-_DEGREES = 200.0
-# Changes from which on another robot of the same type is likelier than one to which so much has happened.
-_MANY = 4
-# Part of an error, and of the rows, below which a curve of a drive is worth a word.
-_BRINGS = 0.9
-# Rows with the fingerprint of another that is met by chance.
-_SAME_BY_CHANCE = 1
+FALSE_ALARM = CHANGES.false_alarm
 
 
 @dataclass(frozen=True, repr=False)
@@ -149,7 +139,7 @@ def diagnose(
         reidentified = replace(lineup.reidentified(happened, posterior), rows=rows)
     station = reidentified.readings(measurements)
     after = error_summary(station, reidentified.values)
-    _refuse_strange(model, measurements, after["rms_mm"], _HOPELESS)
+    _refuse_strange(model, measurements, after["rms_mm"], CHANGES.hopeless)
     session, kept = Path(measurements.source).stem, np.ones(len(measurements), bool)
     kept[list(verdict.wrong_rows)] = False
     curves = redrawn_curves(placed, measurements, kept=kept, session=session)
@@ -171,7 +161,7 @@ def diagnose(
         gap={"before": error_summary(placed.station, placed.values), "after": after},
         station=MovedEntry(**way.to_dict()),
         rows=len(measurements),
-        warnings=doubts_first([*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, measurements)]),
+        warnings=doubts_first([*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, placed, measurements)]),
         curves=curves,
         is_judged=not doubts,
     )
@@ -212,7 +202,7 @@ def doubts_about(verdict: ChangeVerdict, placed: Placed, measurements: Measureme
 def known_degrees(model: CalibratedModel, station: Station) -> float:
     """Return the degrees of freedom by which a calibration knows the noise of readings like a station's."""
     rows, sizes = count(model.rows), [block.size for block in station.sensor.blocks]
-    return max(rows * sum(sizes) - float(model.estimate.free.sum()), 1.0) if rows else _DEGREES
+    return max(rows * sum(sizes) - float(model.estimate.free.sum()), 1.0) if rows else CHANGES.degrees
 
 
 def relocated(model: CalibratedModel, measurements: Measurements, *, sigma: float | None = None) -> Placed:
@@ -229,12 +219,12 @@ def relocated(model: CalibratedModel, measurements: Measurements, *, sigma: floa
         measurements = replace(measurements, sigma=np.full(len(measurements), sigma))
     placed = place_station(model, measurements)
     known = int(np.sum(known_rows(model.rows, placed.station)))
-    if known > _SAME_BY_CHANCE:
+    if known > CHANGES.same_by_chance:
         raise MeasurementError(
             f"{measurements.source}: the model was fitted to {known} of these {len(measurements)} rows, so they can't show "
             "whether the robot has changed since; expected rows measured later"
         )
-    _refuse_strange(model, measurements, error_summary(placed.station, placed.values)["rms_mm"], _STRANGE)
+    _refuse_strange(model, measurements, error_summary(placed.station, placed.values)["rms_mm"], CHANGES.strange)
     return placed
 
 
@@ -252,7 +242,7 @@ def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
     if curves is None:
         return
     best = curves.joints[0]
-    if best.error_mm < _BRINGS * curves.as_it_was_mm and best.seen < _BRINGS:
+    if best.error_mm < CHANGES.worth_a_word * curves.as_it_was_mm and best.seen < CHANGES.worth_a_word:
         yield (
             f"the mean error falls from {curves.as_it_was_mm:.3g} to {best.error_mm:.3g} mm with a re-estimated "
             f"curve of {best.joint}, which the calibration had determined in {100 * best.seen:.0f} % of these rows: "
@@ -298,7 +288,7 @@ def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Itera
         )
 
 
-def _notes(verdict: ChangeVerdict, measurements: Measurements) -> Iterator[Note | str]:
+def _notes(verdict: ChangeVerdict, placed: Placed, measurements: Measurements) -> Iterator[Note | str]:
     for i in verdict.beside:
         change = verdict.lineup.changes[i]
         where = "" if change.joint is None else f" of {change.joint}"
@@ -306,7 +296,7 @@ def _notes(verdict: ChangeVerdict, measurements: Measurements) -> Iterator[Note 
             f"{change.name}{where} is in these rows, but by its size it was present at the calibration and is not modelled, "
             "so it is not a change; discover identifies missing effects"
         )
-    if len(verdict.steps) >= _MANY:
+    if len(verdict.steps) >= CHANGES.many:
         yield Note(
             Severity.DOUBT,
             f"{len(verdict.steps)} changes at once are rare: make sure that the rows are of this robot, not of another one "
@@ -314,4 +304,10 @@ def _notes(verdict: ChangeVerdict, measurements: Measurements) -> Iterator[Note 
         )
     if verdict.wrong_rows:
         lines = ", ".join(str(measurements.rows[i]) for i in verdict.wrong_rows)
-        yield f"excluded because they contradict all other rows: lines {lines}"
+        unit, errors = next(iter(pose_error_sizes(placed.station, placed.values).items()))
+        others = np.delete(errors, verdict.wrong_rows)
+        yield Note(
+            Severity.DOUBT,
+            f"{len(verdict.wrong_rows)} of {len(measurements)} rows are excluded because they contradict all others, which "
+            f"are off by {others.mean():.4f} {unit} on average; wrong readings or joints: lines {lines}",
+        )

@@ -14,6 +14,7 @@ from pincal.compensate.robot_frames import nominal_in_instrument, nominal_robot
 from pincal.errors import BadInputError
 from pincal.export.exported import FORMATS, Exported, Format, as_comment, checked_poses, filled, header, notes_on, placed_in
 from pincal.export.formulas import Formulas, Language, formulas_of, written
+from pincal.measure.heading import NUMBERED
 from pincal.units import SIZES, UNITS
 
 # Largest distance of the formulas' poses from the model's [m, and elements of the rotation matrix].
@@ -81,6 +82,7 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
         units=repr({quantity: {unit: SIZES[unit] for unit in units} for quantity, units in UNITS.items()}),
         names=", ".join(as_comment(chain.robot.joint_names[i]) for i in own),
         reach=repr(float(chain.robot.reach)),
+        numbered=repr(NUMBERED.pattern),
     )
     return filled(
         "model.py.in",

@@ -21,6 +21,9 @@ from pincal.units import size_in
 _FARTHEST = 50.0
 # So many times as far as usual a parameter may move that is free.
 _FREE = 1e3
+# Standard deviations of priors that can be meant, in any unit; a float holds their squares.
+_LEAST, _MOST = 1e-30, 1e30
+_EXPECTED = f"a standard deviation from {_LEAST:g} to {_MOST:g}"
 
 
 def is_frame(problem: Problem) -> np.ndarray:
@@ -55,8 +58,8 @@ def given_sizes(problem: Problem, options: Options) -> np.ndarray:
                 sizes[k] = size_in(size, unit) if isinstance(size, str) else size
             except ValueError as error:
                 raise BadInputError(f"the prior of {name} is {error}, or with a unit") from error
-            if not sizes[k] >= 0.0:
-                raise BadInputError(f"the prior of {name} is {size}; expected a standard deviation, 0 to hold it")
+            if not (sizes[k] in (0.0, np.inf) or _LEAST <= sizes[k] <= _MOST):
+                raise BadInputError(f"the prior of {name} is {size}; expected {_EXPECTED}, or 0 to hold it")
     return sizes
 
 

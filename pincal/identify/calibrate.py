@@ -17,6 +17,7 @@ from pincal.errors import BadInputError, MeasurementError, nearest_first
 from pincal.identify.beliefs import excited_of, is_frame, of_stations, priors_of, released_of
 from pincal.identify.believed import Earlier
 from pincal.identify.choices import along_gauge, best_of, required_features, some_rows_of, weight_of
+from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import is_dependent, serial_noise, with_blocks, with_serial
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import FitStage, ModelFit, Solution, carried
@@ -25,7 +26,6 @@ from pincal.identify.noise import is_exact, rounding
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Problem
 from pincal.identify.regions import has_instrument, prior_scale
-from pincal.identify.selection import CRITERIA
 from pincal.identify.solve import SETTLED, Course, solve
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
@@ -35,6 +35,7 @@ from pincal.model.catalogue.bearing_features import without_idle_features
 from pincal.model.catalogue.masses import with_masses
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effects import Effect
+from pincal.recorded import RECORDED
 from pincal.robot.robot import Robot
 
 Tables = Measurements | Sequence[Measurements] | Mapping[str, Measurements]
@@ -113,6 +114,12 @@ def tables_of(measurements: Tables) -> dict[str, Measurements]:
     tables = stations_of(measurements.items())
     if not tables:
         raise BadInputError("no tables of measurements; expected one or more")
+    for name, variable in RECORDED.items():
+        # How joints arrived is recorded on some days only; on the others it is unknown.
+        if variable.unknown is not None and any(getattr(table, name) is not None for table in tables.values()):
+            for key in [key for key, table in tables.items() if getattr(table, name) is None]:
+                unknown: dict[str, Any] = {name: np.full(tables[key].q.shape, variable.unknown)}
+                tables[key] = replace(tables[key], **unknown)
     return tables
 
 

@@ -8,18 +8,19 @@ takes a fit for an earlier one's prior moves it along the curve first.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from pincal.identify.beliefs import priors_of
+from pincal.identify.criteria import CRITERIA
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import ModelFit, carried
 from pincal.identify.noise import outlier_limit, rounding
 from pincal.identify.problem import Problem
-from pincal.identify.selection import CRITERIA
+from pincal.identify.selection import Scored, select_stepwise
 from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.chain import MomentFrame
 from pincal.model.conditions import UNFELT
@@ -64,17 +65,19 @@ def required_features(fit: ModelFit, least: float = 0.0) -> Called:
         kept[[places[effect] for effect in named]] = True
         return wide.gain(kept[free])
 
-    found, settled, most = tuple[Effect, ...](), gain(), gain(*asked)
+    settled, most = gain(), gain(*asked)
     if most - settled <= least:
         return Called((), 0.0)
-    reached = settled
-    while len(found) < len(asked) and most > reached + CRITERIA.bearing:
-        gains = {effect: gain(*found, effect) for effect in asked if effect not in found}
-        best = max(gains, key=lambda effect: gains[effect])
-        if gains[best] < reached + CRITERIA.bearing:
-            break
-        found, reached = (*found, best), gains[best]
-    return Called(found, reached - settled)
+
+    def offers(found: tuple[Effect, ...]) -> Iterator[Scored[Effect]]:
+        enough = gain(*found) + CRITERIA.bearing
+        # All together gain no less than any of them.
+        for effect in (effect for effect in asked if effect not in found and most > enough):
+            gained = gain(*found, effect)
+            yield Scored(effect, -gained, gained >= enough)
+
+    found = select_stepwise(tuple[Effect, ...](), offers, lambda found, effect: (*found, effect), most=len(asked))
+    return Called(found, gain(*found) - settled)
 
 
 # Rows from which it is chosen: conventions differ by more than these could miss, or by nothing that matters.
@@ -84,11 +87,7 @@ _ROWS = 2000
 def some_rows_of(fit: ModelFit) -> ModelFit:
     """Return a fit as it is, of as many of its rows, evenly spread, as are enough to choose a convention by."""
     n = len(fit.problem)
-    if n <= _ROWS:
-        return fit
-    rows = np.linspace(0, n - 1, _ROWS).astype(int)
-    solution = replace(fit.solution, weights=fit.solution.weights[rows])
-    return replace(fit, problem=fit.problem.select(rows), solution=solution)
+    return fit if n <= _ROWS else fit.select(np.linspace(0, n - 1, _ROWS).astype(int))
 
 
 def best_of(fits: Sequence[ModelFit]) -> MomentFrame:

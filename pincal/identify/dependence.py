@@ -25,33 +25,27 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, solve_tri
 from scipy.optimize import OptimizeResult, minimize
 from scipy.special import expit
 
+from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit, equations_of
-from pincal.identify.selection import CRITERIA
 from pincal.identify.station import Station
-from pincal.identify.whitening import Serial
+from pincal.identify.whitening import Serial, turned_into
 
 # Bands of lags [rows] whose products of residuals are added up: noise that changes fast shows in the first, drifts in the
 # last.
 _BANDS = ((1, 1), (2, 5), (6, 20))
 # Rows that are near each other in the order; and pairs of rows far apart in it, nearest in the joints, that tell.
 _NEAR, _NEAREST = 5, 500
-# Fewest rows that show it.
-_FEWEST = 20
 # Readings by which it is estimated; and rows by which dependence is looked for.
 _READINGS, _ROWS = 2400, 4096
 # Where the search for share and correlation begins: fast, slow and a walk.
 _STARTS = ((0.5, 0.5), (0.8, 0.9), (0.9, 0.995))
 # Longest memory, in rows: a walk over any table; and longer ones that are taken if they are as likely, the longest first.
 _LONGEST, _MEMORIES = 1e5, (3e4, 1e3, 300.0, 100.0, 30.0)
-# Twice the log-likelihood within which a memory is as likely as the likeliest: one standard deviation of a parameter, twice.
-_AS_LIKELY = 2.0
 # Logarithms of sizes of white noise, in units of that of the residuals, that are tried.
 _SIZES = np.linspace(-0.4, 0.4, 9)
 
-# Rows of a block. Of a table of so few that it has fewer than some blocks none are looked at.
-_LENGTHS, _FEWEST_BLOCKS = (5, 10, 20, 40), 8
-# Standard deviations of the factor, were rows in any order, from which it is believed: as for dependence along rows.
-_BELIEVED = 4.0
+# Rows of a block.
+_LENGTHS = (5, 10, 20, 40)
 # Readings of a station by which it is told, and stations that are asked.
 _BLOCK_READINGS, _MOST_STATIONS = 1500, 8
 
@@ -66,7 +60,7 @@ def dependence(residuals: np.ndarray, position: np.ndarray) -> float:
         position: shape (N,), where each row stands in the order.
     """
     n = residuals.shape[1]
-    if n < _FEWEST:
+    if n < CRITERIA.fewest_in_order:
         return 0.0
     z = residuals[:, np.argsort(position, kind="stable")[:_ROWS]]
     z = z - z.mean(axis=1, keepdims=True)
@@ -120,22 +114,37 @@ class _Seen:
     sigma: np.ndarray
 
     @property
-    def left(self) -> np.ndarray:
-        """What the fit leaves at all rows, as it weighs it, in units of the noise, shape (m, N)."""
-        station = self.station
-        return np.asarray(station.whitened(station.residuals(self.values)) * station.weights / self.sigma)
-
-    @property
     def poses(self) -> np.ndarray:
         """The pose of each row, shape (N,)."""
         return np.unique(self.station.conditions.q, axis=0, return_inverse=True)[1].ravel()
 
     @property
     def dependence(self) -> float:
-        """By how much more than chance what is left agrees at rows near each other."""
+        """By how much more than chance what is left agrees at rows near each other, as the fit weighs it."""
+        return max((self.dependence_in(turns) for turns in self.frames), default=0.0)
+
+    @property
+    def frames(self) -> tuple[np.ndarray | None, ...]:
+        """Where errors may persist: in the frame of the readings, and in a target's, by its rotations, shape (N, 3, 3)."""
         if self.station.position is None:
-            return 0.0
-        left, position = self.left[:, self.counted], self.station.position[self.counted]
+            return ()
+        sensor, (of_model, _) = self.station.sensor, self.station.split(self.values)
+        if not sensor.reads_pose or any(block.size != 3 for block in sensor.blocks):
+            return (None,)
+        return None, self.station.model.predict(of_model, self.station.conditions)[:, :, :3]
+
+    def left(self, turns: np.ndarray | None) -> np.ndarray:
+        """Return what is left, as the fit weighs it, in units of its noise, shape (m, N), in one of the frames."""
+        station = self.station
+        left = station.whitened(station.residuals(self.values)) * station.weights / self.sigma
+        if station.serial is not None and station.serial.turns is not None:
+            left = turned_into(station.serial.turns.swapaxes(1, 2), left)
+        return left if turns is None else turned_into(turns, left)
+
+    def dependence_in(self, turns: np.ndarray | None) -> float:
+        """Return the same in one of the frames."""
+        assert self.station.position is not None
+        left, position = self.left(turns)[:, self.counted], self.station.position[self.counted]
         by_rows = dependence(left, position)
         pose = self.poses[self.counted] if by_rows > CRITERIA.dependent else np.arange(len(position))
         if len(np.unique(pose)) == len(pose):
@@ -149,7 +158,7 @@ class _Seen:
         """Return the rows that count with the first so many readings in the order, shape (n,)."""
         assert self.station.position is not None
         sound = np.flatnonzero(self.counted)
-        few = max(most // int(self.station.block_sizes.sum()), _FEWEST)
+        few = max(most // int(self.station.block_sizes.sum()), CRITERIA.fewest_in_order)
         return np.asarray(sound[np.argsort(self.station.position[sound], kind="stable")][:few])
 
     def columns(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -169,24 +178,29 @@ class _Seen:
             # Several readings of a pose hang together by the pose, which is another noise.
             return None
         some = seen.first(_READINGS)
-        if seen.follows_joints(some):
-            return None
-        columns, places = seen.columns(some)
+        every, places = seen.columns(some)
         priors = seen.sizes[seen.free][places] ** -2.0, seen.values[seen.free][places]
-        ends = np.cumsum([0, *station.block_sizes]).tolist()
-        phi, share = np.zeros(ends[-1]), np.zeros(ends[-1])
-        for a, b in pairwise(ends):
-            found = _likeliest(columns[:, a:b], position[some], *priors)
-            if found is not None:
-                phi[a:b], share[a:b] = found
-        return Serial(phi, share, position, seen.counted) if share.any() else None
+        ends, likeliest, gained = np.cumsum([0, *station.block_sizes]).tolist(), None, 0.0
+        for turns in seen.frames:
+            if seen.dependence_in(turns) < CRITERIA.dependent or seen.follows_joints(some, turns):
+                continue
+            columns, gains = every if turns is None else turned_into(turns[some], every), 0.0
+            phi, share = np.zeros(ends[-1]), np.zeros(ends[-1])
+            for a, b in pairwise(ends):
+                found = _likeliest(columns[:, a:b], position[some], *priors)
+                if found is not None:
+                    gain, phi[a:b], share[a:b] = found
+                    gains += gain
+            if gains > gained:
+                likeliest, gained = Serial(phi, share, position, seen.counted, turns), gains
+        return likeliest
 
-    def follows_joints(self, rows: np.ndarray) -> bool:
+    def follows_joints(self, rows: np.ndarray, turns: np.ndarray | None) -> bool:
         """Return whether rows near each other in the joints, or in one, agree however far apart they are in the order.
 
         What is left is then a function of the pose, along which the rows follow each other, and no noise.
         """
-        n, left, q = len(rows), self.left[:, rows], self.station.conditions.q[rows]
+        n, left, q = len(rows), self.left(turns)[:, rows], self.station.conditions.q[rows]
         left = left - left.mean(axis=1, keepdims=True)
         q = q / np.maximum(q.std(axis=0), 1e-12)
         by_order = np.mean([np.mean(np.sum(left[:, :-lag] * left[:, lag:], axis=0)) for lag in range(1, _NEAR + 1)])
@@ -205,7 +219,7 @@ class _Seen:
         if self.station.position is None or self.station.sensor.is_whole:
             return 1.0
         some = self.first(_BLOCK_READINGS)
-        if len(some) < _FEWEST_BLOCKS * _LENGTHS[0]:
+        if len(some) < CRITERIA.fewest_blocks * _LENGTHS[0]:
             return 1.0
         columns, places = self.columns(some)
         J = columns[1:]
@@ -223,8 +237,8 @@ def _seen(fit: ModelFit) -> Iterator[_Seen]:
 
 def _likeliest(
     columns: np.ndarray, position: np.ndarray, precision: np.ndarray, values: np.ndarray
-) -> tuple[float, float] | None:
-    """Return the likeliest correlation and share of the noise of some components; None if it gains too little.
+) -> tuple[float, float, float] | None:
+    """Return what the likeliest noise of some components gains, its correlation and share; None if that is too little.
 
     Args:
         columns: shape (1 + P, m, N), residuals, then the model's columns, in units of the noise.
@@ -261,9 +275,9 @@ def _likeliest(
     for memory in np.log(_MEMORIES).tolist():
         # Of memories that the rows can't tell apart the longest: a short one takes the mean of the noise for well known.
         longer = _least(lambda at, memory=memory: misfit(np.append(at, memory)), best.x[:2])  # type: ignore[misc]
-        if memory > best.x[2] and float(longer.fun) < float(best.fun) + _AS_LIKELY:
-            return float(1.0 - np.exp(-memory)), float(expit(longer.x[1]))
-    return float(1.0 - np.exp(-best.x[2])), float(expit(best.x[1]))
+        if memory > best.x[2] and float(longer.fun) < float(best.fun) + CRITERIA.as_likely:
+            return white - float(longer.fun), float(1.0 - np.exp(-memory)), float(expit(longer.x[1]))
+    return white - float(best.fun), float(1.0 - np.exp(-best.x[2])), float(expit(best.x[1]))
 
 
 def _least(misfit: Callable[[np.ndarray], float], start: np.ndarray) -> OptimizeResult:
@@ -304,9 +318,9 @@ def _largest_factor(scores: np.ndarray, normal: np.ndarray) -> float:
     pairs = n * (n - 1)
     mean = (float(np.sum(u.sum(axis=1) ** 2)) - own.sum()) / pairs
     spread = max((float(np.sum((u @ u.T) ** 2)) - float(own @ own)) / pairs, 1e-300)
-    surest, factor = _BELIEVED, 1.0
+    surest, factor = CRITERIA.of_blocks, 1.0
     for length in _LENGTHS:
-        if n < _FEWEST_BLOCKS * length:
+        if n < CRITERIA.fewest_blocks * length:
             break
         whole = n // length * length
         of_blocks = u[:, :whole].reshape(len(u), -1, length).sum(axis=2)

@@ -16,13 +16,13 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpstrf
 
+from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit
 from pincal.identify.normal import accumulate
 from pincal.identify.options import known_frames
 from pincal.identify.posterior import posterior
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import NULL, Form
-from pincal.identify.selection import CRITERIA
 from pincal.identify.station import Station
 from pincal.measure.extrinsics import sample_rows
 from pincal.measure.sensor import KnownParameters
@@ -135,8 +135,6 @@ IDENTIFIED = Reason(Cause.NONE)
 _SAME = 1e-8
 # Eigenvalues of a scaled Gram matrix, relative to the largest, below which they are rounding (its square is 1e-16).
 _RANK = 1e-10
-# Share of a parameter's action below which another one is not worth naming as its counterpart.
-_WORTH_NAMING = 0.05
 # Poses that are looked at; more do not change what can be identified, and take time.
 _ROWS = 2000
 # Stations that are looked at together: what none of several such groups sees, all together hardly see either.
@@ -315,7 +313,7 @@ class _Nominal:
             factor = float(share[0] * self.scale[i] / self.scale[others[0]])
             return Reason(cause, combination=Combination(self.names[others[0]], factor, self.names[i]))
         if cause is Cause.ALIASED:
-            named = (self.names[j] for j, s in zip(others, share, strict=True) if abs(s) > _WORTH_NAMING)
+            named = (self.names[j] for j, s in zip(others, share, strict=True) if abs(s) > CRITERIA.worth_naming)
             return Reason(cause, tuple(named))
         return Reason(cause, beside="" if cause is Cause.BASE else self.unknowns)
 

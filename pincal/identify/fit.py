@@ -194,6 +194,11 @@ class ModelFit:
         index = [order.get(id(effect), known.index(effect)) for effect in effects]
         return tuple(self.problem.parameters[i].name for k in index for i in self.problem.places_at(known[k]))
 
+    def select(self, rows: np.ndarray) -> ModelFit:
+        """Return the fit as it is, of some of its rows, by their places."""
+        solution = replace(self.solution, weights=self.solution.weights[rows])
+        return replace(self, problem=self.problem.select(rows), solution=solution)
+
     @cached_property
     def alone(self) -> tuple[ModelFit, ...]:
         """Each station as a fit of its own, as it stands: where its rows are looked at one by one."""

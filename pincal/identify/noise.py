@@ -15,10 +15,10 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri
 
+from pincal.identify.criteria import CRITERIA
 from pincal.identify.equations import Linearised
 from pincal.identify.normal import belief_rows
 from pincal.identify.problem import Problem
-from pincal.identify.selection import CRITERIA
 
 # Steps of a fit to exact readings, and the largest Jacobian (rows times parameters) that is held at once for them.
 _POLISHING = 60
@@ -118,9 +118,6 @@ def _whitened(
 
 Loss = Literal["screen", "huber", "none"]
 
-# Part of the readings that parameters spend at most, while a fit has not yet told how many it does spend.
-_MOST_SPENT = 0.9
-
 
 @dataclass(frozen=True)
 class Noise:
@@ -187,7 +184,7 @@ class Judge:
             is_shared = self.problem.is_shared
             shared = int(np.sum(self.free & is_shared & ~self.problem.beliefs.is_remembered))
             own = [int(np.sum((self.free & ~is_shared)[places])) for places in self.problem.places]
-            estimated = np.sqrt(point.squares / self.degrees(point.robust, shared, own, most=_MOST_SPENT))
+            estimated = np.sqrt(point.squares / self.degrees(point.robust, shared, own, most=CRITERIA.most_spent))
         else:
             middle = np.array([chdtri(block.size, 0.5) for block in self.problem.blocks])
             medians = _medians(point.row_squares)

@@ -112,16 +112,20 @@ class Serial:
         share: shape (m,), part of the variance that is correlated.
         position: shape (N,), where each row stands in the order.
         counted: shape (N,), rows that tell of the next ones; an outlier does not.
+        turns: shape (N, 3, 3), rotation of the frame in which it persists, such as a loose target's, in that of the
+            readings; default: it is the same.
     """
 
     phi: np.ndarray
     share: np.ndarray
     position: np.ndarray
     counted: np.ndarray
+    turns: np.ndarray | None = None
 
     def select(self, rows: Any) -> Serial:
         """Return that of some rows (mask, indices or slice)."""
-        return replace(self, position=self.position[rows], counted=self.counted[rows])
+        turns = None if self.turns is None else self.turns[rows]
+        return replace(self, position=self.position[rows], counted=self.counted[rows], turns=turns)
 
     @property
     def is_in_order(self) -> bool:
@@ -152,8 +156,18 @@ class Serial:
 
     def innovations(self, columns: np.ndarray) -> np.ndarray:
         """Return columns of all rows, shape (D, m, N), as independent and even as those of white noise of the same size."""
+        if self.turns is not None:
+            columns = turned_into(self.turns, columns)
         return np.asarray(filtered(np.ascontiguousarray(columns), *self._recursion))
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
         """Return independent and even noise, shape (m, N), as readings have it."""
-        return np.asarray(unfiltered(np.ascontiguousarray(noise[None]), *self._recursion)[0])
+        found = np.asarray(unfiltered(np.ascontiguousarray(noise[None]), *self._recursion)[0])
+        return found if self.turns is None else turned_into(self.turns.swapaxes(1, 2), found)
+
+
+def turned_into(turns: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return columns, shape (..., m, N), in the frames of N rotations, shape (N, 3, 3), three components at a time."""
+    shape = columns.shape
+    vectors = columns.reshape(*shape[:-2], shape[-2] // 3, 3, shape[-1])
+    return np.asarray(np.einsum("nij,...in->...jn", turns, vectors)).reshape(shape)

@@ -50,7 +50,7 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
     """
     import polars as pl
 
-    lines = _lines(path, sheet, joints)
+    title, lines = _lines(path, sheet, joints)
     if not lines:
         raise MeasurementError(f"{path.name}: is empty; expected a header line and one line a pose")
     found = find_heading([["" if cell is None else str(cell) for cell in cells] for _, cells in lines[:_LOOKED_AT]], joints)
@@ -65,11 +65,12 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
                 "delete the lines above it, or begin them with #"
             )
     columns = [_series([cells[i] if i < len(cells) else None for _, cells in body], str(i)) for i in range(count)]
-    return FrameSheet(path, found.labels, False, pl.LazyFrame(columns), np.array([row for row, _ in body], int))
+    rows = np.array([row for row, _ in body], int)
+    return FrameSheet(path, found.labels, False, pl.LazyFrame(columns), rows, worksheet=title, header_line=top)
 
 
-def _lines(path: Path, named: str | None, joints: Collection[str]) -> list[tuple[int, tuple[Any, ...]]]:
-    """Return number and cells of each line that has some, comments left out; report what else the workbook has."""
+def _lines(path: Path, named: str | None, joints: Collection[str]) -> tuple[str, list[tuple[int, tuple[Any, ...]]]]:
+    """Return a worksheet's name, and number and cells of each line that has some; report what else the workbook has."""
     install = "'pincal[excel]', or save the table as CSV"
     with needed("openpyxl", f"{path.name}: Excel files", install=install, error=MeasurementError):
         import openpyxl
@@ -92,8 +93,8 @@ def _lines(path: Path, named: str | None, joints: Collection[str]) -> list[tuple
                         others += sheets[sheets.index(sheet) + 1 :]
                         break
             if first is None:
-                return []
-            _tell_hidden(first[0], {row for row, _ in first[1]}, path.name)
+                return "", []
+            _tell_hidden(first[0], {row for row, _ in first[1]}, path.name, is_wanted=named is not None)
             others.remove(first[0])
             if named is None and others:
                 listed = ", ".join(sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in others)
@@ -101,7 +102,7 @@ def _lines(path: Path, named: str | None, joints: Collection[str]) -> list[tuple
                     f"{path.name}: worksheet {first[0].title} is read; worksheets {listed} are not read (--sheet NAME reads "
                     "another one)"
                 )
-            return first[1]
+            return first[0].title, first[1]
     except (OSError, MeasurementError):
         raise
     except Exception as error:  # Whatever a broken archive does to the libraries below.
@@ -129,9 +130,9 @@ def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
         yield row, tuple(values[:count])
 
 
-def _tell_hidden(sheet: Any, rows: set[int], name: str) -> None:
-    """Warn of a worksheet that is hidden, and of those of its rows that are."""
-    if sheet.sheet_state != "visible":
+def _tell_hidden(sheet: Any, rows: set[int], name: str, *, is_wanted: bool) -> None:
+    """Warn of a worksheet that is hidden, unless it was asked for, and of those of its rows that are."""
+    if sheet.sheet_state != "visible" and not is_wanted:
         warn(f"{name}: the visible worksheets are empty; the hidden one {sheet.title} is read")
     # In this mode openpyxl keeps none of the attributes of rows.
     with sheet._get_source() as source:

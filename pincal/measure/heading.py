@@ -11,7 +11,11 @@ from dataclasses import dataclass
 
 from pincal.units import SIZES
 
-NUMBERED = re.compile(r"(j|joint|a|axis|q|actual_q|actualq|theta|rax)[ _.-]?(\d{1,2})", re.IGNORECASE)
+NUMBERED = re.compile(
+    r"(j|joint(?:[ _]?angle|[ _]?pos(?:ition)?)?|a|axis(?:[ _]?angle)?|achse|gelenk|angle|q|actual_q|actualq|theta|rax)"
+    r"[ _.-]?(\d{1,2})",
+    re.IGNORECASE,
+)
 """What programs call the joints of an arm when they number them, blanks and signs before the number left out."""
 
 # Units as people write them out.

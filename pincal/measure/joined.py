@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pincal.errors import MeasurementError, warn
-from pincal.measure.header import name_of
+from pincal.measure.labels import name_of
 from pincal.measure.sheet import FrameSheet, Sheet, SheetColumn
 
 if TYPE_CHECKING:

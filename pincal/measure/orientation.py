@@ -175,3 +175,13 @@ def _as_said(free: Collection[str], said: str, *, source: str) -> Convention:
         f"{source}: no columns {' '.join(convention.columns)} for the orientation {said!r} ({convention.words}); the table "
         f"has {', '.join(free)}; name them with --columns 'NAME={convention.columns[0]},...'"
     )
+
+
+def looks_like_place(names: Collection[str]) -> bool:
+    """Return whether columns may be a position: three differ by x, y and z at an end, or one is little more than that."""
+    small = {name.casefold() for name in names}
+    ends = ([f"{name[:-1]}{axis}" for axis in "xyz"] for name in small if name.endswith("x"))
+    starts = ([f"{axis}{name[1:]}" for axis in "xyz"] for name in small if name.startswith("x"))
+    return any(len(name) < 3 and set(name) & set("xyz") for name in small) or any(
+        small.issuperset(three) for three in (*ends, *starts)
+    )

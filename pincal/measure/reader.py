@@ -16,32 +16,14 @@ import numpy as np
 from pincal.errors import MeasurementError, warn
 from pincal.measure.approach import BY_COLUMNS, agreeing, completed, moves_of_table, tells_order
 from pincal.measure.excel_sheet import ENDINGS, open_excel
-from pincal.measure.fields import (
-    CONDITIONS,
-    FIRST,
-    OF_EACH_JOINT,
-    OTHERS,
-    SECOND,
-    Field,
-    Schema,
-    TableOptions,
-    link_of,
-)
-from pincal.measure.header import (
-    check_joints,
-    is_named,
-    matched,
-    renamed,
-    rotations,
-    spelled,
-    understood,
-    unignored,
-    with_joints,
-)
+from pincal.measure.fields import CONDITIONS, FIRST, OF_EACH_JOINT, OTHERS, SECOND, Field, Schema, TableOptions, link_of
+from pincal.measure.header import check_joints, matched, rotations, understood, with_joints
 from pincal.measure.joined import Log, held_rows, join
+from pincal.measure.labels import is_named, renamed, spelled, unignored
 from pincal.measure.nested_sheet import nested_kind, open_nested
+from pincal.measure.orientation import Convention
 from pincal.measure.recordings import is_bag, is_dataset, open_bag, open_dataset, open_parquet
-from pincal.measure.sheet import FrameSheet, Sheet, read_cells
+from pincal.measure.sheet import FrameSheet, Sheet, SheetColumn, read_cells
 from pincal.measure.text_sheet import open_text
 
 # A motion that tells in which direction joints follow others [rad or m].
@@ -116,12 +98,18 @@ class Cells:
         rows: shape (N,), line of each row in its file, the header being line 1.
         units: the units that the header gave, by column.
         approach_from: where directions of approach come from, in words; empty where there are none.
+        sheet: where they stand.
+        columns: which of them were read.
+        orientation: how they give an orientation, if not by a quaternion.
     """
 
     arrays: dict[str, np.ndarray]
     rows: np.ndarray
     units: dict[str, str]
-    approach_from: str = ""
+    approach_from: str
+    sheet: Sheet
+    columns: tuple[SheetColumn, ...]
+    orientation: Convention | None
 
 
 def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | None = None) -> Cells:
@@ -175,7 +163,8 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
     for of in schema.fields:
         if any(name in values for name in of.columns):
             arrays[of.name] = _whole(of, values, source=path.name)
-    return Cells(arrays, rows, {column.name: column.unit for column in header.columns if column.unit}, origin)
+    units = {column.name: column.unit for column in header.columns if column.unit}
+    return Cells(arrays, rows, units, origin, sheet, header.columns, header.orientation)
 
 
 def _followers(schema: Schema, values: Mapping[str, np.ndarray], missing: Sequence[str]) -> dict[str, np.ndarray]:

@@ -101,11 +101,15 @@ class FrameSheet(Sheet):
         frame: the cells; its columns stand in the order of the labels, whatever their names.
         rows: shape (N,), line of each row; default: counted as if there were a header.
         start: row of a file at which the frame begins, the first being 0.
+        worksheet: of a workbook, its name.
+        header_line: line of the names in it.
     """
 
     frame: pl.LazyFrame
     rows: np.ndarray | None = None
     start: int = 0
+    worksheet: str = ""
+    header_line: int = 0
 
     def part(self, rows: range) -> FrameSheet:
         """Return some rows of a file, the first being 0."""

@@ -109,8 +109,12 @@ def _heading(head: bytes, joints: Collection[str]) -> tuple[TableHead, list[int]
         except csv.Error:
             continue
         if texts and texts[0].startswith("#"):
+            # A first column may be called #, too.
+            is_name = len(rows) > 1 and len(rows[0]) == len(rows[1]) and rows[0][0].strip() == "#"
             named = [cell.strip() for cell in [rows[0][0].lstrip("# "), *rows[0][1:]] if cell.strip(" #")]
-            is_header = len(rows) > 1 and len(named) == len(rows[1]) and all(map(is_number, rows[1]))
+            named = ["#", *named] if is_name else named
+            numbers_below = sum(map(is_number, rows[1])) if len(rows) > 1 else 0
+            is_header = len(rows) > 1 and len(named) == len(rows[1]) and numbers_below > len(named) - 1 - is_name
             rows, first = ([named, *rows[1:]], 0) if is_header else (rows[1:], 1)
         else:
             first = 0

@@ -77,7 +77,7 @@ class Conditions(Recorded):
         return found
 
 
-_PARTS = Latest["Conditions"](4)
+_PARTS = Latest["Conditions"](16)
 
 
 def part_of(whole: Conditions, rows: slice | np.ndarray, key: Hashable) -> Conditions:

@@ -220,10 +220,11 @@ def tells(degrees: float, of_noise: float = np.inf) -> bool:
         of_noise: of the noise; infinite for a declared one.
 
     Example:
-        >>> tells(17.0), tells(18.0), tells(100.0, 29.0), tells(100.0, 30.0)
-        (False, True, False, True)
+        >>> tells(1e-6), tells(17.0), tells(18.0), tells(100.0, 29.0), tells(100.0, 30.0)
+        (False, False, True, False, True)
     """
-    if degrees <= 0.0 or of_noise <= 0.0:
+    # Of a small part of one degree a quantile is zero in a float, so that nothing would be missed.
+    if degrees < 1.0 or of_noise < 1.0:
         return False
     if np.isinf(of_noise):
         missed = chdtr(degrees, chdtri(degrees, MISFIT) / TWICE**2)
