@@ -16,6 +16,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.caveats import Caveat, CaveatKind
+from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.model.chain import MOUNT_SYMBOLS
@@ -23,12 +24,6 @@ from pincal.validate.outcome import Improvement
 
 # Poses that are drawn within the joints' limits, measured poses at most, and the seed of both.
 _DRAWN, _MEASURED, _SEED = 400, 200, 0
-# Part of all squares along a direction below which readings do not vary in it: those within 10 degrees of a plane.
-_UNSEEN = 0.03
-# Ratio of standard deviations after and before above which nothing is improved.
-_NOT_IMPROVED = 0.9
-# How far a mount moves at most [m] that is known to no better than a tenth of that: arms stand where their drawings say.
-_MOVED, _HELD = 0.02, 0.1
 _MEASURED_POSES = "measured poses"
 
 
@@ -58,7 +53,7 @@ def unseen_directions(station: Station, values: np.ndarray) -> tuple[np.ndarray,
         ]
         along = np.einsum("nij,jmn->imn", turned, along)
     squares, axes = np.linalg.eigh(np.einsum("imn,jmn->ij", along, along))
-    return tuple(axes[:, squares < _UNSEEN * squares.sum()].T)
+    return tuple(axes[:, squares < CRITERIA.unseen_direction * squares.sum()].T)
 
 
 def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) -> Iterator[Caveat]:
@@ -71,7 +66,7 @@ def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) 
         sizes = np.array([(region.before_mm, region.after_mm) for region in regions])
         before, after = (float(size) for size in np.sqrt(np.mean(sizes**2, axis=0)))
         falls.append(f"from {before:.2g} to {after:.2g} mm at {link}")
-        if after > _NOT_IMPROVED * before:
+        if after > CRITERIA.not_improved * before:
             yield Caveat(CaveatKind.BLIND, {"link": link, "before": before, "after": after})
     geometry, elasticity = fit.options.prior_scale or (1.0, 1.0)
     figures = {"geometry": geometry, "elasticity": elasticity, "how": ", ".join(falls)}
@@ -85,7 +80,7 @@ def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) 
             k for k, name in enumerate(estimate.names) if name in {f"{joint}.{symbol}" for symbol in (*MOUNT_SYMBOLS, "d")}
         ]
         moved, sigma = (float(np.linalg.norm(of[lengths])) for of in (fit.values, estimate.sigma))
-        if moved > _MOVED and sigma > _HELD * moved:
+        if moved > CRITERIA.mount_moved and sigma > CRITERIA.mount_held * moved:
             yield Caveat(CaveatKind.MOUNT_MOVED, {"joint": joint, "moved": 1e3 * moved, "sigma": 1e3 * sigma})
 
 

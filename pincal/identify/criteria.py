@@ -33,6 +33,8 @@ _INTERVALS = "test_moves.py::test_intervals_are_those_of_a_fit_in_which_each_day
 _APART = "test_diagnosis.py::test_poses_that_tell_two_changes_apart_are_named"
 _SEEN_CURVE = "test_other_session.py::test_a_curve_that_was_not_seen_everywhere_is_said_to_be_so"
 _JUMP = "test_moves.py::test_a_jump_between_two_days_is_named_with_its_interval"
+_PRIORS = "test_contacts.py::test_priors_are_as_wide_as_the_robots_deviations"
+_NOT_HELD = "test_contacts.py::test_what_contacts_do_not_hold_is_said"
 _STATIONS = "test_moves.py::test_a_robot_that_stays_the_same_moves_in_one_of_a_hundred"
 
 
@@ -46,6 +48,18 @@ class Criteria:
         "odds of 150 to 1; of a sound arm's twelve one enters in one fit out of fifty")
     moment_frame: float = number(10.0, _GAIN, "test_calibrate.py::test_the_papers_convention_is_taken_among_equals",
         "by how much another convention of moments has to be likelier", "the same odds")
+    smaller_prior: float = number(3.0, "log likelihood", _PRIORS,
+        "by how much left-out regions may be less likely with smaller priors where no instrument sees the robot",
+        "strong evidence by Kass and Raftery (1995)")
+    unseen_direction: float = number(0.03, "ratio", "test_contacts.py::test_directions_without_contact_are_named",
+        "part of the squares of all directions of readings below which nothing was measured in one",
+        "sin^2 of 10 degrees, as far as directions of contact vary by themselves")
+    not_improved: float = number(0.9, "ratio", _NOT_HELD,
+        "standard deviation of predictions after and before a calibration above which nothing is improved", "chosen")
+    mount_moved: float = number(0.02, "m", _NOT_HELD,
+        "how far readings without an instrument move where an arm is mounted", "arms stand within a cm of their drawings")
+    mount_held: float = number(0.1, "ratio", _NOT_HELD,
+        "its standard deviation over its way above which nothing holds it", "ten standard deviations")
     unexcited: float = number(1e-6, "probability", "test_calibrate.py::test_simulated_elastic_arms_are_predicted",
         "that sound data call for a parameter that the nominal geometry never excites",
         "chosen: beyond what noise and small deviations bring up")

@@ -23,6 +23,7 @@ import numpy as np
 
 from pincal.identify.beliefs import deviations
 from pincal.identify.believed import slope_of_contacts
+from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit
 from pincal.identify.normal import accumulate
 from pincal.identify.quadratic import Factor, Form
@@ -30,8 +31,6 @@ from pincal.model.conditions import TURN
 
 # Factors that are tried, and regions of each station.
 _SCALES, _REGIONS = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001), 10
-# Difference of log-likelihoods that is strong evidence (Kass and Raftery 1995, Bayes factors: 2 ln B of 6).
-_STRONG = 3.0
 # Standard deviation of what has no prior [m or rad], so that a region without which nothing is known of it has one.
 _ANYWHERE = 10.0
 
@@ -89,7 +88,11 @@ def prior_scale(fit: ModelFit) -> tuple[float, float]:
     likely = np.array([_likelihoods(regions, nominal * scaled(scales), offsets) for scales in tried])
     behind = likely[np.argmax(likely.sum(axis=1))] - likely
     doubt = behind.std(axis=1, ddof=1) * np.sqrt(len(regions))
-    good = [scales for scales, less, by in zip(tried, behind.sum(axis=1), doubt, strict=True) if less <= max(by, _STRONG)]
+    good = [
+        scales
+        for scales, less, by in zip(tried, behind.sum(axis=1), doubt, strict=True)
+        if less <= max(by, CRITERIA.smaller_prior)
+    ]
     return min(good, key=lambda scales: (max(scales), min(scales)))
 
 
