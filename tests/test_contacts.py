@@ -6,13 +6,14 @@ The hands of Baxter, simulated by Pinocchio; the robot has the deviations of an 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 import pytest
 from test_named_points import contacts
 
 import pincal.simulate as sim
-from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
+from pincal import GEOMETRIC, Options, Robot, Setup, calibrate, measurements_from_arrays
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.calibrated_robot import Fit
 from pincal.calibration.caveats import CaveatKind
@@ -147,3 +148,18 @@ def test_what_contacts_do_not_hold_is_said(fit: Fit) -> None:
     assert blind == {CaveatKind.NO_INSTRUMENT, CaveatKind.BLIND}
     held = fit.estimate.sigma[fit.estimate.names.index(mount)] < 0.003
     assert (CaveatKind.MOUNT_MOVED in {found.kind for found in findings_without_instrument(moved, regions)}) != held
+
+
+def test_points_of_links_may_be_known(baxter: Robot, touching: Measurements) -> None:
+    """A point whose place on its link is given stays there, whichever end of a contact it is."""
+    first = np.array([f"{HANDS[0]}:{name}" for name in touching.point_names])
+    second = np.repeat(f"{HANDS[1]}:ball", len(first))
+    table = measurements_from_arrays(
+        baxter.joint_names, touching.q, distance=np.zeros(len(first)), first=first, second=second
+    )
+    places = {f"{HANDS[0]}:one": (0.1, 0.05, 0.2), f"{HANDS[1]}:ball": (0.02, 0.03, 0.1)}
+    found = calibrate(baxter, table, Options(effects=GEOMETRIC, sigma=NOISE, setup=Setup(points=places)))
+    free = {name.rpartition(".")[0] for name in compress(found.estimate.names, found.solution.free)}
+
+    assert f"{HANDS[0]}:two" in free
+    assert not free & set(places)

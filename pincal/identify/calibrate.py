@@ -23,7 +23,7 @@ from pincal.identify.equations import Linearised
 from pincal.identify.fit import FitStage, ModelFit, Solution, carried
 from pincal.identify.initial import begin
 from pincal.identify.noise import is_exact, rounding
-from pincal.identify.options import Options, StationOptions
+from pincal.identify.options import Options, StationOptions, Tools
 from pincal.identify.problem import Problem
 from pincal.identify.regions import has_instrument, prior_scale
 from pincal.identify.solve import SETTLED, Course, solve
@@ -35,6 +35,7 @@ from pincal.model.catalogue.bearing_features import without_idle_features
 from pincal.model.catalogue.masses import with_masses
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effects import Effect
+from pincal.parameters import is_on_link
 from pincal.recorded import RECORDED
 from pincal.robot.robot import Robot
 
@@ -139,13 +140,21 @@ def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurem
     if len(tables) == 1:
         ((name, table),) = tables.items()
         options = options.at(name)
-        return replace(options, setup=options.setup.over(table))
+        return replace(options, setup=options.setup.over(table), tools=_tools(options, table))
     completed = dict(options.stations)
     for name, table in tables.items():
-        setup = options.at(name).setup
-        if setup.over(table) is not setup:
-            completed[name] = replace(completed.get(name, StationOptions()), setup=setup.over(table))
+        at = options.at(name)
+        setup, tools = at.setup.over(table), _tools(at, table)
+        if setup is not at.setup or tools is not at.tools:
+            completed[name] = replace(completed.get(name, StationOptions()), setup=setup, tools=tools)
     return replace(options, stations=completed)
+
+
+def _tools(options: Options, table: Measurements) -> Tools | None:
+    """Return what is known of the targets of a table, those that are named points of a link among them."""
+    places = {str(name): options.setup.points.get(str(name)) for name in np.unique(table.target) if is_on_link(str(name))}
+    known = {name: place for name, place in places.items() if place is not None}
+    return {**known, **(options.tools or {})} if known else options.tools
 
 
 def _fitted(robot: Robot, tables: dict[str, Measurements], options: Options, executor: Executor | None) -> ModelFit:
