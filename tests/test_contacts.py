@@ -22,6 +22,7 @@ from pincal.calibration.placing import place_station
 from pincal.identify.calibrate import fit_tables
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensors.plane import PlaneContactSensor
+from pincal.model.model import Model
 from pincal.robot.urdf_file import arm_text
 from pincal.simulate.planning import plan_poses
 
@@ -121,15 +122,18 @@ def test_the_noise_of_contacts_does_not_shrink_the_robot(machine: sim.TrueMachin
 
 def test_directions_without_contact_are_named(fit: Fit) -> None:
     """Sockets tell all three directions; a plane across z on the base tells no other, one on a hand that turns tells all."""
-    station, values = fit.problem.stations[0], fit.values[fit.problem.places[0]]
+    station, values = fit.problem.stations[0], fit.values
     n, model = len(station), station.model
     plane = PlaneContactSensor(("plane",), np.zeros(n, int), np.zeros(n))
-    on_base = model.with_chain(model.chain.between("base", HANDS[1]))
     own = np.append(station.split(values)[0], [0.0, 0.0, 1.0, 0.5])
 
-    assert unseen_directions(station, values) == ()
-    assert unseen_directions(replace(station, sensor=plane), own) == ()
-    found = unseen_directions(replace(station, sensor=plane, model=on_base), own)
+    def with_plane(model: Model) -> Fit:
+        problem = replace(fit.problem, stations=(replace(station, sensor=plane, model=model),))
+        return replace(fit, problem=problem, solution=replace(fit.solution, values=own))
+
+    assert unseen_directions(fit) == ()
+    assert unseen_directions(with_plane(model)) == ()
+    found = unseen_directions(with_plane(model.with_chain(model.chain.between("base", HANDS[1]))))
     assert np.abs(np.cross(*found)) == pytest.approx([0.0, 0.0, 1.0], abs=1e-12)
 
 

@@ -34,13 +34,15 @@ def improvements(fit: ModelFit) -> tuple[Improvement, ...]:
     return tuple(found for link in ends if link != robot.base for found in _of_link(fit, link))
 
 
-def unseen_directions(station: Station, values: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the directions, each of shape (3,), in the axes of the robot's base link, along which no reading varies.
+def unseen_directions(fit: ModelFit) -> tuple[np.ndarray, ...]:
+    """Return the directions, each of shape (3,), in the axes of the robot's base link, along which no reading varies."""
+    pairs = zip(fit.problem.stations, fit.problem.places, strict=True)
+    squares, axes = np.linalg.eigh(sum(_directions(station, fit.values[places]) for station, places in pairs))
+    return tuple(axes[:, squares < CRITERIA.unseen_direction * squares.sum()].T)
 
-    Args:
-        station: the readings.
-        values: shape (P,), of its parameters.
-    """
+
+def _directions(station: Station, values: np.ndarray) -> np.ndarray:
+    """Return the squares and products of the directions in which a station's rows read, summed, shape (3, 3)."""
     of_model, own = station.split(values)
     poses, size = station.model.predict(of_model, station.conditions), station.sensor.twist_rows
     units = np.zeros((3, size, len(station)))
@@ -48,12 +50,9 @@ def unseen_directions(station: Station, values: np.ndarray) -> tuple[np.ndarray,
     along = station.sensor.jacobian(poses, units, own)[:3, : station.sensor.blocks[0].size]
     robot, path = station.model.chain.robot, station.model.chain.path
     if path.start != robot.base:
-        turned = robot.forward_kinematics(station.conditions.q, robot.between(robot.base, path.start, at_rest=True))[
-            :, :3, :3
-        ]
-        along = np.einsum("nij,jmn->imn", turned, along)
-    squares, axes = np.linalg.eigh(np.einsum("imn,jmn->ij", along, along))
-    return tuple(axes[:, squares < CRITERIA.unseen_direction * squares.sum()].T)
+        turned = robot.forward_kinematics(station.conditions.q, robot.between(robot.base, path.start, at_rest=True))
+        along = np.einsum("nij,jmn->imn", turned[:, :3, :3], along)
+    return np.asarray(np.einsum("imn,jmn->ij", along, along))
 
 
 def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) -> Iterator[Caveat]:
@@ -71,9 +70,8 @@ def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) 
     geometry, elasticity = fit.options.prior_scale or (1.0, 1.0)
     figures = {"geometry": geometry, "elasticity": elasticity, "how": ", ".join(falls)}
     yield Caveat(CaveatKind.NO_INSTRUMENT, figures)
-    for station, places in zip(fit.problem.stations, fit.problem.places, strict=True):
-        if unseen := unseen_directions(station, fit.values[places]):
-            yield Caveat(CaveatKind.UNSEEN_DIRECTION, {"where": _within(unseen), "base": robot.base}, station.name)
+    if unseen := unseen_directions(fit):
+        yield Caveat(CaveatKind.UNSEEN_DIRECTION, {"where": _within(unseen), "base": robot.base})
     estimate = fit.estimate
     for joint in dict.fromkeys(name.partition(".")[0] for name in fit.problem.chain.mounts):
         lengths = [
