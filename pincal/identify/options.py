@@ -130,6 +130,11 @@ def _check_numbers(options: Options | StationOptions) -> None:
     for name in ("sigma", "sigma_orientation", "length_bound"):
         if name in held and not SMALLEST <= held[name] <= LARGEST:
             raise BadInputError(f"{name} is {held[name]}; expected a number from {SMALLEST:g} to {LARGEST:g}")
+    for scale in held.get("prior_scale", ()):
+        if not SMALLEST <= scale <= LARGEST:
+            raise BadInputError(
+                f"prior_scale is {held['prior_scale']}; expected two numbers from {SMALLEST:g} to {LARGEST:g}"
+            )
     if "gravity" in held and not is_gravity(held["gravity"]):
         raise BadInputError(f"gravity is {list(held['gravity'])}; expected {GRAVITIES}")
 
