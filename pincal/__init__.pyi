@@ -37,6 +37,7 @@ from pincal.errors import PincalWarning as PincalWarning
 from pincal.export import export_model as export_model
 from pincal.identify.explain import explain as explain
 from pincal.identify.options import Options as Options
+from pincal.identify.options import PriorScale as PriorScale
 from pincal.identify.options import StationOptions as StationOptions
 from pincal.identify.split import bootstrap as bootstrap
 from pincal.identify.split import bootstrap_stations as bootstrap_stations

@@ -51,7 +51,7 @@ def main() -> None:
     found = []
     print(
         "machine  contacts and left [mm]  tracker on it [mm]  ratio  covered  covered by tracker  "
-        "nominal [mm]  contacts alone [mm]  ratio"
+        "nominal [mm]  contacts alone [mm]  ratio  covered"
     )
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(int(sys.argv[1]) if len(sys.argv) > 1 else 5):
@@ -67,8 +67,8 @@ def main() -> None:
             contacts = calibrate(robot, touch, options)
             nominal = calibrate(robot, right, Options(effects=(), sigma=SIGMA))
             (error, covered), (other, by_tracker) = judged(both.at("touch"), exact), judged(alone.at(), exact)
-            rest, before = judged(contacts.at(), exact)[0], judged(nominal.at(), exact)[0]
-            row = 1e3 * error, 1e3 * other, error / other, covered, by_tracker, 1e3 * before, 1e3 * rest, rest / before
+            (rest, held), before = judged(contacts.at(), exact), judged(nominal.at(), exact)[0]
+            row = 1e3 * error, 1e3 * other, error / other, covered, by_tracker, 1e3 * before, 1e3 * rest, rest / before, held
             found.append(row)
             print(f"{seed:7d}  {words_of(row)}", flush=True)
     mean = np.mean(found, axis=0)
@@ -78,9 +78,9 @@ def main() -> None:
 
 def words_of(row: Sequence[float]) -> str:
     """Return a line of the table."""
-    error, other, ratio, covered, by_tracker, before, rest, harm = row
+    error, other, ratio, covered, by_tracker, before, rest, harm, held = row
     seen = f"{error:22.4f}  {other:18.4f}  {ratio:5.2f}  {covered:7.3f}  {by_tracker:18.3f}"
-    return f"{seen}  {before:12.4f}  {rest:18.4f}  {harm:5.2f}"
+    return f"{seen}  {before:12.4f}  {rest:18.4f}  {harm:5.2f}  {held:7.3f}"
 
 
 if __name__ == "__main__":

@@ -53,7 +53,7 @@ BOUNDS = {
     "identify.posterior": "_ROUNDING",
     "identify.problem": "_ROWS",
     "identify.quadratic": "SEEN ROUNDING NULL",
-    "identify.regions": "_SCALES _REGIONS _ANYWHERE",
+    "identify.prior_scale": "_SCALES _ROUNDS _ANYWHERE",
     "identify.solve": "SETTLED _ROUGH _ROUNDED _STEADY _SETTLED _MEMORY _SLOW _FIRST _MORE _LESS _MOST _REPAIR _HALVINGS",
     "identify.split": "_BLOCKS",
     "identify.station": "PIECE",

@@ -53,8 +53,9 @@ class CaveatKind(Enum):
     NOISE_OVERSTATED = "the residuals are smaller than the declared noise allows: the declared noise is too large"
     NO_INSTRUMENT = (
         "no instrument saw the robot, so what its readings do not show stays as its description has it; deviations from "
-        "that are taken to be {geometry:.2g} times as large as usual, compliances {elasticity:.2g} times, by which regions "
-        "of poses that are left out are predicted best. Elsewhere the standard deviation of a predicted position falls {how}"
+        "that are taken to be as large as the readings allow: {lengths:g} times the usual in lengths, {angles:g} in angles, "
+        "{drives:g} in drive compliances, {bearings:g} in others. Elsewhere the standard deviation of a predicted position "
+        "falls {how}"
     )
     UNSEEN_DIRECTION = (
         "all readings are within 10 degrees of {where} in the axes of {base}: nothing was measured across; vary the "

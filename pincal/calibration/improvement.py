@@ -18,6 +18,7 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.caveats import Caveat, CaveatKind
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit
+from pincal.identify.options import PriorScale
 from pincal.identify.station import Station
 from pincal.model.chain import MOUNT_SYMBOLS
 from pincal.validate.outcome import Improvement
@@ -67,9 +68,8 @@ def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) 
         falls.append(f"from {before:.2g} to {after:.2g} mm at {link}")
         if after > CRITERIA.not_improved * before:
             yield Caveat(CaveatKind.BLIND, {"link": link, "before": before, "after": after})
-    geometry, elasticity = fit.options.prior_scale or (1.0, 1.0)
-    figures = {"geometry": geometry, "elasticity": elasticity, "how": ", ".join(falls)}
-    yield Caveat(CaveatKind.NO_INSTRUMENT, figures)
+    scales = PriorScale(*(fit.options.prior_scale or PriorScale()))
+    yield Caveat(CaveatKind.NO_INSTRUMENT, {**scales._asdict(), "how": ", ".join(falls)})
     if unseen := unseen_directions(fit):
         yield Caveat(CaveatKind.UNSEEN_DIRECTION, {"where": _within(unseen), "base": robot.base})
     estimate = fit.estimate

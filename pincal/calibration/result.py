@@ -31,7 +31,7 @@ from pincal.calibration.moves import moves_of, spent_at
 from pincal.calibration.placing import moved
 from pincal.calibration.result_tables import ParameterRecord, ParameterRow, parameter_rows
 from pincal.identify.fit import ModelFit
-from pincal.identify.regions import has_instrument
+from pincal.identify.prior_scale import has_instrument
 from pincal.identify.station import Station
 from pincal.measure.poses import SCATTER, replicate_groups
 from pincal.notes import Note, doubts_first, doubts_of

@@ -11,7 +11,7 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.identify.fit import Priors
 from pincal.identify.noise import Noise
-from pincal.identify.options import Options, known_frames
+from pincal.identify.options import Options, PriorScale, known_frames
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station
 from pincal.model.effects import LENGTH_SIZE
@@ -103,8 +103,8 @@ def excited_of(problem: Problem) -> np.ndarray:
     return np.asarray(problem.beliefs.is_remembered | problem.largest_basis[1])
 
 
-def deviations(problem: Problem, options: Options) -> tuple[np.ndarray, np.ndarray]:
-    """Return which parameters are the robot's geometry and which its elasticity, shape (P,) each.
+def deviations(problem: Problem, options: Options) -> tuple[np.ndarray, ...]:
+    """Return which parameters are of the kinds of :class:`PriorScale`, shape (P,) each.
 
     Left out are where an arm is mounted, those whose priors the user gave, and joint offsets whose zeros are unknown.
     """
@@ -114,13 +114,15 @@ def deviations(problem: Problem, options: Options) -> tuple[np.ndarray, np.ndarr
     )
     known = ~(unknown | is_frame(problem) | sensors_own(problem)) & np.isnan(given_sizes(problem, options))
     elastic = np.array([p.is_compliance for p in problem.parameters], bool)
-    return known & ~elastic & np.array([p.unit in ("m", "rad") for p in problem.parameters], bool), known & elastic
+    lengths, angles = (known & ~elastic & np.array([p.unit == unit for p in problem.parameters]) for unit in ("m", "rad"))
+    drives = np.array([p.symbol == "k_z" for p in problem.parameters], bool)
+    return lengths, angles, known & elastic & drives, known & elastic & ~drives
 
 
 def priors_of(problem: Problem, options: Options) -> Priors:
     """Return priors by physical group: so many mm, mrad, or mrad at the largest moment that these poses bring."""
     sizes, given = np.array([p.size for p in problem.parameters]) / problem.largest_basis[0], given_sizes(problem, options)
-    for kind, scale in zip(deviations(problem, options), options.prior_scale or (1.0, 1.0), strict=True):
+    for kind, scale in zip(deviations(problem, options), options.prior_scale or PriorScale(), strict=True):
         sizes[kind] *= scale
     for pattern in options.zeros:
         unknown = [fnmatchcase(p.local_name, f"{pattern}.theta") for p in problem.parameters]

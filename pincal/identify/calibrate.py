@@ -23,9 +23,9 @@ from pincal.identify.equations import Linearised
 from pincal.identify.fit import FitStage, ModelFit, Solution, carried
 from pincal.identify.initial import begin
 from pincal.identify.noise import is_exact, rounding
-from pincal.identify.options import Options, StationOptions, Tools
+from pincal.identify.options import Options, PriorScale, StationOptions, Tools
+from pincal.identify.prior_scale import has_instrument, prior_scale
 from pincal.identify.problem import Problem
-from pincal.identify.regions import has_instrument, prior_scale
 from pincal.identify.solve import SETTLED, Course, solve
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
@@ -92,8 +92,8 @@ def fit_tables(
 
 
 def _cautious(fit: ModelFit) -> ModelFit:
-    """Return a fit with the priors that regions which are left out call for."""
-    scale = 1.0, 1.0
+    """Return a fit with priors as wide as its readings allow."""
+    scale = PriorScale()
     for _ in range(_SCALINGS):
         before, scale = scale, prior_scale(fit)
         if scale == before:

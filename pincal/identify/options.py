@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,22 @@ Tools = dict[str, tuple[float, float, float] | np.ndarray]
 
 # Largest deviation of a length that a fit may find [m]; the paper (IV.C) gives +-1 cm for real deviations.
 LENGTH_BOUND = 0.01
+
+
+class PriorScale(NamedTuple):
+    """Factors on the standard deviations of priors, by the kind of the robot's parameters.
+
+    Attributes:
+        lengths: of link lengths and joint offsets along axes.
+        angles: of link twists, axis distortions and joint offsets.
+        drives: of drive compliances k_z.
+        bearings: of all other compliances.
+    """
+
+    lengths: float = 1.0
+    angles: float = 1.0
+    drives: float = 1.0
+    bearings: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -71,9 +87,8 @@ class Options:
             its own SI unit or with another (0.001, "1mrad", "0.2urad/Nm"); 0 holds it there, inf leaves it free. Of several
             that match, the last counts.
         zeros: joints with unknown zeros, by names or patterns such as ``"*"``.
-        prior_scale: factors on the priors of a robot's geometry and of its elasticity, those in ``priors`` left out;
-            default: 1, or where no station has an instrument those by which rows of regions that are left out are predicted
-            best.
+        prior_scale: factors on the priors of a robot's lengths, angles, drive compliances and other compliances, those in
+            ``priors`` left out; default: 1, or where no station has an instrument as large as the readings allow.
         serial: whether to test for noise that is correlated along the rows, and weight rows accordingly.
     """
 
@@ -95,7 +110,7 @@ class Options:
     earlier: Estimate | None = None
     priors: Mapping[str, float | str] = field(default_factory=dict)
     zeros: tuple[str, ...] = ()
-    prior_scale: tuple[float, float] | None = None
+    prior_scale: PriorScale | None = None
     serial: bool = True
 
     def __post_init__(self) -> None:
@@ -133,7 +148,7 @@ def _check_numbers(options: Options | StationOptions) -> None:
     for scale in held.get("prior_scale", ()):
         if not SMALLEST <= scale <= LARGEST:
             raise BadInputError(
-                f"prior_scale is {held['prior_scale']}; expected two numbers from {SMALLEST:g} to {LARGEST:g}"
+                f"prior_scale is {held['prior_scale']}; expected four numbers from {SMALLEST:g} to {LARGEST:g}"
             )
     if "gravity" in held and not is_gravity(held["gravity"]):
         raise BadInputError(f"gravity is {list(held['gravity'])}; expected {GRAVITIES}")

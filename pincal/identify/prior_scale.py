@@ -1,0 +1,88 @@
+r"""How far a robot may be from its URDF, as readings without an instrument show.
+
+Contacts, planes, gauges and sockets see few directions at few places. What they do not see keeps its prior, and one that is
+wider than the robot's deviations lets errors of the contacts pass for geometry, which then does harm wherever nobody
+measured. What they do see shows how wide it should be: the priors of lengths, of angles, of drive compliances and of other
+compliances are multiplied by factors that the likelihood of all readings determines, with the parameters integrated out
+(type II maximum likelihood; MacKay 1992, Bayesian Interpolation, Neural Computation 4, section 4). With information H and
+gradient b of the readings about offsets x from the nominal, and priors of covariance P, it is E:
+
+.. math:: 2 \log E = \tilde b^T A^{-1} \tilde b - \log\det A - \log\det P - x^T P^{-1} x,
+    \quad A = H + P^{-1}, \; \tilde b = b - P^{-1} x
+
+Each factor is the largest that is not excluded, so that readings which hardly tell it leave the prior wide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pincal.identify.beliefs import deviations
+from pincal.identify.believed import slope_of_contacts
+from pincal.identify.criteria import CRITERIA
+from pincal.identify.fit import ModelFit
+from pincal.identify.normal import accumulate
+from pincal.identify.options import PriorScale
+from pincal.identify.quadratic import Factor
+
+# Factors that are tried, largest first, and how often each in turn.
+_SCALES, _ROUNDS = (1.0, 0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.003, 0.002, 0.001), 10
+# Standard deviation of what has no prior [m or rad].
+_ANYWHERE = 10.0
+
+
+def has_instrument(fit: ModelFit) -> bool:
+    """Return whether something beside the robot and what it touches tells where any of its targets are."""
+    return any(station.sensor.base_symbols or station.sensor.is_on_tool for station in fit.problem.stations)
+
+
+def prior_scale(fit: ModelFit) -> PriorScale:
+    """Return the factors on the priors, see above; 1 for a kind of parameters that the fit does not have."""
+    free, sizes = fit.solution.free, np.minimum(fit.priors.sizes, _ANYWHERE)
+    offsets = np.where(np.isfinite(fit.priors.sizes), fit.values, 0.0)[free]
+    kinds = [kind[free] for kind in deviations(fit.problem, fit.options)]
+    H, b = _information(fit)
+
+    def sized(scales: Sequence[float]) -> np.ndarray:
+        return np.asarray(np.select(kinds, scales, 1.0))
+
+    nominal = sizes[free] / sized(fit.options.prior_scale or PriorScale())
+
+    def likely(scales: Sequence[float]) -> float:
+        sigma = nominal * sized(scales)
+        factor = Factor.of(H + np.diag(sigma**-2.0))
+        half, squares = factor.half(b - offsets / sigma**2), float(np.sum((offsets / sigma) ** 2))
+        return float(half @ half) - factor.log_det - 2.0 * float(np.log(sigma).sum()) - squares
+
+    def each(best: PriorScale, kind: str) -> list[float]:
+        return [likely(best._replace(**{kind: scale})) for scale in _SCALES]
+
+    seen = [name for name, kind in zip(PriorScale._fields, kinds, strict=True) if kind.any()]
+    best = PriorScale()
+    for _ in range(_ROUNDS):
+        before = best
+        for name in seen:
+            best = best._replace(**{name: _SCALES[int(np.argmax(each(best, name)))]})
+        if best == before:
+            break
+    widest = {name: np.array(each(best, name)) for name in seen}
+    return best._replace(
+        **{name: _SCALES[int(np.argmax(of >= of.max() - CRITERIA.wider_prior))] for name, of in widest.items()}
+    )
+
+
+def _information(fit: ModelFit) -> tuple[np.ndarray, np.ndarray]:
+    """Return information and gradient of all rows on the F free parameters, shapes (F, F) and (F,)."""
+    problem, solution = fit.problem, fit.solution
+    rank, n_free = np.cumsum(solution.free) - 1, int(solution.free.sum())
+    H, b = np.zeros((n_free, n_free)), np.zeros(n_free)
+    for (station, places, blocks), rows in zip(fit.stations, problem.rows, strict=True):
+        here = solution.free[places]
+        normal = accumulate(station, solution.values[places], here, solution.weights[rows])
+        form, at = replace(normal, believed=None).at(solution.sigma[blocks]), rank[places[here]]
+        H[np.ix_(at, at)] += form.H
+        b[at] += form.g + len(station) * slope_of_contacts(station)[here]
+    return H, b
