@@ -20,6 +20,8 @@ from pincal.calibration.calibrated_robot import Fit
 from pincal.calibration.caveats import CaveatKind
 from pincal.calibration.improvement import findings_without_instrument, improvements, unseen_directions
 from pincal.calibration.placing import place_station
+from pincal.design.pose_design import DesignRequest, design_poses
+from pincal.design.reach import Limits, Reach, SensorSetup
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.prior_scale import prior_scale
@@ -209,3 +211,21 @@ def test_factors_on_priors_are_positive(scale: PriorScale) -> None:
     """A factor that is none is refused where it is given."""
     with pytest.raises(BadInputError, match="prior_scale"):
         Options(prior_scale=scale)
+
+
+@pytest.mark.long
+def test_poses_in_which_hands_touch_are_designed() -> None:
+    """The ball is in its socket by Pinocchio, no arm is in the way of the other, and random poses tell less."""
+    robot = Robot.from_urdf("baxter", start=HANDS[0], tip=HANDS[1])
+    rig = SensorSetup("socket", tool=(0.02, 0.03, 0.1), held_at=((0.1, 0.05, 0.2), (-0.1, 0.1, 0.15)))
+    request = DesignRequest(poses=36, candidates=50, curve=False, criterion="determinant")
+    found = design_poses(robot, request, Options(effects=GEOMETRIC), rig=rig, limits=Limits(floor=None))
+    tips, sockets = robot.forward_kinematics(found.q), found.columns()["socket"]
+    places = dict(zip(("socket_1", "socket_2"), rig.places, strict=True))
+    off = tips[:, :3, :3] @ rig.target(robot) + tips[:, :3, 3] - [places[name] for name in sockets]
+
+    assert np.abs(off).max() < 1e-4
+    assert set(sockets) == set(places)
+    assert not Reach(robot, rig).collides(found.q).any()
+    assert found.observability["O1"] > 1.05 * found.observability_random["O1"]
+    assert any("known length" in note for note in found.notes)

@@ -185,7 +185,7 @@ class InstrumentOptions:
         "Kind of measurement.", words="position, or socket with --socket"
     )
     sockets: tuple[Triple, ...] = option(
-        "With --check: approximate position of a socket for the tool point, in the robot's base frame [m].",
+        "Approximate position of a socket for the tool point, in the robot's base frame or that of --from [m].",
         (),
         metavar="X Y Z",
         name="--socket",
@@ -236,6 +236,9 @@ class DesignArguments:
     degrees: bool = option("Write joint positions in degrees.", False)
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
+    start: str | None = option(
+        "Link from which the tip is seen, such as the other hand.", metavar="LINK", name="--from", words="the base"
+    )
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     couplings: tuple[str, ...] = coupling_option()
     signs: tuple[str, ...] = sign_option()
@@ -323,7 +326,9 @@ def _robot(arguments: DesignArguments) -> Robot:
     from pincal.robot.robot import Robot
 
     xacro_args = dict(arguments.xacro_args)
-    robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base, xacro_args=xacro_args)
+    robot = Robot.from_urdf(
+        arguments.robot, tip=arguments.tip, base=arguments.base, start=arguments.start, xacro_args=xacro_args
+    )
     return as_stated(robot, signs=arguments.signs, couplings=arguments.couplings)
 
 

@@ -297,7 +297,7 @@ def _print_design(found: Design, out: Console) -> None:
     """Print what was asked, what the constraints removed, and what these and other numbers of poses promise."""
     n, robot = found.found.poses, found.robot
     noise = ", ".join(f"{1e3 * s:.3g} {'mm' if i == 0 else 'mrad'}" for i, s in enumerate(found.design_model.sigma))
-    rig = f"{robot.base} to {robot.tip}: {found.rig.sensor}, noise {noise}; {found.design_model.n_free} parameters"
+    rig = f"{robot.path.start} to {robot.tip}: {found.rig.sensor}, noise {noise}; {found.design_model.n_free} parameters"
     out.print(hanging(f"{n} poses", f"of {robot.name}, {rig}"))
     for mark, text in _design_facts(found):
         out.print(hanging(f"{mark + ':':13s}", text))

@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -242,10 +241,11 @@ def _bars(robot: Robot) -> Boxes:
     """Return bars from joint to joint and to the tip, for want of anything better."""
     frames = [np.eye(4), *robot.frames.T_base_link]
     places = robot.frames.T_base_link @ robot.T_link_joint
-    points = [np.zeros(3), *places[:, :3, 3], (frames[-1] @ robot.frames.T_last_tip)[:3, 3]]
+    points, last = [np.zeros(3), *places[:, :3, 3]], robot.path.tip_joint
+    ends = [*zip(robot.parents, points[1:], strict=True), (last, (frames[last + 1] @ robot.path.T_joint_tip)[:3, 3])]
     bodies, placements, halves = [], [], []
-    for body, (here, there) in enumerate(pairwise(points)):
-        width = _WIDTH * robot.reach * (1.0 - _SLIMMER * body / robot.n_joints)
+    for body, there in ((carrier + 1, there) for carrier, there in ends):
+        here, width = points[body], _WIDTH * robot.reach * (1.0 - _SLIMMER * body / robot.n_joints)
         if np.linalg.norm(there - here) > 1e-6:
             bodies.append(body)
             placements.append(np.linalg.inv(frames[body]) @ _along(here, there))

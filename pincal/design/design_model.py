@@ -22,6 +22,7 @@ from pincal.identify.posterior import Posterior, posterior
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
 from pincal.identify.station import Station
+from pincal.measure.point_sensor import PointSensor
 from pincal.measure.registry import simulatable
 from pincal.model.chain import Chain
 from pincal.model.effects import BaseFrame, Conditions, Effect, ToolFrame
@@ -101,7 +102,7 @@ class DesignModel:
         places = _places(model, free, rivals)
         for columns in places:
             sizes[columns] *= RIVAL
-        core = np.flatnonzero(free) < n_core
+        core = ((place := np.flatnonzero(free)) < n_core) | (place >= model.n_parameters)
         return cls(model, values, free, sizes, _sigma(problem, options), rig, places, core)
 
     @cached_property
@@ -151,6 +152,14 @@ def predicted_station(model: Model, values: np.ndarray, rig: SensorSetup, condit
     """Return the station that reads what a model predicts; of the values, shape (P,), the model's come first."""
     poses = model.predict(model.own(values), conditions)
     return Station(model, conditions, simulatable()[rig.sensor].simulated(poses, rig.places), np.ones(len(conditions)))
+
+
+def held_columns(station: Station) -> dict[str, np.ndarray]:
+    """Return the column that names where the target is held, if it is held, shape (N,)."""
+    sensor = station.sensor
+    if not isinstance(sensor, PointSensor) or sensor.names_points is None:
+        return {}
+    return {sensor.names_points: np.array(sensor.points.names)[sensor.index]}
 
 
 def frame_effects(chain: Chain, rig: SensorSetup, conditions: Conditions) -> tuple[Effect, ...]:

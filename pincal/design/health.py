@@ -12,7 +12,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.covered import Covered
-from pincal.design.design_model import DesignModel
+from pincal.design.design_model import DesignModel, held_columns
 from pincal.design.detection import DetectableChange, DetectionDesign, guarded_changes, lineup_over, watch_of
 from pincal.design.exchange import covariance, order_by_load
 from pincal.design.reach import Draw, Limits, Reach, SensorSetup
@@ -24,8 +24,6 @@ from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, known_degrees
 from pincal.diagnosis.row_evidence import prior_root
 from pincal.errors import BadInputError
 from pincal.identify.options import Options
-from pincal.identify.station import Station
-from pincal.measure.point_sensor import PointSensor
 from pincal.model.conditions import Conditions
 from pincal.parameters import FRAME_SYMBOLS, estimate_of
 from pincal.recorded import RECORDABLE
@@ -261,7 +259,7 @@ def design_check(
         conditions=conditions.select(rows),
         has_payloads=bool(request.payloads),
         sensor=rig.sensor,
-        held_at=_held_at(final.station),
+        held_at=held_columns(final.station),
         notice=request.notice,
         power=request.power,
         alpha=request.alpha,
@@ -316,14 +314,6 @@ def _rig_of(rig: SensorSetup, model: CalibratedModel) -> SensorSetup:
         return rig
     x, y, z = (model.estimate[name] for name in names)
     return replace(rig, tool=(x, y, z))
-
-
-def _held_at(station: Station) -> dict[str, np.ndarray]:
-    """Return the column that names where the target is held, if it is."""
-    sensor = station.sensor
-    if not isinstance(sensor, PointSensor) or sensor.names_points is None:
-        return {}
-    return {sensor.names_points: np.array(sensor.points.names)[sensor.index]}
 
 
 def _noticed(

@@ -22,12 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from pincal.design.design_model import DesignModel
+from pincal.design.design_model import DesignModel, held_columns, predicted_station
 from pincal.design.exchange import order_by_load
 from pincal.design.reach import Draw, Limits, Reach, SensorSetup
 from pincal.design.request import DesignRequest, pose_columns
 from pincal.design.study import CurvePoint, Quality, Study, total
-from pincal.errors import BadInputError, warn
+from pincal.errors import warn
 from pincal.identify.options import Options
 from pincal.identify.quadratic import NULL
 from pincal.measure.admit import noted
@@ -73,6 +73,8 @@ def observability(design_model: DesignModel, directions: np.ndarray, H: np.ndarr
     }
 
 
+# Poses that stand for any number of them, and the part of the error that they leave above which more of them are in vain.
+_MANY, _MOSTLY = 1e6, 0.9
 # Readings beyond the directions that they could tell, below which little is left to judge a fit by.
 _COMFORTABLE = 1.5
 
@@ -137,7 +139,9 @@ class Design:
     def columns(self) -> dict[str, np.ndarray]:
         """Return the table to be filled in: joints, and target, payload and approach where they belong to the poses."""
         targets = self.design_model.model.chain.targets
-        return pose_columns(self.robot, self.conditions, has_payloads=self.has_payloads, targets=targets)
+        poses = pose_columns(self.robot, self.conditions, has_payloads=self.has_payloads, targets=targets)
+        station = predicted_station(self.design_model.model, self.design_model.values, self.rig, self.conditions)
+        return poses | held_columns(station)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data, without the poses."""
@@ -213,13 +217,7 @@ def design_poses(
         if earlier:
             warnings.warn("design_poses takes what is to be designed as a DesignRequest", DeprecationWarning, stacklevel=2)
         request = DesignRequest(**{"poses": request} | earlier)
-    reach = Reach(robot, rig or SensorSetup(), limits or Limits())
-    if reach.rig.held_at:
-        raise BadInputError(
-            f"sensor {reach.rig.sensor}: poses in which the target is held are designed for a health check alone; expected "
-            "--check (design_check), or another sensor"
-        )
-    return _design(request, reach, options or Options())
+    return _design(request, Reach(robot, rig or SensorSetup(), limits or Limits()), options or Options())
 
 
 def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
@@ -229,8 +227,10 @@ def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
         needed = None if request.accuracy is None else study.smallest(request.accuracy)
         n = request.poses or needed or 1
         _check_count(study, n)
+        _check_limit(study, n)
     picked = study.candidates.select(np.array(study.design(n)))
-    if request.refine:
+    # A pose in which the target is held stays where it is.
+    if request.refine and not reach.rig.held_at:
         picked = study.refine(picked, reach)
     H, at_random = study.H + total(study.design_model.readings(picked)), study.random(n)
     found = CurvePoint(n, study.quality(H), Quality.median([study.quality(R) for R in at_random]))
@@ -269,6 +269,17 @@ def _check_count(study: Study, n: int) -> None:
         warn(
             f"{count} poses give {size * count} readings for {rank} directions of the parameters that such poses can "
             f"identify, so the rest relies on the priors; expected {fewest} poses or more, better {good}"
+        )
+
+
+def _check_limit(study: Study, n: int) -> None:
+    """Warn where most of the error is what no number of such readings shows."""
+    mean, limit = (study.quality(study.H + count * study.mean).error for count in (n, _MANY))
+    if limit > _MOSTLY * mean:
+        warn(
+            f"{1e3 * limit:.3g} mm of the predicted error remain however many such poses are measured: they do not show all "
+            "that the task depends on, as contacts without a known length do not show the scale; expected a known length or "
+            "an instrument as well, or --criterion determinant for the best of what they do show"
         )
 
 

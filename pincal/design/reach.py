@@ -38,7 +38,8 @@ class SensorSetup:
         instrument: where the instrument stands in the robot's base frame [m]; None where it sees everything.
         normal: where the target looks, in the tip frame; None where it is seen from all sides.
         cone: angle off the normal at which it is still seen [rad].
-        held_at: about where the target is held, one place after the other, in the robot's base frame [m]: sockets.
+        held_at: about where the target is held, one place after the other, in the frame of the link where the robot's path
+            starts, its base for one arm [m]: sockets.
     """
 
     sensor: str = "position"
@@ -72,9 +73,10 @@ class SensorSetup:
 
 def default_target(robot: Robot) -> np.ndarray:
     """Return a place in the tip frame, shape (3,) [m], off the last axis: a target on it says nothing of the last joint."""
-    T_tip_joint = np.linalg.inv(robot.frames.T_last_tip) @ robot.T_link_joint[-1]
-    slides = robot.joint_types[-1] == "prismatic"
-    axis = (robot.frames.T_base_link[-1] @ robot.frames.T_last_tip)[:3, :3].T @ joint_axis(robot, robot.n_joints - 1)
+    last = robot.path.tip_joint
+    T_tip_joint = np.linalg.inv(robot.path.T_joint_tip) @ robot.T_link_joint[last]
+    slides = robot.joint_types[last] == "prismatic"
+    axis = (robot.frames.T_base_link[last] @ robot.path.T_joint_tip)[:3, :3].T @ joint_axis(robot, last)
     # Away from the arm: along the axis in the sense that leads from the last joint to the tip.
     axis = axis if axis @ T_tip_joint[:3, 3] <= 0.0 or slides else -axis
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
@@ -131,12 +133,16 @@ class Draw:
 
 
 class _Placed(NamedTuple):
-    """Poses with what constraints ask of them: joint positions, frames of the bodies, tip and target in the base frame."""
+    """Poses with what constraints ask of them: joint positions; frames of the bodies, tip and target in the base frame.
+
+    The places where a target is held are there, too, shape (N, K, 3).
+    """
 
     q: np.ndarray
     frames: np.ndarray
     tips: np.ndarray
     targets: np.ndarray
+    places: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -225,14 +231,20 @@ class Reach:
 
         Steps are Levenberg's: Newton's of least length, damped so that they stay short near singular poses.
         """
-        goals = self.rig.places[rng.integers(len(self.rig.held_at), size=len(q))]
+        choice = rng.integers(len(self.rig.held_at), size=len(q))
+        steps = dict(self.robot.path.steps(self.robot.parents))
+        # A joint on the way to the target carries it, one on the way to the places carries these, all others neither.
+        carries = np.array([steps.get(i, 0) for i in range(self.robot.n_joints)])
         turns = np.array([kind != "prismatic" for kind in self.robot.joint_types])
-        first = np.broadcast_to(self._kinematics.first, (len(q), 1, 4, 4))
         for _ in range(_STEPS):
             placed = self._place(q)
-            joints = np.concatenate([first, placed.frames[:, 1:-1]], axis=1) @ self._kinematics.before
-            axes, arms = joints[..., :3, 2], placed.targets[:, None] - joints[..., :3, 3]
-            J = self.robot.gathered(np.where(turns[:, None], np.cross(axes, arms), axes).transpose(0, 2, 1), q)
+            goals = placed.places[np.arange(len(q)), choice]
+            carriers = placed.frames[:, np.array(self.robot.parents) + 1]
+            carriers[:, 0] = self._kinematics.first
+            joints = carriers @ self._kinematics.before
+            moved = np.where((carries > 0)[:, None], placed.targets[:, None], goals[:, None]) - joints[..., :3, 3]
+            axes = joints[..., :3, 2] * carries[:, None]
+            J = self.robot.gathered(np.where(turns[:, None], np.cross(axes, moved), axes).transpose(0, 2, 1), q)
             damped = J @ J.transpose(0, 2, 1) + (_DAMPING * self.robot.reach) ** 2 * np.eye(3)
             step = (J.transpose(0, 2, 1) @ np.linalg.solve(damped, (goals - placed.targets)[..., None]))[..., 0]
             q = self.robot.spread(q[:, self.robot.own_joints] + step)
@@ -242,8 +254,10 @@ class Reach:
 
     def _place(self, q: np.ndarray) -> _Placed:
         frames = self._kinematics.frames(q)
-        tips = frames[:, -1] @ self.robot.frames.T_last_tip
-        return _Placed(q, frames, tips, tips[:, :3, :3] @ self.target + tips[:, :3, 3])
+        (_, start, T_start), (_, last, T_tip) = self.robot.path.ends
+        starts, tips = frames[:, start + 1] @ T_start, frames[:, last + 1] @ T_tip
+        places = self.rig.places @ starts[:, :3, :3].transpose(0, 2, 1) + starts[:, None, :3, 3]
+        return _Placed(q, frames, tips, tips[:, :3, :3] @ self.target + tips[:, :3, 3], places)
 
     def _faults(self, placed: _Placed, *, measured: bool, colliding: bool) -> Iterator[tuple[str, np.ndarray]]:
         """Yield each constraint and the poses that it forbids, shape (N,); those already forbidden may be left out."""
@@ -266,7 +280,7 @@ class Reach:
         """Yield what keeps a target from being measured."""
         rig, box = self.rig, self.limits.box
         if rig.held_at:
-            off = np.linalg.norm(placed.targets[:, None] - rig.places, axis=2).min(axis=1)
+            off = np.linalg.norm(placed.targets[:, None] - placed.places, axis=2).min(axis=1)
             lower, upper = self.range
             yield "bringing the target there", (off > _THERE) | np.any((placed.q < lower) | (placed.q > upper), axis=1)
         if box is not None:
