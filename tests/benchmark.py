@@ -44,7 +44,8 @@ from pincal.identify.calibrate import Tables
 from pincal.identify.noise import Loss
 from pincal.model.chain import MOMENT_FRAMES
 from pincal.model.effects import BearingElasticity, JointElasticity
-from pincal.simulate import paper_positions
+from pincal.robot.urdf_file import arm_text
+from pincal.simulate import TrueMachine, paper_positions, plan_poses
 from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -140,6 +141,43 @@ def time_calibration() -> Iterator[Line]:
         what = f"calibrate {name}, N = {n}, 3D, rank {found.solution.posterior.visible_rank}, {found.iterations} iterations"
         yield line(f"{what}: best", float(taken.min()), None if target is None else 1e3 * target, "{:.1f} ms")
         yield line(f"{'':4s}median of {CALLS}", float(np.median(taken)), None, "{:.1f} ms")
+
+
+# Talos with its arms on a torso of two joints, a head of two, and eight joints of its legs.
+HANDS = "wrist_left_ft_tool_link", "wrist_right_ft_tool_link"
+LEGS = [f"leg_{side}_{i}_joint" for side, count in (("left", 6), ("right", 2)) for i in range(1, count + 1)]
+
+
+def time_tree() -> Iterator[Line]:
+    """Time the calibration of both hands of a tree of 26 joints, 1000 poses each, beside that of one arm of 9 joints."""
+    one = Robot.from_urdf("talos", tip=HANDS[0])
+    tree = Robot.from_urdf(
+        "talos",
+        base="base_link",
+        tip=HANDS[0],
+        paths=[("base_link", HANDS[1])],
+        others=["head_1_joint", "head_2_joint", *LEGS],
+    )
+    options = Options(sigma=NOISE, moment_frame="paper")
+
+    def seen(robot: Robot, tip: str) -> Measurements:
+        rng = np.random.default_rng(2)
+        machine = TrueMachine.from_urdf(
+            arm_text(robot.urdf, robot.joint_names, robot.source), tip=tip, base=robot.base, joints=robot.joint_names
+        ).draw_errors(rng, sigma_length=1e-4, sigma_angle=3e-4, sigma_offset=3e-4)
+        q = plan_poses(machine.nominal, 1000, rng, min_height=None)
+        links = {"from_link": np.repeat(robot.base, 1000), "to_link": np.repeat(tip, 1000)}
+        places = machine.tip(q)[:, :3, 3] + NOISE * rng.standard_normal((1000, 3))
+        return pincal.measurements_from_arrays(robot.joint_names, q, position=places, **links)
+
+    hand, hands = seen(one, HANDS[0]), {tip: seen(tree, tip) for tip in HANDS}
+    calls = [partial(pincal.calibrate, one, hand, options), partial(pincal.calibrate, tree, hands, options)]
+    for call in calls:
+        call()
+    alone, both = np.array([[seconds(call, 1)[0] for call in calls] for _ in range(CALLS)]).T
+    yield line(
+        f"both hands of {tree.n_joints} joints / one arm of {one.n_joints}", float(np.median(both / alone)), 3.0, "{:.2f}"
+    )
 
 
 def time_stations() -> Iterator[Line]:
@@ -419,6 +457,7 @@ def _cold(*arguments: str) -> float:
 QUICK: dict[str, Callable[[], Iterator[Line]]] = {
     "linearise": compare_with_pinocchio,
     "calibrate": time_calibration,
+    "tree": time_tree,
     "stations": time_stations,
     "design": time_design,
     "compensate": time_compensation,

@@ -34,7 +34,7 @@ from pincal.model.kernel_inputs import BLOCK, FRAME, MOUNT, Layout, Route
 from pincal.model.latest import Evaluations
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.closure import Closure
-from pincal.robot.link_path import LinkPath
+from pincal.robot.link_path import LinkPath, above
 from pincal.robot.robot import Robot
 
 MomentFrame = Literal["paper", "before", "after"]
@@ -300,10 +300,23 @@ class Chain:
             "tree": Route(np.arange(self.size), np.ones(self.size), in_tree),
             "path": Route(np.array(steps), np.array(along), np.array(fixed_before)),
             "parents": np.array(self.robot.parents),
+            **self._loads(path),
             "fixed": np.ascontiguousarray(np.array(fixed)[:, :3]),
             "tip": 1 + len(frames.branches),
             "tip_joint": path.tip_joint,
         }
+
+    def _loads(self, path: LinkPath) -> dict[str, np.ndarray]:
+        """Return which joints bend a path by what they bear, and which act on that; all where loops pass it on."""
+        n, parents = self.robot.n_joints, self.robot.parents
+        bears = np.full(n, bool(self.robot.closures))
+        bears[[joint for joint, _ in path.steps(parents)]] = True
+        acting = bears.copy()
+        for joint, parent in enumerate(parents):
+            acting[joint] |= parent >= 0 and acting[parent]
+        for joint in (path.start_joint, path.tip_joint):
+            acting[above(joint, parents)] = True
+        return {"bears": bears, "acting": np.flatnonzero(acting)}
 
 
 def _product(A: np.ndarray | None, B: np.ndarray | None) -> np.ndarray | None:

@@ -36,6 +36,8 @@ class Layout(NamedTuple):
         parents: shape (n,), the joint that carries each joint, an earlier one, -1 for the base.
         tree: the walk over the joints' coordinates, each joint's behind the link that carries it.
         path: the walk from the instrument to the target.
+        bears: shape (n,), joints whose moments bend the path.
+        acting: shape (A,), joints that carry these, are carried by them, or are they: what moves or turns their loads.
         fixed: shape (F, 3, 4), the fixed transforms.
         tip: index of the fixed transform to the tip, from the link frame of the joint that carries it.
         tip_joint: that joint, -1 for the base.
@@ -54,6 +56,8 @@ class Layout(NamedTuple):
     parents: np.ndarray
     tree: Route
     path: Route
+    bears: np.ndarray
+    acting: np.ndarray
     fixed: np.ndarray
     tip: int
     tip_joint: int

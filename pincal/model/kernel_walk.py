@@ -102,13 +102,13 @@ def add_lanes(values, out):
 
 
 @njit(**INNER)
-def load_coordinates(kind, values, span, whole, arms):
-    """Put the coordinates of a span of poses, start and number, into x, their cosines and sines into c and s.
+def load_coordinates(kind, values, walked, span, whole, arms):
+    """Put walked coordinates of a span of poses, start and number, into x, their cosines and sines into c and s.
 
     Constant coordinates are the same in every group and are loaded only if ``whole``.
     """
     (start, m), x, c, s = span, arms.x, arms.c, arms.s
-    for k in range(len(values.constant)):
+    for k in walked:
         j = values.slot[k]
         if j >= 0:
             for i in range(m):
@@ -242,13 +242,15 @@ def _return_to(F, j, R, p):
 
 
 @njit(**PART)
-def walk_bodies(layout, payload, span, arms, loads):
+def walk_bodies(layout, acting, payload, span, arms, loads):
     """Walk the tree from its base and weigh what each joint carries: M, B and, where there is room for them, F."""
-    (start, m), n = span, len(layout.masses)
+    start, m = span
     R, p, M, B, F, mass = arms.R, arms.p, loads.M, loads.B, loads.F, loads.mass
-    for j in range(n):
-        if j == 0 or layout.parents[j] != j - 1:
+    here = -2
+    for j in acting:
+        if layout.parents[j] != here:
             _return_to(F, layout.parents[j], R, p)
+        here = j
         _walk(layout, layout.tree, layout.starts[j], layout.starts[j + 1], arms)
         if len(F) > 0:
             for r in range(3):
@@ -261,7 +263,7 @@ def walk_bodies(layout, payload, span, arms, loads):
         _add_body(R, p, mass, layout.centres[j], B[j])
     tip = layout.tip_joint
     if tip >= 0:
-        if tip != n - 1:
+        if tip != here:
             _return_to(F, tip, R, p)
         _apply(R, p, layout.fixed[layout.tip])
         fill(mass, 0.0)
@@ -269,9 +271,45 @@ def walk_bodies(layout, payload, span, arms, loads):
             mass[i] = payload.mass[start + i]
         add_lanes(mass, M[tip])
         _add_body(R, p, mass, payload.centre, B[tip])
-    for j in range(n - 1, -1, -1):
+    for j in acting[::-1]:
         parent = layout.parents[j]
         if parent >= 0:
             add_lanes(M[j], M[parent])
             for r in range(3):
                 add_lanes(B[j, r], B[parent, r])
+
+
+@njit(**INNER)
+def cross(a, b, out):
+    """Out = a x b, each of shape (3, lanes)."""
+    for i in range(LANES):
+        out[0, i] = a[1, i] * b[2, i] - a[2, i] * b[1, i]
+        out[1, i] = a[2, i] * b[0, i] - a[0, i] * b[2, i]
+        out[2, i] = a[0, i] * b[1, i] - a[1, i] * b[0, i]
+
+
+@njit(**INNER)
+def lever(B, M, o, D):
+    """D = B - M o: first moment of mass of what is beyond, about the point o."""
+    for r in range(3):
+        for i in range(LANES):
+            D[r, i] = B[r, i] - M[i] * o[r, i]
+
+
+@njit(**PART)
+def moment_point(layout, j, O):
+    """Return the point that the moments of joint j are taken about, shape (3, lanes)."""
+    return O[max(layout.moment_y[j], layout.moment_z[j])]
+
+
+@njit(**PART)
+def moment_levers(layout, bears, arms, loads, D):
+    """Set A[l], H[l] of joints that bear: axis w_l of moment l and h_l = w_l x D_l; the moment itself is h_l . g."""
+    W, A, H = arms.W, loads.A, loads.H
+    for j in np.flatnonzero(bears):
+        lever(loads.B[j], loads.M[j], moment_point(layout, j, arms.O), D)
+        copy_rows(W[layout.moment_y[j]], A[3 * j + 1])
+        copy_rows(W[layout.moment_z[j]], A[3 * j + 2])
+        cross(A[3 * j + 1], A[3 * j + 2], A[3 * j])
+        for q in range(3):
+            cross(A[3 * j + q], D, H[3 * j + q])

@@ -42,9 +42,13 @@ from pincal.model.kernel_walk import (
     add_lanes,
     copy_lanes,
     copy_rows,
+    cross,
     fill,
     is_branched,
+    lever,
     load_coordinates,
+    moment_levers,
+    moment_point,
     room,
     room_for_arms,
     walk_arms,
@@ -78,48 +82,12 @@ class _Motions(NamedTuple):
 
 
 @njit(**INNER)
-def _cross(a, b, out):
-    """Out = a x b, each of shape (3, lanes)."""
-    for i in range(LANES):
-        out[0, i] = a[1, i] * b[2, i] - a[2, i] * b[1, i]
-        out[1, i] = a[2, i] * b[0, i] - a[0, i] * b[2, i]
-        out[2, i] = a[0, i] * b[1, i] - a[1, i] * b[0, i]
-
-
-@njit(**INNER)
 def _turned_gravity(g, w, out):
     """Out = g x w."""
     for i in range(LANES):
         out[0, i] = g[1] * w[2, i] - g[2] * w[1, i]
         out[1, i] = g[2] * w[0, i] - g[0] * w[2, i]
         out[2, i] = g[0] * w[1, i] - g[1] * w[0, i]
-
-
-@njit(**INNER)
-def _lever(B, M, o, D):
-    """D = B - M o: first moment of mass of what is beyond, about the point o."""
-    for r in range(3):
-        for i in range(LANES):
-            D[r, i] = B[r, i] - M[i] * o[r, i]
-
-
-@njit(**PART)
-def _moment_point(layout, j, O):
-    """Return the point that the moments of joint j are taken about, shape (3, lanes)."""
-    return O[max(layout.moment_y[j], layout.moment_z[j])]
-
-
-@njit(**PART)
-def _moment_levers(layout, arms, loads, D):
-    """Set A[l], H[l]: axis w_l of moment l and h_l = w_l x D_l; the moment itself is h_l . g."""
-    W, A, H = arms.W, loads.A, loads.H
-    for j in range(len(layout.masses)):
-        _lever(loads.B[j], loads.M[j], _moment_point(layout, j, arms.O), D)
-        copy_rows(W[layout.moment_y[j]], A[3 * j + 1])
-        copy_rows(W[layout.moment_z[j]], A[3 * j + 2])
-        _cross(A[3 * j + 1], A[3 * j + 2], A[3 * j])
-        for q in range(3):
-            _cross(A[3 * j + q], D, H[3 * j + q])
 
 
 @njit(**INNER)
@@ -139,23 +107,41 @@ def _take_back(less, k, of_coordinates):
             of_coordinates[earlier, i] -= of_coordinates[k, i]
 
 
+@njit(**INNER)
+def _asked(layout, wanted):
+    """Return the coordinates whose action through the moments is part of a column, shape (K,)."""
+    asked = np.full(len(layout.kind), wanted.sweeps > 0)
+    for e in range(len(wanted.terms.coordinate)):
+        if not wanted.terms.elastic[e]:
+            asked[wanted.terms.coordinate[e]] = True
+    for k in range(len(asked)):
+        if layout.less[k] >= 0 and asked[layout.less[k]]:
+            asked[k] = True
+    return asked
+
+
 @njit(**PART)
-def _through_moments(layout, arms, loads, motions):
-    """V[r, k] = sum over l of a[r, l] d n_l / d x_k, by two sums for each joint (module docstring)."""
+def _through_moments(layout, acting, bears, asked, arms, loads, motions):
+    """V[r, k] = sum over l of a[r, l] d n_l / d x_k, by two sums for each joint (module docstring).
+
+    Moments of joints that do not bear have a[r, l] = 0.
+    """
     W, O, M, B, H, A = arms.W, arms.O, loads.M, loads.B, loads.H, loads.A
     a, aheads, behinds, h, u, V = motions.a, motions.ahead, motions.behind, motions.h, motions.u, motions.V
-    rows, n, parents = len(a), len(layout.masses), layout.parents
+    rows, parents = len(a), layout.parents
     for r in range(rows):
-        for l in range(3 * n):
-            fill(aheads[r, l], 0.0)
-        for j in range(n - 1, -1, -1):
-            ahead = aheads[r, 3 * j : 3 * j + 3]
+        for j in acting:
             for l in range(3 * j, 3 * j + 3):
-                _add_scaled(a[r, l], H[l], ahead)
+                fill(aheads[r, l], 0.0)
+        for j in acting[::-1]:
+            ahead = aheads[r, 3 * j : 3 * j + 3]
+            if bears[j]:
+                for l in range(3 * j, 3 * j + 3):
+                    _add_scaled(a[r, l], H[l], ahead)
             if parents[j] >= 0:
                 for q in range(3):
                     add_lanes(ahead[q], aheads[r, 3 * parents[j] + q])
-    for j in range(n):
+    for j in acting:
         ahead, behind = aheads[:, 3 * j : 3 * j + 3], behinds[:, 3 * j : 3 * j + 3]
         for r in range(rows):
             for q in range(3):
@@ -164,9 +150,11 @@ def _through_moments(layout, arms, loads, motions):
                 else:
                     fill(behind[r, q], 0.0)
         for k in range(layout.starts[j], layout.starts[j + 1]):
-            if layout.kind[k] < 3:
-                _lever(B[j], M[j], O[k], u)
-                _cross(W[k], u, h)
+            if not asked[k]:
+                pass
+            elif layout.kind[k] < 3:
+                lever(B[j], M[j], O[k], u)
+                cross(W[k], u, h)
                 _turned_gravity(layout.gravity, W[k], u)
                 for r in range(rows):
                     for i in range(LANES):
@@ -179,7 +167,7 @@ def _through_moments(layout, arms, loads, motions):
                         along = behind[r, 0, i] * W[k, 0, i] + behind[r, 1, i] * W[k, 1, i]
                         V[r, k, i] = M[j, i] * (along + behind[r, 2, i] * W[k, 2, i])
                     _take_back(layout.less, k, V[r])
-            if k == layout.moment_cut[j]:
+            if bears[j] and k == layout.moment_cut[j]:
                 for l in range(3 * j, 3 * j + 3):
                     _turned_gravity(layout.gravity, A[l], u)
                     for r in range(rows):
@@ -205,7 +193,7 @@ def _pull_back(compliances, span, J, a):
 
 
 @njit(**PART)
-def _follow_moments(layout, wanted, span, arms, loads, motions):
+def _follow_moments(layout, acting, bears, asked, wanted, span, arms, loads, motions):
     """V[:, k]: how the tip moves by what coordinate k does to the moments; a[r, l]: by one unit of moment l."""
     a0, a = motions.a0, motions.a
     for r in range(len(a)):
@@ -216,7 +204,7 @@ def _follow_moments(layout, wanted, span, arms, loads, motions):
         for r in range(len(a)):
             copy_rows(a0[r], a[r])
         _pull_back(wanted.compliances, span, moved, a)
-        _through_moments(layout, arms, loads, motions)
+        _through_moments(layout, acting, bears, asked, arms, loads, motions)
         if sweep == 0:
             moved = motions.V
             for r in range(len(a)):
@@ -268,7 +256,7 @@ def _parameter_columns(wanted, span, motions, out):
 
 
 @njit(**PART)
-def _mass_columns(layout, masses, span, arms, loads, motions, out):
+def _mass_columns(layout, acting, bears, masses, span, arms, loads, motions, out):
     """Set the columns of what masses depend on: they act through the moments alone.
 
     A body of mass M and first moment H beyond joint j adds (M (p_j - o_l) + R_j H) . (g x w_l) to the moment n_l of joint j
@@ -276,7 +264,7 @@ def _mass_columns(layout, masses, span, arms, loads, motions, out):
     """
     (start, m), F, a, u = span, loads.F, motions.a, motions.u
     for r in range(len(a)):
-        for j in range(len(layout.masses)):
+        for j in acting:
             U, S, parent = motions.U[3 * j : 3 * j + 3], motions.S[j], layout.parents[j]
             for q in range(3):
                 if parent >= 0:
@@ -287,8 +275,8 @@ def _mass_columns(layout, masses, span, arms, loads, motions, out):
                 copy_lanes(motions.S[parent], S)
             else:
                 fill(S, 0.0)
-            o = _moment_point(layout, j, arms.O)
-            for l in range(3 * j, 3 * j + 3):
+            o = moment_point(layout, j, arms.O)
+            for l in range(3 * j, 3 * j + 3 if bears[j] else 3 * j):
                 _turned_gravity(layout.gravity, loads.A[l], u)
                 _add_scaled(a[r, l], u, U)
                 for i in range(m):
@@ -342,9 +330,17 @@ def evaluate(layout, values, rigid, places, payload, wanted):
     N, K, n, rows = values.varying.shape[1], len(values.constant), len(layout.masses), wanted.rows
     through, weighs = len(wanted.compliances.coordinate) > 0, len(wanted.masses.joint) > 0
     posed, laden = len(places.tool) > 0, len(payload.mass) > 0 and (through or rows == 0)
+    acting, bears, tree = layout.acting, layout.bears, np.empty(K, np.int64)
+    if wanted.sweeps > 0:  # On the deformed arm all moments bend the path, by what they do to each other.
+        acting, bears = np.arange(n), np.ones(n, np.bool_)
+    asked, walked = _asked(layout, wanted), 0
+    for j in acting:
+        for k in range(layout.starts[j], layout.starts[j + 1]):
+            tree[walked] = k
+            walked += 1
     arms, bare = room_for_arms(K if posed else 0), room_for_arms(K if laden else 0)
     frames = room(4 * n if weighs or is_branched(layout) else 0, 3)
-    loads = Loads(room(1, n)[0], room(n, 3), frames, room(3 * n, 3), room(3 * n, 3), room(1, 1)[0, 0])
+    loads = Loads(room(1, n)[0], room(n, 3), frames, room(3 * n, 3), np.zeros((3 * n, 3, LANES)), room(1, 1)[0, 0])
     motions = _Motions(
         np.zeros((rows, K, LANES)), np.zeros((rows, K, LANES)), room(rows, 3 * n), room(rows, 3 * n), room(rows, 3 * n),
         room(rows, 3 * n), room(1, 3)[0], room(1, 3)[0], room(1, 3 * n)[0], room(1, n)[0],
@@ -354,22 +350,22 @@ def evaluate(layout, values, rigid, places, payload, wanted):
     for start in range(0, N, LANES):
         span = start, min(LANES, N - start)
         if posed:
-            load_coordinates(layout.kind, values, span, start == 0, arms)
+            load_coordinates(layout.kind, values, layout.path.coordinate, span, start == 0, arms)
             walk_arms(layout, places, span, arms)
             _note_poses(arms.R, arms.p, span, poses)
         if laden:
-            load_coordinates(layout.kind, rigid, span, start == 0, bare)
-            walk_bodies(layout, payload, span, bare, loads)
-            _moment_levers(layout, bare, loads, motions.u)
+            load_coordinates(layout.kind, rigid, tree[:walked], span, start == 0, bare)
+            walk_bodies(layout, acting, payload, span, bare, loads)
+            moment_levers(layout, bears, bare, loads, motions.u)
         if rows == 0:
             if laden:
                 _note_moments(layout.gravity, loads.H, span, moments)
             continue
         _kinematic_columns(layout, arms, motions.J)
         if through:
-            _follow_moments(layout, wanted, span, bare, loads, motions)
+            _follow_moments(layout, acting, bears, asked, wanted, span, bare, loads, motions)
             if weighs:
-                _mass_columns(layout, wanted.masses, span, bare, loads, motions, columns)
+                _mass_columns(layout, acting, bears, wanted.masses, span, bare, loads, motions, columns)
         _parameter_columns(wanted, span, motions, columns)
     return poses, moments, columns
 
@@ -386,8 +382,13 @@ _NOTHING = Wanted(
 )
 
 
-def static_moments(layout: Layout, values: Values, payload: Payload) -> np.ndarray:
-    """Return the static moments, shape (3 n, N), components x, y, z of each joint [N m]."""
+def static_moments(layout: Layout, values: Values, payload: Payload, *, bending: bool = False) -> np.ndarray:
+    """Return the static moments, shape (3 n, N), components x, y, z of each joint [N m].
+
+    ``bending`` leaves those right that bend the path, for speed.
+    """
+    if not bending:
+        layout = layout._replace(acting=np.arange(len(layout.masses)), bears=np.ones(len(layout.masses), bool))
     return evaluate(layout, values, values, _NOWHERE, payload, _NOTHING)[1]  # type: ignore[no-any-return]
 
 

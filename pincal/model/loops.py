@@ -279,6 +279,13 @@ def borne_moments(chain: Chain, values: Values, moments: np.ndarray) -> np.ndarr
     return moments if loops is None else loops.borne(values, moments)
 
 
+def moves_tip(chain: Chain) -> np.ndarray:
+    """Return which coordinates move the tip other than by what they do to loads, shape (K,)."""
+    found, loops = np.zeros(chain.size, bool), Loops.of(chain)
+    found[[*chain.layout.path.coordinate, *(loops.coordinates if loops else ())]] = True
+    return found
+
+
 def inert_coordinates(chain: Chain) -> frozenset[int]:
     """Return the coordinates of joints and pins that change nothing, as loops have it.
 

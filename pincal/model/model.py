@@ -25,15 +25,14 @@ from pincal.model.evaluated import (
     stacked,
 )
 from pincal.model.kernel_inputs import Compliances, Layout, MassTerms, Payload, Places, Terms, Values, Wanted
-from pincal.model.loops import Loops, borne_moments, closed_loops
+from pincal.model.loops import Loops, borne_moments, closed_loops, moves_tip
 from pincal.model.sparse_basis import Basis, joined_rows
 from pincal.parameters import Parameter
 from pincal.robot.link_path import above
 
 # The moments of a bent arm differ from those of a straight one by about 1e-3, so each round gains three digits; a soft
 # arm needs more, and the Jacobian as many sweeps again.
-_EQUILIBRIUM_ROUNDS = 20
-_SWEEPS = 12
+_EQUILIBRIUM_ROUNDS, _SWEEPS = 20, 12
 _EQUILIBRIUM_TOLERANCE = 1e-15
 
 
@@ -111,27 +110,22 @@ class Model:
     @cached_property
     def of_station(self) -> np.ndarray:
         """Which parameters belong to a station, shape (P,); the others are the robot's."""
-        return np.array(
-            [e.scope == "station" for e, of in zip(self.effects, self.spans, strict=True) for _ in range(of.start, of.stop)],
-            bool,
-        )
+        scopes = [(effect.scope, of.stop - of.start) for effect, of in zip(self.effects, self.spans, strict=True)]
+        return np.array([scope == "station" for scope, count in scopes for _ in range(count)], bool)
 
     @cached_property
     def is_felt(self) -> np.ndarray:
         """Which parameters move the tip other than by what joints off the path do to the loads of those on it, (P,)."""
         if self.chain.on_path.all():
             return np.ones(self.n_parameters, bool)
-        robot, chain = self.chain.robot, self.chain
-        moves = np.zeros(chain.size, bool)
-        moves[[*chain.layout.path.coordinate, *(loops.coordinates if (loops := Loops.of(chain)) else ())]] = True
-        found = np.zeros(self.n_parameters, bool)
+        robot, moves, found = self.chain.robot, moves_tip(self.chain), np.zeros(self.n_parameters, bool)
         state = Evaluation.at(self, np.zeros(self.n_parameters), Conditions.of_everything(robot.n_joints))
         for p, term in state.terms:
             found[p] |= moves[term.coordinate]
         for curve in state.curves:
             found[curve.parameters] |= moves[curve.coordinate]
         for body in self.bodies:
-            found[body.parameter] |= any(chain.on_path[i] for i in above(body.joint, robot.parents))
+            found[body.parameter] |= bool(self.chain.on_path[above(body.joint, robot.parents)].any())
         return found
 
     @cached_property
@@ -294,7 +288,8 @@ class Evaluation:
         deformed = rigid
         for _ in range(_EQUILIBRIUM_ROUNDS if model.equilibrium else 1):
             before = deformed
-            moments = borne_moments(model.chain, deformed, kernels.static_moments(layout, deformed, payload))
+            moments = kernels.static_moments(layout, deformed, payload, bending=not model.equilibrium)
+            moments = borne_moments(model.chain, deformed, moments)
             elastic = _elastic(model, conditions, moments.T)
             deformed = closed_loops(model.chain, coordinates_of(model.chain, by_row, conditions, plain + elastic, curves))
             change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0
@@ -394,6 +389,11 @@ def _plain(model: Model, conditions: Conditions) -> Plain:
 
 
 def _elastic(model: Model, conditions: Conditions, moments: np.ndarray) -> list[tuple[int, Term]]:
-    """Return the terms, with their place in the vector of values, of the effects that use moments, shape (N, 3 n)."""
+    """Return the terms, with their place in the vector of values, of the effects that use moments, shape (N, 3 n).
+
+    What bends off the path is left out where loads are those of the undeflected arm: it does nothing then.
+    """
     pairs = [(of.start, e) for of, e in zip(model.spans, model.effects, strict=True) if e.uses_moments]
-    return [(at + t.parameter, t) for at, effect in pairs for t in effect.terms(model.chain, conditions, moments)]
+    found = [(at + t.parameter, t) for at, effect in pairs for t in effect.terms(model.chain, conditions, moments)]
+    moves = moves_tip(model.chain)
+    return [(p, t) for p, t in found if model.equilibrium or moves[t.coordinate]]
