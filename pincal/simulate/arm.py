@@ -37,6 +37,8 @@ class Arm:
         lower: Lower joint limits [rad or m]; -pi for a continuous joint, shape (n,).
         upper: Upper joint limits [rad or m], shape (n,).
         mimics: Joint, the joint that it follows, multiplier and offset, of those that the URDF has mimic another.
+        inertias: Moments of inertia about these centres in the working frames [kg m^2], shape (n, 3, 3); None for masses at
+            points.
     """
 
     names: tuple[str, ...]
@@ -48,6 +50,7 @@ class Arm:
     lower: np.ndarray
     upper: np.ndarray
     mimics: tuple[tuple[int, int, float, float], ...] = ()
+    inertias: np.ndarray | None = None
 
     @cached_property
     def driving(self) -> np.ndarray:
@@ -182,6 +185,7 @@ def _arm(model: Any, tip: str, base: str | None) -> Arm:
         axes=axes,
         lower=lower,
         upper=upper,
+        inertias=np.array([axes[i - 1].T @ model.inertias[i].inertia @ axes[i - 1] for i in joints]),
     )
 
 

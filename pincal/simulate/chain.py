@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from pincal.simulate.arm import Arm
+from pincal.simulate.inertia import Inertia
 from pincal.simulate.state import Deformation, Loads
 
 # Joint number in the Pinocchio model of the base, and of what stands before, at and behind arm joint 0; the
@@ -73,7 +74,13 @@ def place(model: Any, data: Any, q: np.ndarray) -> np.ndarray:
 
 
 def gravity_loads(
-    arm: Arm, places: np.ndarray, *, payload: np.ndarray, payload_com: np.ndarray, gravity: np.ndarray
+    arm: Arm,
+    places: np.ndarray,
+    *,
+    payload: np.ndarray,
+    payload_com: np.ndarray,
+    gravity: np.ndarray,
+    inertia: Inertia | None = None,
 ) -> Loads:
     """Return the loads on every joint of the arm as it is placed.
 
@@ -83,6 +90,7 @@ def gravity_loads(
         payload: Mass at the tip [kg], shape (N,).
         payload_com: Its centre of mass in the tip frame [m], shape (N, 3).
         gravity: Acceleration in the undeformed base frame [m/s^2], shape (3,).
+        inertia: What the bodies' inertia exerts in addition; default: they are at rest.
     """
     last = places.shape[1] - 1
     before, joint, after = (places[:, first:last:3] for first in (_BEFORE, _JOINT, _AFTER))
@@ -91,13 +99,15 @@ def gravity_loads(
     load = np.einsum("nab,nb->na", tip[:, :3, :3], payload_com) + tip[:, :3, 3]
     centres = np.concatenate((links, load[:, None]), axis=1)
     masses = np.column_stack((np.broadcast_to(arm.masses, links.shape[:2]), payload))
-    weights = masses[..., None] * gravity
-    moments = _moments(centres, weights, joint[..., :3, 3])
+    weights, couples = masses[..., None] * gravity, np.zeros((*masses.shape, 3))
+    if inertia is not None:
+        weights, couples = weights + inertia.forces, inertia.couples
+    moments = _moments(centres, weights, couples, joint[..., :3, 3])
     ends = np.concatenate((before[:, 1:], tip[:, None]), axis=1)[..., :3, 3]
-    end_moments = _moments(centres[:, 1:], weights[:, 1:], ends)
+    end_moments = _moments(centres[:, 1:], weights[:, 1:], couples[:, 1:], ends)
     beyond = np.cumsum(weights[:, ::-1], axis=1)[:, ::-1]
     moment_after = _turned(after, moments)
-    base = _moments(centres, weights, places[:, _BASE : _BASE + 1, :3, 3])
+    base = _moments(centres, weights, couples, places[:, _BASE : _BASE + 1, :3, 3])
     return Loads(
         before=_turned(before, moments),
         after=_turned(joint, moments),
@@ -108,10 +118,10 @@ def gravity_loads(
     )
 
 
-def _moments(centres: np.ndarray, weights: np.ndarray, origins: np.ndarray) -> np.ndarray:
-    """Return for origin k the sum over bodies from k on of (centre - origin) x weight, shape (N, k, 3)."""
-    sums = [np.cross(centres[:, k:] - origins[:, k : k + 1], weights[:, k:]).sum(axis=1) for k in range(origins.shape[1])]
-    return np.stack(sums, axis=1)
+def _moments(centres: np.ndarray, weights: np.ndarray, couples: np.ndarray, origins: np.ndarray) -> np.ndarray:
+    """Return for origin k the sum over bodies from k on of (centre - origin) x weight + couple, shape (N, k, 3)."""
+    moments = [np.cross(centres[:, k:] - origins[:, k : k + 1], weights[:, k:]) for k in range(origins.shape[1])]
+    return np.stack([(own + couples[:, k:]).sum(axis=1) for k, own in enumerate(moments)], axis=1)
 
 
 def _turned(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:

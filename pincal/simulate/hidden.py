@@ -43,6 +43,8 @@ HIDDEN_EFFECTS: dict[str, type[HiddenEffect]] = {
         tracker.InstrumentTilt,
         tracker.InstrumentRange,
         drive.JointScatter,
+        drive.JointLag,
+        drive.FrictionWindup,
     )
 }
 

@@ -18,6 +18,7 @@ from pincal.simulate.arm import Arm, read_arm
 from pincal.simulate.chain import build_chain, configurations, gravity_loads, place
 from pincal.simulate.effect import DeformingEffect, HiddenEffect
 from pincal.simulate.elastic import BearingElasticity, JointElasticity
+from pincal.simulate.inertia import Inertia
 from pincal.simulate.state import Deformation, Equilibrium, Loads, Poses, broadcast_copy, poses_of
 from pincal.simulate.surroundings import PayloadError
 
@@ -168,7 +169,9 @@ class TrueMachine:
         return poses_of(self.nominal, q, reference_temperature=self.reference_temperature, **conditions)
 
     def equilibrium(self, poses: Poses) -> Equilibrium:
-        """Let the arm come to rest: deform it under the loads that it has when it is deformed.
+        """Let the arm come to rest, or to a steady deformation while it moves, under the loads that it has when deformed.
+
+        Inertia is that of the motion without deformation, whose own accelerations are a thousandth of it.
 
         Raises:
             BadInputError: If the arm is too soft to carry itself.
@@ -179,10 +182,11 @@ class TrueMachine:
                 mass, com = effect.true_payload(mass, com)
         poses = replace(poses, payload=mass, payload_com=com)
         q, gravity = poses.q + self.joint_offsets, np.asarray(self.gravity, float)
+        inertia = Inertia.of(self.arm, replace(poses, q=q))
         deformation = self._deformed(poses, Loads.zero(*q.shape))
         for _ in range(_ROUNDS):
             places = place(self._chain, self._data, configurations(q, deformation))
-            loads = gravity_loads(self.arm, places, payload=mass, payload_com=com, gravity=gravity)
+            loads = gravity_loads(self.arm, places, payload=mass, payload_com=com, gravity=gravity, inertia=inertia)
             settled = self._deformed(poses, loads)
             if settled.change(deformation) < _AT_REST:
                 return Equilibrium(tip=places[:, -1], deformation=deformation, loads=loads)

@@ -24,6 +24,8 @@ class Poses:
         time: Time since the start [s], shape (N,).
         approach: Direction from which each joint arrived (-1, 0, 1), shape (N, n); None: by the order of the poses.
         scatter: Standard normal draws per joint and pose, scaled by unrepeatable effects, shape (N, n).
+        velocity: Velocity of the joints [rad/s or m/s], shape (N, n); zero where poses are held.
+        acceleration: Acceleration of the joints [rad/s^2 or m/s^2], shape (N, n).
     """
 
     q: np.ndarray
@@ -33,6 +35,8 @@ class Poses:
     time: np.ndarray
     approach: np.ndarray | None
     scatter: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
 
     def pieces(self, size: int) -> Iterator[Poses]:
         """Yield the poses piece by piece, at most ``size`` at a time."""
@@ -51,6 +55,8 @@ class Conditions(TypedDict, total=False):
         temperature: Temperature [deg C], shape (N,); default: the machine's reference temperature.
         time: Time [s], shape (N,); default: 0.
         approach: Direction from which each joint arrived (-1, 0, 1), shape (N, n), or by joint name, shape (N,).
+        velocity: Velocity of the joints [rad/s or m/s], shape (N, n); default: at rest.
+        acceleration: Acceleration of the joints [rad/s^2 or m/s^2], shape (N, n).
     """
 
     payload: Any
@@ -58,6 +64,8 @@ class Conditions(TypedDict, total=False):
     temperature: Any
     time: Any
     approach: Mapping[str, Any] | np.ndarray | None
+    velocity: np.ndarray
+    acceleration: np.ndarray
 
 
 def poses_of(
@@ -101,6 +109,8 @@ def poses_of(
         time=broadcast_copy("time", 0.0 if time is None else time, (rows,)),
         approach=None if approach is None else broadcast_copy("approach", approach, (rows, n)),
         scatter=broadcast_copy("scatter", 0.0 if scatter is None else scatter, (rows, n)),
+        velocity=broadcast_copy("velocity", conditions.get("velocity", 0.0), (rows, n)),
+        acceleration=broadcast_copy("acceleration", conditions.get("acceleration", 0.0), (rows, n)),
     )
 
 
