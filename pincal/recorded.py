@@ -9,6 +9,7 @@ from typing import Annotated, get_type_hints
 import numpy as np
 
 _IN_ORDER = "if rows are in the order of measurement, give --rows-in-order"
+_IN_MOTION = "a session in motion has its joints as a stream"
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,11 @@ class Recorded:
         Variable("number", "rad", "time", True, _IN_ORDER, unknown=0.0, label="last move of {}", shown="deg"),
     ] = None
     """Last move of each joint with its sign [rad], prismatic [m], 0 where it is not known, shape (N, n)."""
+    velocity: Annotated[
+        np.ndarray | None,
+        Variable("angular rate", "rad/s", "time", True, _IN_MOTION, unknown=0.0, label="speed of {}", shown="deg/s"),
+    ] = None
+    """Velocity of each joint [rad/s], prismatic [m/s], shape (N, n); None where poses were held."""
 
     def recorded(self) -> dict[str, np.ndarray | None]:
         """Return all of it by name."""

@@ -19,7 +19,7 @@ from pincal.export.numpy_source import numpy_source, refuse_wrong
 from pincal.export.source import as_comment, checked_poses, filled, header, notes_on, placed_in
 from pincal.export.statements import Language, written
 from pincal.robot.kinematics import Kinematics
-from pincal.units import SIZES, UNITS
+from pincal.units import UNITS, size_of
 
 _JS = Language(
     statement="  const {} = {};",
@@ -131,7 +131,7 @@ def _about(calibrated: CalibratedModel, formulas: Formulas, frame: str) -> dict[
         "frame": frame if stands else "base",
         "base": bases[0].ravel().tolist() if stands else None,
         "reach": robot.reach,
-        "units": {quantity: {unit: SIZES[unit] for unit in units} for quantity, units in UNITS.items()},
+        "units": {quantity: {unit: size_of(unit, quantity) for unit in units} for quantity, units in UNITS.items()},
         "follows": _follows(calibrated),
         "arm": {"first": shown.first[:3].ravel().tolist(), "before": shown.before[:, :3].reshape(-1, 12).tolist(),
                 "after": shown.after[:, :3].reshape(-1, 12).tolist(), "tip": robot.frames.T_last_tip[:3].ravel().tolist()},

@@ -39,6 +39,8 @@ class Conditions(Recorded):
         payload_centre: shape (3,), its centre of mass in the tip frame [m].
         setup: shape (N,), index of the set-up of instrument and targets, where there are several; else None.
         sighted: shape (N, 3), where the instrument sees the target in its own frame [m]; None where nothing was read yet.
+        inertial: shape (N, n, 6), force [N] and moment [N m] that the inertia of all that a moving joint carries exerts on
+            it, in the axes behind its motion and about the origin of the frame before; None at rest.
     """
 
     q: np.ndarray
@@ -47,6 +49,7 @@ class Conditions(Recorded):
     payload_centre: np.ndarray
     setup: np.ndarray | None = None
     sighted: np.ndarray | None = None
+    inertial: np.ndarray | None = None
 
     @classmethod
     def at(cls, q: np.ndarray, *, payload: float = 0.0, payload_centre: Iterable[float] = (0.0, 0.0, 0.0)) -> Conditions:
@@ -92,12 +95,13 @@ def joined_conditions(parts: Sequence[Conditions]) -> Conditions:
 
     Targets, which are others in each, are all the first one. Times have a zero of their own in each, so they are left out;
     so are temperatures, droops and sights that some lack. Directions of approach and moves are unknown where they were not
-    recorded.
+    recorded, and poses without a speed were held.
     """
     if len(parts) == 1:
         return parts[0]
     q, payload = (np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "payload"))
-    kept = {name: variable.unknown for name, variable in RECORDED.items() if not variable.has_own_zero} | {"sighted": None}
+    kept = {name: variable.unknown for name, variable in RECORDED.items() if not variable.has_own_zero}
+    kept |= {"sighted": None, "inertial": 0.0}
     columns = {name: _one_column([getattr(part, name) for part in parts], parts, unknown) for name, unknown in kept.items()}
     return Conditions(q, np.zeros(len(q), int), payload, parts[0].payload_centre, **columns)
 
@@ -191,7 +195,7 @@ def recorded_variable(
 
 
 def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool = False) -> np.ndarray:
-    """Return the static moments on the nominal arm, shape (N, 3 n) [N m], of all it carries or of the payload alone."""
+    """Return the moments on the nominal arm, shape (N, 3 n) [N m], of all it carries or of the payload's weight alone."""
     constant, n = chain.nominal, chain.robot.n_joints
     layout = chain.layout._replace(masses=np.zeros(n)) if payload_only else chain.layout
     if are_symbols(conditions.q):
@@ -204,7 +208,26 @@ def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool 
     varying = np.array(constant[chain.drives, None] + conditions.q.T, order="C")
     mass = np.require(conditions.payload, np.float64, ["C", "W"])
     payload = Payload(mass, np.array(conditions.payload_centre, float))
-    return np.asarray(kernels.static_moments(layout, Values(constant.copy(), slot, varying), payload).T)
+    static = np.asarray(kernels.static_moments(layout, Values(constant.copy(), slot, varying), payload).T)
+    return static if payload_only else static + inertial_moments(chain, conditions)
+
+
+def inertial_moments(chain: Chain, conditions: Conditions) -> np.ndarray | float:
+    """Return what inertia adds to the static moments on the nominal arm, shape (N, 3 n) [N m]; zero at rest.
+
+    They are taken about the bearings and in the axes of the chain's convention.
+    """
+    if conditions.inertial is None:
+        return 0.0
+    force, moment = conditions.inertial[..., :3], conditions.inertial[..., 3:]
+    # About a point at height h: M - h z x F.
+    x, y = moment[..., 0] + chain.bearing_heights * force[..., 1], moment[..., 1] - chain.bearing_heights * force[..., 0]
+    if chain.moment_frame != "after":
+        theta = chain.nominal[[chain.joint(i, "theta") for i in range(chain.robot.n_joints)]]
+        angle = theta + np.where([kind == "prismatic" for kind in chain.robot.joint_types], 0.0, conditions.q)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        x, y = cosine * x - sine * y, sine * x + cosine * y
+    return np.stack([x, y, moment[..., 2]], axis=2).reshape(len(x), -1)
 
 
 @dataclass(frozen=True)
@@ -223,7 +246,7 @@ class PoseSet:
 
     @cached_property
     def moments(self) -> np.ndarray:
-        """Static moments on the nominal arm, shape (N, 3 n) [N m]."""
+        """Moments on the nominal arm, shape (N, 3 n) [N m]: static ones, and those of inertia where it moves."""
         return nominal_moments(self.chain, self.conditions)
 
     @property
@@ -242,5 +265,5 @@ class PoseSet:
         return np.asarray(self.conditions.q[:, self.joints.index(joint)])
 
     def moment(self, joint: str) -> np.ndarray:
-        """Return the static moment about the axis of a joint on the nominal arm, shape (N,) [N m]."""
+        """Return the moment about the axis of a joint on the nominal arm, shape (N,) [N m]."""
         return np.asarray(self.moments[:, 3 * self.joints.index(joint) + 2])
