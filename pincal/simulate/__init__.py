@@ -1,8 +1,9 @@
 """The true machine: an independent oracle that measures a robot whose errors are known.
 
-The oracle is what tests hold the model against, and shares nothing with it: ``arm``, ``chain``, ``state``, ``machine``,
-``paper_machine``, the effects (``drive``, ``elastic``, ``surroundings``, ``tracker``) and what sensors read (``lens``, the
-set-ups). The rest plans campaigns for ``pincal simulate``: ``planning``, ``layout``, ``typical``, ``campaign``, ``request``.
+The oracle is what tests hold the model against, and shares nothing with it: ``arm``, ``chain``, ``inertia``, ``state``,
+``machine``, ``moving``, ``paper_machine``, the effects (``drive``, ``elastic``, ``surroundings``, ``tracker``) and what
+sensors read (``lens``, the set-ups, ``session``). The rest plans campaigns for ``pincal simulate``: ``planning``,
+``layout``, ``typical``, ``campaign``, ``request``.
 """
 
 from pincal.simulate.arm import Arm, read_arm
@@ -14,11 +15,13 @@ from pincal.simulate.drive import (
     AxisWobble,
     Backlash,
     EncoderSubdivision,
+    FrictionWindup,
     GearEccentricity,
     GearRatio,
     GearRipple,
     JointCoupling,
     JointCreep,
+    JointLag,
     JointOffset,
     JointScatter,
     ShortOfTarget,
@@ -63,6 +66,7 @@ __all__ = [
     "Contact",
     "EncoderSubdivision",
     "EyeInHand",
+    "FrictionWindup",
     "GearEccentricity",
     "GearRatio",
     "GearRipple",
@@ -77,6 +81,7 @@ __all__ = [
     "JointCoupling",
     "JointCreep",
     "JointElasticity",
+    "JointLag",
     "JointOffset",
     "JointScatter",
     "Lens",
