@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import fields
 from pathlib import Path
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from pincal.simulate.machine import TrueMachine
     from pincal.simulate.setup import SensorSetup
 
+# Poses of a path in which effects are judged for the truth.
+_LOOKED_AT = 500
 _EXAMPLES = """Examples:
   pincal simulate robot.urdf --poses 300 --out tracker.csv
   pincal simulate robot.urdf --poses 300 --payload 0,80 --masses-off 3 \\
@@ -39,6 +41,9 @@ Other sensors:
   pincal simulate robot.urdf --sockets 6 --poses 240 --points-out sockets.csv --out contacts.csv
   pincal simulate robot.urdf --anchors 3 --poses 200 --points-out anchors.csv --out wires.csv
   pincal simulate robot.urdf --ball-bar 300mm --anchors 2 --poses 200 --out bar.csv
+In motion:
+  pincal simulate robot.urdf --path 300s --imu --out monday   # joints.csv and imu.csv, each on its own clock
+  pincal simulate robot.urdf --path 5min --imu --sensor position --effect joint_lag:joint_2 --out tuesday
 Then:
   pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
 """
@@ -62,6 +67,8 @@ def simulate(arguments: SimulateArguments) -> Exit:
     given = arguments.machine
     robot = Robot.from_urdf(arguments.robot, tip=given.tip, base=given.base, xacro_args=dict(given.xacro_args))
     machine = _machine(robot, arguments)
+    if arguments.motion.path is not None:
+        return _drive(robot, machine, arguments)
     log_step("planning poses")
     campaign = _campaign(robot, machine, arguments)
     log_step("measuring them")
@@ -83,6 +90,67 @@ def simulate(arguments: SimulateArguments) -> Exit:
     else:
         click.echo(_summary(arguments, found, setup=campaign.setup, rows=rows))
     return Exit.DONE
+
+
+def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> Exit:
+    """Write what joints, IMU and tracker log of a path that the machine drives."""
+    from pincal.cli.progress import end_progress, log_step
+    from pincal.measure.table import write_table
+    from pincal.simulate.campaign import Campaign
+    from pincal.simulate.instrument import Instrument
+    from pincal.simulate.moving import conditions_along
+    from pincal.simulate.request import Stream
+    from pincal.simulate.sensors import draw_setup
+    from pincal.simulate.session import draw_session
+
+    log_step("planning a path")
+    rng = Stream.LAYOUT.generator(arguments.setup_seed)
+    tracker = draw_setup(arguments.kind, machine.nominal, rng=rng, options=arguments.setup_options())
+    session = draw_session(
+        machine.nominal,
+        arguments.session_options(),
+        tracker=tracker if arguments.has_tracker else None,
+        path=Stream.POSES.generator(arguments.pose_seed),
+        setup=rng,
+    )
+    log_step("driving it")
+    tables = session.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
+    time = np.linspace(0.0, session.duration, _LOOKED_AT)
+    along = conditions_along(session.path, time, **session.conditions)
+    seen = Campaign(q=session.path.at(time), conditions=along, setup=session.tracker or Instrument(), hidden=())  # type: ignore[arg-type]
+    seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
+    found = {"robot": robot.name, "base": robot.base, "tip": robot.tip} | seeds | seen.truth(machine, tip=robot.tip)
+    found |= session.truth(machine.nominal) | _weights(robot, machine)
+    files: dict[str, tuple[Path | None, Callable[[Path], None]]] = {
+        f"--out {name}": (arguments.out / f"{name}.csv", lambda path, table=table: write_table(path, table))  # type: ignore[misc]
+        for name, table in tables.items()
+    }
+    origin = {"made_by": provenance([Path(robot.source)])}
+    files["--truth"] = (arguments.truth, lambda path: _write_json(path, contents=found | origin))
+    _make_folder(arguments.out)
+    _write_files(files)
+    end_progress()
+    rows = {name: len(table["time"]) for name, table in tables.items()}
+    if arguments.general.as_json:
+        print_json({"rows": rows, "out": str(arguments.out)} | found)
+        return Exit.DONE
+    logs = ", ".join(f"{count} rows of {name}" for name, count in rows.items())
+    lines = [f"{session.duration:g} s of {robot.name} ({robot.base} to {robot.tip}) in motion: {logs}"]
+    for name, clock in session.clocks.items():
+        if name in tables:
+            lines.append(
+                f"  the clock of the {name} is {clock.offset:+.3f} s off and drifts by {1e6 * clock.drift:+.0f} ppm"
+            )
+    written = f", what was put in to {arguments.truth}" if arguments.truth else ""
+    click.echo("\n".join([*lines, *_hidden_lines(found), f"written to {arguments.out}{written}"]))
+    return Exit.DONE
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: can't be made ({error.strerror}); choose another --out") from None
 
 
 def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
@@ -155,17 +223,22 @@ def _summary(arguments: SimulateArguments, truth: dict[str, Any], *, setup: Sens
     ]
     if drawn := truth.get("drawn_masses_kg"):
         lines.append(f"  the URDF has no masses of {len(drawn)} links: {sum(drawn.values()):.3g} kg were drawn for them")
-    for entry in truth["effects"]:
-        place = f" of {entry['joint']}" if entry["joint"] else ""
-        place += f" by {entry['source']}" if "source" in entry else ""
-        unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
-        moved = f"moves the target by {entry['moves_target_rms_mm']:.3f} mm rms"
-        lines.append(f"  hidden: {entry['effect']}{place}, size {entry['size']:.3g}{unit}, {moved}")
+    lines += _hidden_lines(truth)
     given = arguments.sensor
     beside = {"what was put in": arguments.truth, "named points": given.points_out, "the camera": given.camera_out}
     written = "".join(f", {what} to {path}" for what, path in beside.items() if path)
     lines += [f"written to {arguments.out}{written}", f"next: {_next_command(arguments, setup)}"]
     return "\n".join(lines)
+
+
+def _hidden_lines(truth: dict[str, Any]) -> Iterator[str]:
+    """Yield a line for each hidden effect."""
+    for entry in truth["effects"]:
+        place = f" of {entry['joint']}" if entry["joint"] else ""
+        place += f" by {entry['source']}" if "source" in entry else ""
+        unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
+        moved = f"moves the target by {entry['moves_target_rms_mm']:.3f} mm rms"
+        yield f"  hidden: {entry['effect']}{place}, size {entry['size']:.3g}{unit}, {moved}"
 
 
 def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:

@@ -11,13 +11,15 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm, transform
 from pincal.simulate.machine import TrueMachine
-from pincal.simulate.moving import FourierPath, conditions_along, tip_motion
+from pincal.simulate.moving import FourierPath, conditions_along, draw_path, tip_motion
 from pincal.simulate.setup import SensorSetup, Table
 
 # What clocks are off by: offset [s] and drift [1] at most, as they are drawn.
 _OFFSET, _DRIFT = 2.0, 1e-4
 # What low-cost IMUs are off by, standard deviations: scale and misalignment [1], biases [m/s^2, rad/s], delay [s].
 _SCALE, _BIAS, _RATE_BIAS, _DELAY = 5e-3, 0.2, 5e-3, 3e-3
+# Noise densities: 1 mg and 0.01 deg/s in a hertz.
+_ACC_DENSITY, _GYRO_DENSITY = 9.80665e-3, 1.7453e-4
 # Where an IMU sits beside the tip [m].
 _LEVER = 0.06
 # Modes of a vibrating arm [Hz], how fast they die away, and how far from the IMU they seem to turn about [m].
@@ -137,6 +139,62 @@ class ImuSetup:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SessionOptions:
+    """What may be chosen of a session; the rest is drawn.
+
+    Attributes:
+        duration: Of the path [s].
+        imu: Whether there is an IMU.
+        imu_noise: Densities of accelerometer and gyroscope [m/s^2/sqrt(Hz), rad/s/sqrt(Hz)].
+        vibration: Of the arm at full speed, rms along each axis [m/s^2].
+        resolution: Step to which joint positions are rounded [rad or m].
+        rates: Samples a second of joints, IMU and tracker.
+        drift: Of the clocks of IMU and tracker [1]; drawn if None.
+        dropped: Part of the rows that loggers lose.
+        payload: At the tip [kg].
+        payload_com: Its centre of mass in the tip frame [m].
+        min_height: Height of the floor [m]; None for no floor.
+    """
+
+    duration: float = 300.0
+    imu: bool = True
+    imu_noise: tuple[float, float] = (_ACC_DENSITY, _GYRO_DENSITY)
+    vibration: float = 0.1
+    resolution: float = 1.7453e-5
+    rates: tuple[float, float, float] = (150.0, 100.0, 250.0)
+    drift: float | None = None
+    dropped: float = 0.005
+    payload: float = 0.0
+    payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    min_height: float | None = 0.0
+
+
+def draw_session(
+    arm: Arm, options: SessionOptions, *, tracker: SensorSetup | None, path: np.random.Generator, setup: np.random.Generator
+) -> MovingSession:
+    """Draw a path of a nominal arm, and IMU and clocks that log it; ``path`` and ``setup`` are sources of randomness.
+
+    Raises:
+        BadInputError: If the arm has no path that is clear of the floor.
+    """
+    acc, gyro = options.imu_noise
+    imu = ImuSetup.draw(setup, acc_density=acc, gyro_density=gyro, vibration=options.vibration)
+    clocks = [Clock.draw(setup, middle=0.5 * options.duration, drift=options.drift) for _ in range(2)]
+    payload = {"payload": options.payload, "payload_com": options.payload_com} if options.payload else {}
+    return MovingSession(
+        path=draw_path(arm, options.duration, path, min_height=options.min_height),
+        duration=options.duration,
+        tracker=tracker,
+        imu=imu if options.imu else None,
+        rates=dict(zip(("joints", "imu", "tracker"), options.rates, strict=True)),
+        clocks=dict(zip(("imu", "tracker"), clocks, strict=True)),
+        resolution=options.resolution,
+        dropped=options.dropped,
+        conditions=payload,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class MovingSession:
     """A path that is driven once, and who logs it.
 
@@ -211,7 +269,7 @@ class MovingSession:
         found: dict[str, Any] = {
             "path": {"joints": list(arm.names), "duration_s": self.duration} | waves,
             "rates_hz": dict(self.rates),
-            "clocks": {name: asdict(clock) for name, clock in self.clocks.items()},
+            "clocks": {name: asdict(self.clocks[name]) for name in ("imu", "tracker") if getattr(self, name) is not None},
             "resolution": self.resolution,
             "dropped": self.dropped,
         }
