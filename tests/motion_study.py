@@ -25,10 +25,12 @@ from pincal.model.conditions import Conditions, nominal_moments
 from pincal.model.effect import Effect
 from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, ToolFrame
 from pincal.model.model import Model
-from pincal.motion.clocks import Clock, aligned, correlate
+from pincal.motion.clocks import Clock
 from pincal.motion.imu_rows import ImuRows
 from pincal.motion.joint_path import JointPath
 from pincal.motion.moving_arm import MovingArm, level_chain
+from pincal.motion.sessions import stream_of
+from pincal.motion.starts import start_imu, start_positions
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import nearest_rotation
@@ -157,27 +159,14 @@ class ImuSession(Session):
     def of(cls, truth: Truth, effects: Sequence[Effect]) -> ImuSession:
         """Find clock and mount by the rates of the nominal arm, and put together the model."""
         table, arm = truth.tables["imu"], truth.arm
-        stamps, force = table["time"], np.column_stack([table[f"a{axis}"] for axis in "xyz"])
-        rate = np.column_stack([table[f"w{axis}"] for axis in "xyz"])
-        window = Window(WIDTH)
-        begin, end = arm.path.span
-        grid = np.arange(begin + 1.0, end - 1.0, 0.02)
-        speeds = np.linalg.norm(arm.ideal(grid).rate, axis=1)
-        offset = correlate(grid, speeds, stamps, np.linalg.norm(rate, axis=1))
-        rows = ImuRows.of(stamps, force, rate, window)
-        found = aligned(
-            rows.time,
-            rows.readings[3:].T,
-            lambda at: arm.ideal(at, window).rate,
-            lambda at: arm.path.covers(at, 0.1),
-            Clock(offset.offset),
-        )
-        mount = nearest_rotation(found.matrix).T
+        force, rate = (np.column_stack([table[letter + axis] for axis in "xyz"]) for letter in "aw")
+        stream = stream_of("imu", table["time"], {"specific_force": force, "angular_rate": rate})
+        found = start_imu(arm, stream, window=Window(WIDTH))
         chain = level_chain(Chain.of(arm.robot, gravity=np.array(G), moment_frame="after"))
-        chain = chain.with_references(chain.base_rotation, mount[None])
+        chain = chain.with_references(chain.base_rotation, found.mount[None])
         own = (BaseFrame(("rx", "ry")), ToolFrame(FRAME_SYMBOLS), InstrumentClock(found.clock.middle))
         model = Model(chain, (*effects, *own))
-        return cls("imu", arm, model, imu_parameters(), found.clock, stamps, force, rate)
+        return cls("imu", arm, model, imu_parameters(), found.clock, stream.time, force, rate)
 
     @cached_property
     def rows(self) -> ImuRows:
@@ -231,22 +220,14 @@ class TrackerSession(Session):
     def of(cls, truth: Truth, effects: Sequence[Effect]) -> TrackerSession:
         """Find clock, base and tool by the nominal arm."""
         table, arm = truth.tables["tracker"], truth.arm
-        stamps, position = table["time"], np.column_stack([table[axis] for axis in "xyz"])
-        begin, end = arm.path.span
-        grid = np.arange(begin + 1.0, end - 1.0, 0.02)
-        speeds = np.linalg.norm(np.gradient(arm.tips(grid)[:, :, 3], grid, axis=0), axis=1)
-        smooth = np.convolve(np.linalg.norm(np.diff(position, axis=0), axis=1) / np.diff(stamps), np.ones(5) / 5.0, "same")
-        offset = correlate(grid, speeds, stamps[1:], smooth)
-        found = aligned(stamps, position, lambda at: _poses(arm.tips(at)), arm.path.covers, Clock(offset.offset))
-        R = nearest_rotation(found.matrix[:, :3])
-        products = found.matrix[:, 3:].reshape(3, 3, 3)
-        tool = np.einsum("ac,acd->d", R, products) / 3.0
-        chain = Chain.of(arm.robot, gravity=np.array(G), moment_frame="after").with_references(R, np.eye(3)[None])
+        position = np.column_stack([table[axis] for axis in "xyz"])
+        found = start_positions(arm, stream_of("tracker", table["time"], {"position": position}), position)
+        chain = Chain.of(arm.robot, gravity=np.array(G), moment_frame="after").with_references(found.base, np.eye(3)[None])
         own = (BaseFrame(), ToolFrame(), InstrumentClock(found.clock.middle))
-        session = cls("tracker", arm, Model(chain, (*effects, *own)), (), found.clock, stamps, position)
-        session.start = dict(zip(("base.x", "base.y", "base.z"), found.constant, strict=True)) | dict(
-            zip(("tool.x", "tool.y", "tool.z"), tool, strict=True)
-        )
+        session = cls("tracker", arm, Model(chain, (*effects, *own)), (), found.clock, table["time"], position)
+        places = (*found.origin, *found.target)
+        names = [f"{element}.{axis}" for element in ("base", "tool") for axis in "xyz"]
+        session.start = dict(zip(names, places, strict=True))
         return session
 
     start: dict[str, float] = field(default_factory=dict)
@@ -264,10 +245,6 @@ class TrackerSession(Session):
             )
             poses, motion = self.model.linearise(values, conditions, free=free)
             yield (self.position[some].T - poses[:, :, 3].T) / TRACKER, motion.transpose(2, 1, 0) / TRACKER
-
-
-def _poses(tips: np.ndarray) -> np.ndarray:
-    return np.hstack([tips[:, :, 3], tips[:, :, :3].reshape(len(tips), -1)])
 
 
 @dataclass(frozen=True)
