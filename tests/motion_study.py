@@ -33,7 +33,7 @@ from pincal.motion.sessions import stream_of
 from pincal.motion.starts import start_imu, start_positions
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.robot import Robot
-from pincal.robot.se3 import nearest_rotation
+from pincal.robot.se3 import align, nearest_rotation
 from pincal.robot.urdf_file import find_file
 from pincal.simulate.moving import draw_path
 from pincal.simulate.session import Clock as TrueClock
@@ -415,6 +415,33 @@ def against_held(name: str, seed: int, duration: float) -> None:
     )
 
 
+def together(name: str, seed: int, duration: float, counts: Sequence[int] = (6, 8, 10, 25)) -> None:
+    """Print what a few held poses before a tracker tell, alone and beside an IMU, by errors elsewhere."""
+    truth = Truth.draw(name, seed, duration=duration)
+    rng, robot = np.random.default_rng([seed, 5]), truth.robot
+    tracker = _tracker(truth.machine, rng)
+    q, far = (sim.plan_poses(truth.machine.nominal, n, rng) for n in (max(counts), 300))
+    seen, expected = ((tracker.pose @ truth.machine.tip(at) @ tracker.targets[""])[:, :3, 3] for at in (q, far))
+    seen = seen + TRACKER * rng.standard_normal(seen.shape)
+    imu = ImuSession.of(truth, GEOMETRIC)
+    found = []
+    for n in counts:
+        conditions = replace(Conditions.at(q[:n]), time=np.zeros(n))
+        R, origin = align(robot.forward_kinematics(q[:n])[:, :3, 3], seen[:n])
+        chain = Chain.of(robot, gravity=np.array(G), moment_frame="after").with_references(R, np.eye(3)[None])
+        model = Model(chain, (*GEOMETRIC, BaseFrame(), ToolFrame(), InstrumentClock()))
+        poses = TrackerSession("tracker", truth.arm, model, (), Clock(), np.zeros(n), seen[:n], held=conditions)
+        poses.start = dict(zip(("base.x", "base.y", "base.z"), origin, strict=True))
+        errors = []
+        for sessions in ([poses], [poses, replace(imu, scatter=np.ones(2))]):
+            values = fit(sessions, held=())
+            at = np.array([values.names.index(p.name) for p in poses.parameters])
+            tips = model.predict(values.values[at], Conditions.at(far))[:, :, 3]
+            errors.append(1e3 * float(np.mean(np.linalg.norm(tips - expected, axis=1))))
+        found.append(f"{n}: {errors[0]:.3f} -> {errors[1]:.3f}")
+    print(f"{name}, seed {seed}: mean error [mm] by tracker poses, alone -> with the IMU: {', '.join(found)}")
+
+
 def _covariance(session: TrackerSession, values: np.ndarray, q: np.ndarray | None = None) -> np.ndarray:
     """Return the covariance that the rows of a path give, or as many in poses that are held, without any clock."""
     free = np.ones(len(session.parameters), bool)
@@ -446,7 +473,11 @@ def timed(name: str) -> None:
     begin = clock_of_wall.process_time()
     imu = ImuSession.of(replace(truth, tables=truth.tables | tables), GEOMETRIC)
     imu_in = clock_of_wall.process_time() - begin
-    print(f"{name}: path {path:.2f} s, clock of the tracker {aligned_in:.2f} s, of the IMU {imu_in:.2f} s")
+    found = fit([imu, tracker], held=())
+    print(
+        f"{name}, processor time: path {path:.2f} s, clock of the tracker {aligned_in:.2f} s, of the IMU {imu_in:.2f} s, fit of "
+        f"both {found.seconds:.2f} s in {found.steps} steps; in all {path + aligned_in + imu_in + found.seconds:.2f} s"
+    )
     for session in (imu, tracker):
         free = np.array([p.name.rsplit(".", 1)[-1] not in LENGTHS or "/" in p.name for p in session.parameters])
         for effects in (GEOMETRIC, ELASTIC):
@@ -494,6 +525,7 @@ def main() -> None:
     parser.add_argument("--vibration", type=float, default=0.0)
     parser.add_argument("--draws", type=int, default=0, help="of noise, for the coverage of intervals")
     parser.add_argument("--tracker", action="store_true", help="a tracker in motion against held poses")
+    parser.add_argument("--together", action="store_true", help="a few tracker poses beside an IMU")
     parser.add_argument("--time", action="store_true", help="one evaluation of ten minutes")
     given = parser.parse_args()
     for name in ARMS:
@@ -503,6 +535,8 @@ def main() -> None:
         for seed in range(given.seeds):
             if given.tracker:
                 against_held(name, seed, given.duration)
+            elif given.together:
+                together(name, seed, given.duration)
             elif given.draws:
                 turns, clocks = coverage(name, seed, given.duration, given.draws)
                 spread = turns.std() / len(turns) ** 0.5

@@ -27,6 +27,8 @@ _TRIED = (4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 _PER_KNOT, _MOST = 2.0, 6_000
 # Intervals between knots that a spline may bridge without a reading, and within which its ends are not to be trusted.
 _BRIDGED, _ENDS = 2.0, 3.0
+# Readings worked on at once; part of the largest square that is added to all, so that none is zero.
+_PIECE, _RIDGE = 50_000, 1e-14
 # Readings off the spline by less than this are rounding of the numbers [rad or m].
 _ROUNDING = 1e-12
 
@@ -117,13 +119,24 @@ class JointPath:
 
 
 def _spline(time: np.ndarray, q: np.ndarray, rate: float) -> BSpline:
-    """Return the spline through readings with about so many knots a second."""
-    from scipy.interpolate import make_lsq_spline
+    """Return the spline through readings with about so many knots a second, by banded normal equations."""
+    from scipy.interpolate import BSpline
+    from scipy.linalg import solveh_banded
 
     count = max(int(np.ceil((time[-1] - time[0]) * rate)), 1)
     inner = np.linspace(time[0], time[-1], count + 1)
     knots = np.concatenate([[time[0]] * DEGREE, inner, [time[-1]] * DEGREE])
-    return make_lsq_spline(time, q, knots, DEGREE)
+    size = len(knots) - DEGREE - 1
+    bands, right = np.zeros((DEGREE + 1, size)), np.zeros((size, q.shape[1]))
+    # scipy's own make_lsq_spline takes a time that grows with the square of the readings.
+    for start in range(0, len(time), _PIECE):
+        B = BSpline.design_matrix(time[start : start + _PIECE], knots, DEGREE)
+        gram = B.T @ B
+        for k in range(DEGREE + 1):
+            bands[k, : size - k] += gram.diagonal(k)
+        right += B.T @ q[start : start + _PIECE]
+    bands[0] += _RIDGE * bands[0].max()
+    return BSpline(knots, solveh_banded(bands, right, lower=True), DEGREE)
 
 
 def _stretches(time: np.ndarray, spacing: float) -> Iterator[slice]:
