@@ -260,7 +260,7 @@ def names() -> Iterator[str]:
         yield f"## {name}"
         directive = "autoclass" if inspect.isclass(found) else "autofunction" if inspect.isfunction(found) else "autodata"
         members = "\n   :members:" if inspect.isclass(found) else ""
-        yield f"```{{eval-rst}}\n.. {directive}:: {pincal._HOME[name]}.{name}{members}\n```"
+        yield f"```{{eval-rst}}\n.. {directive}:: {pincal._homes()[name]}.{name}{members}\n```"
 
 
 def _described(cls: type) -> tuple[str, dict[str, str]]:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from pincal import ELASTIC, Chain, Conditions, Discoverable, Effect, Model, PoseSet, Robot
 from pincal.builtin import kuka_urdf_path
-from pincal.io.entries import known_effects
+from pincal.io.entries import EFFECTS
 from pincal.model.effect import Family, Harmonic
 from pincal.model.effects import BaseFrame, ToolFrame
 from pincal.recorded import RECORDABLE
@@ -92,7 +92,7 @@ def situation() -> PoseSet:
 @cache
 def own_effects() -> dict[str, type[Effect]]:
     """Return every effect that comes with pincal, by name; none of a plugin."""
-    return {name: cls for name, cls in sorted(known_effects().items()) if cls.__module__.startswith("pincal.")}
+    return {name: cls for name, cls in sorted(EFFECTS.known().items()) if cls.__module__.startswith("pincal.")}
 
 
 @cache

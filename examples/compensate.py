@@ -31,7 +31,7 @@ from pincal import (
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.run import run_discovery
 from pincal.simulate import Instrument, TrueMachine, plan_poses
-from pincal.simulate.campaign import draw_conditions, spread_payloads
+from pincal.simulate.setup import draw_conditions, spread_payloads
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors, typical_effect
 
 NOISE = 5e-5  # standard deviation of one coordinate [m]

@@ -18,9 +18,9 @@ from pincal import GEOMETRIC, Measurements, Options, Robot, measurements_from_ar
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.run import run_discovery
 from pincal.simulate import HIDDEN_EFFECTS, HiddenEffect, TrueMachine, plan_poses
-from pincal.simulate.campaign import Campaign, draw_conditions, spread_payloads
 from pincal.simulate.effect import Scope
-from pincal.simulate.sensors import SetupOptions, draw_setup
+from pincal.simulate.request import SetupOptions, draw_setup
+from pincal.simulate.setup import Campaign, draw_conditions, spread_payloads
 from pincal.simulate.typical import (
     draw_typical_elasticity,
     draw_typical_errors,

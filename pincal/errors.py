@@ -9,10 +9,14 @@ from __future__ import annotations
 import difflib
 import unicodedata
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import IntEnum
 from itertools import islice
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
 
 # The longest message [bytes]: names in it come from files and may have any length.
 LONGEST = 1900
@@ -57,7 +61,7 @@ class Exit(IntEnum):
     USAGE = 2, "usage error"
     BAD_INPUT = 3, "invalid input"
     UNDECIDED = 4, "no convergence, or a decision is needed"
-    INACCURATE = 5, "--max-error exceeded"
+    INACCURATE = 5, "required accuracy not reached"
     CHANGED = 6, "the robot no longer matches the model"
     INTERRUPTED = 130, "interrupted"
 
@@ -173,6 +177,16 @@ def nearest_first(wrong: Iterable[str], known: Iterable[str]) -> list[str]:
         return best if best >= _ALIKE else 0.0
 
     return sorted(dict.fromkeys(known), key=likeness, reverse=True)
+
+
+def few(items: Sequence[object] | np.ndarray, most: int) -> str:
+    """Return some items as a list in a sentence, the first ones of many.
+
+    Example:
+        >>> few([3, 5], 2), few([3, 5, 8], 2)
+        ('3, 5', '3, 5, ...')
+    """
+    return ", ".join(map(str, items[:most])) + (", ..." if len(items) > most else "")
 
 
 def warn(text: str) -> None:

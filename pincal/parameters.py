@@ -85,6 +85,11 @@ class Parameter:
         return self.name.removeprefix(f"{self.station}/") if self.station else self.name
 
 
+def is_on_link(element: str) -> bool:
+    """Return whether an element is a point of a link, ``LINK:NAME``."""
+    return ":" in element
+
+
 def split_name(name: str) -> tuple[str, str]:
     """Return element and symbol of a parameter's name; the element is empty if it has none.
 
@@ -266,10 +271,6 @@ class Estimate:
             self.covariance.take(rank[places[free]]),
             self.prior[places],
         )
-
-    def carried_over(self, parameters: Sequence[Parameter]) -> np.ndarray:
-        """Return the values of other parameters as far as they are known here by name, shape (n,); zero for the rest."""
-        return carried_over(self.values, self._index, parameters)
 
 
 def estimate_of(parameters: Sequence[Parameter], values: np.ndarray, covariance: np.ndarray) -> Estimate:

@@ -224,22 +224,16 @@ def _rendered(table: Table, *, width: int, is_terminal: bool) -> Iterator[Render
             min_width=min(max(words, default=0), width // _NARROWEST) if column.kind is Kind.NAME else None,
             overflow="fold",
         )
-    marks, footnotes = _footnotes(table, texts)
-    for row, mark, tone in zip(texts, marks, table.tones or [""] * len(table), strict=True):
+    # Remarks are footnotes, numbered as they first occur.
+    remarks = [" ".join(row[i] for i in range(len(row)) if i not in shown and row[i]) for row in texts]
+    footnotes = {remark: f"({i})" for i, remark in enumerate(dict.fromkeys(filter(None, remarks)), 1)}
+    for row, remark, tone in zip(texts, remarks, table.tones or [""] * len(table), strict=True):
         cells = [Text(one_line(row[i])) for i in shown]
-        cells[-1].append(mark)
+        cells[-1].append(f" {footnotes[remark]}" if remark else "")
         drawn.add_row(*cells, style=_STYLES[tone])
     yield drawn
-    for mark, text in [*((f"{f'({i})':>5s}", t) for i, t in enumerate(footnotes, 1)), *(("", note) for note in table.notes)]:
-        yield hanging(mark, text)
-
-
-def _footnotes(table: Table, texts: list[list[str]]) -> tuple[list[str], list[str]]:
-    """Return the mark of each row, and the remarks in the order of their numbers."""
-    columns = [i for i, column in enumerate(table.columns) if column.kind is Kind.REMARK]
-    remarks = [" ".join(row[i] for i in columns if row[i]) for row in texts]
-    numbers = {remark: i for i, remark in enumerate(dict.fromkeys(filter(None, remarks)), 1)}
-    return [f" ({numbers[remark]})" if remark else "" for remark in remarks], list(numbers)
+    yield from (hanging(f"{mark:>5s}", text) for text, mark in footnotes.items())
+    yield from (hanging("", note) for note in table.notes)
 
 
 def hanging(mark: str, text: str) -> RenderableType:

@@ -20,7 +20,7 @@ import warnings
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import import_module
@@ -40,6 +40,8 @@ _KEPT = 4
 # one task, which Dask calls by this name.
 _BROKEN = (BrokenExecutor, CancelledError)
 _GIVEN_UP = ("KilledWorker",)
+# How often a wait for workers is interrupted to see whether it is still wanted [s].
+_GLANCE = 0.3
 
 log = logging.getLogger(__name__)
 
@@ -175,7 +177,9 @@ class _Sender:
 
     def __init__(self, function: Callable[[Any], Any], executor: Executor, label: str) -> None:
         self.executor = executor
-        self._client, self._file = _dask_client(executor), None
+        # Of an executor that Dask's ``Client.get_executor`` made, the client.
+        of_dask = type(executor).__module__ == "distributed.cfexecutor"
+        self._client, self._file = vars(executor)["_client"] if of_dask else None, None
         if isinstance(executor, ThreadPoolExecutor):
             return
         if self._client is not None:
@@ -203,6 +207,10 @@ def _results(futures: Sequence[Future[_R]], label: str, *needed: object) -> Iter
     try:
         for future in futures:
             with _losses(label):
+                # A wait without an end outlasts Ctrl-C where a library has it restart system calls, as polars does.
+                while not future.done():
+                    with suppress(TimeoutError):
+                        future.exception(timeout=_GLANCE)
                 result = future.result()
             yield result
     finally:
@@ -273,11 +281,6 @@ class _File:
         weakref.finalize(self, self.path.unlink, missing_ok=True)
         with open(place, "wb") as file:
             file.write(content)
-
-
-def _dask_client(executor: Executor) -> Any:
-    """Return the client of an executor that Dask's ``Client.get_executor`` made; None of any other."""
-    return vars(executor)["_client"] if type(executor).__module__ == "distributed.cfexecutor" else None
 
 
 def _held_by_dask(client: Any, function: Callable[[Any], Any]) -> Any:

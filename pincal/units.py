@@ -90,15 +90,15 @@ UNITS: dict[str, tuple[str, ...]] = {
 """The units that a column may have, by what it holds, the SI unit first; what has no unit in the header is in SI units."""
 # What is added to a value in SI units' size.
 _OFFSETS = {"K": -273.15}
-# What has its own size: counts, indices and times, which some clocks count from 1970 in nanoseconds.
-_UNBOUNDED = ("time", "number", "name")
+# What has its own size: counts, indices and times, which some clocks count from 1970 in nanoseconds; the most of it.
+_OF_OWN_SIZE, _LARGEST_COUNT = ("time", "number", "name"), 1e20
 
 
 def is_possible(values: np.ndarray, quantity: str) -> np.ndarray:
     """Return which values of a quantity in SI units can be meant: finite ones, no larger than anything about a robot is."""
     import numpy as np
 
-    return np.asarray(np.isfinite(values) if quantity in _UNBOUNDED else np.abs(values) <= LARGEST)
+    return np.asarray(np.abs(values) <= (_LARGEST_COUNT if quantity in _OF_OWN_SIZE else LARGEST))
 
 
 def expected_number(quantity: str) -> str:
@@ -106,9 +106,10 @@ def expected_number(quantity: str) -> str:
 
     Example:
         >>> expected_number("length"), expected_number("time")
-        ('a finite number (at most 1e+07 m)', 'a finite number')
+        ('a finite number (at most 1e+07 m)', 'a finite number (at most 1e+20)')
     """
-    return "a finite number" + ("" if quantity in _UNBOUNDED else f" (at most {LARGEST:g} {UNITS[quantity][0]})")
+    most = (_LARGEST_COUNT, "") if quantity in _OF_OWN_SIZE else (LARGEST, f" {UNITS[quantity][0]}")
+    return "a finite number (at most {:g}{})".format(*most)
 
 
 def size_of(unit: str, quantity: str = "") -> float:
@@ -125,6 +126,12 @@ def in_si(values: np.ndarray, unit: str, quantity: str = "") -> np.ndarray:
     """Return values of a quantity in SI units; an empty unit is SI."""
     size, offset = size_of(unit, quantity), _OFFSETS.get(unit, 0.0)
     return values if (size, offset) == (1.0, 0.0) else values * size + offset
+
+
+def in_unit(values: np.ndarray, unit: str) -> np.ndarray:
+    """Return values in SI units in another unit; an empty one is SI."""
+    size, offset = SIZES.get(unit, 1.0), _OFFSETS.get(unit, 0.0)
+    return values if (size, offset) == (1.0, 0.0) else (values - offset) / size
 
 
 # Size of gravity [m/s^2] that can be meant if it is not zero: from what is left in orbit to a hundred times that on earth.

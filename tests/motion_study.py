@@ -99,7 +99,7 @@ class Truth:
 
 
 def _tracker(machine: sim.TrueMachine, rng: np.random.Generator) -> sim.Instrument:
-    from pincal.simulate.layout import draw_instrument, draw_targets
+    from pincal.simulate.contact import draw_instrument, draw_targets
 
     targets = draw_targets(machine.nominal, 1, rng)
     return sim.Instrument(pose=draw_instrument(machine.nominal, rng), targets=next(iter(targets.values())), sigma=TRACKER)
@@ -475,8 +475,8 @@ def timed(name: str) -> None:
     imu_in = clock_of_wall.process_time() - begin
     found = fit([imu, tracker], held=())
     print(
-        f"{name}, processor time: path {path:.2f} s, clock of the tracker {aligned_in:.2f} s, of the IMU {imu_in:.2f} s, fit of "
-        f"both {found.seconds:.2f} s in {found.steps} steps; in all {path + aligned_in + imu_in + found.seconds:.2f} s"
+        f"{name}, processor time: path {path:.2f} s, clock of the tracker {aligned_in:.2f} s, of the IMU {imu_in:.2f} s, "
+        f"fit of both {found.seconds:.2f} s in {found.steps} steps; sum {path + aligned_in + imu_in + found.seconds:.2f} s"
     )
     for session in (imu, tracker):
         free = np.array([p.name.rsplit(".", 1)[-1] not in LENGTHS or "/" in p.name for p in session.parameters])

@@ -119,7 +119,7 @@ def _coverage_placed(found: Discovery, at: Conditions, error: np.ndarray) -> flo
 
     Where noise wanders along the rows it is a convention where the instrument stood; the robot is what it is.
     """
-    model = found.calibration.fit.robot_predictor()
+    model = found.calibration.fit.robot_model()
     places, J = model.model.linearise(model.model_values, at)
     J = J.reshape(-1, J.shape[-1])
     turns = np.stack([np.cross(axis, places[:, :, 3] - places[:, :, 3].mean(axis=0)) for axis in np.eye(3)], axis=-1)

@@ -20,7 +20,7 @@ from discovery_cases import ELASTICITY, FOREIGN, NAMED, discover, draw_case, fre
 from matplotlib.figure import Figure
 from rates import interval
 
-from pincal.calibration.calibrated_fit import Fit
+from pincal.calibration.calibrated_robot import Fit
 from pincal.discover.ending import widened
 from pincal.discover.run import begin_subsamples
 from pincal.errors import PincalWarning

@@ -13,7 +13,7 @@ from placed_arms import FIRST, NOISE, TOOL, measured, run, written
 
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated_fit import Fit, calibrate
+from pincal.calibration.calibrated_robot import Fit, calibrate
 from pincal.calibration.calibration import run_calibration
 from pincal.errors import MeasurementError
 from pincal.identify.options import Options

@@ -13,7 +13,8 @@ from test_cli import URDF, columns, results, run  # noqa: F401
 
 from pincal.cli import _COMMANDS, pincal
 from pincal.cli.arguments import NumberType, Verb, argument, group, option, verb
-from pincal.cli.common import ANGLE, LENGTH, GeneralOptions, Masses, NoiseType, QuantityType
+from pincal.cli.common import GeneralOptions
+from pincal.cli.quantities import ANGLE, LENGTH, Masses, NoiseType, QuantityType
 from pincal.errors import BadInputError, Exit, OutputError, PincalError
 from pincal.identify.options import Options, StationOptions
 from pincal.measure.table import write_table

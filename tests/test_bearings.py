@@ -22,8 +22,8 @@ from pincal.errors import ModelFileError
 from pincal.identify import equations
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.options import Options
-from pincal.io.entries import ModelEntry, plain, restored
-from pincal.io.strict_json import MODEL_FILE, decode
+from pincal.io.entries import ModelEntry, plain, restoring
+from pincal.io.strict_json import MODEL_FILE, built
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.measure.table import read_measurements
 from pincal.model.catalogue.bearing_features import BearingPlace, ObliqueBearing
@@ -187,7 +187,7 @@ def test_files_of_old_have_bearings_where_they_were() -> None:
     short = new | {"chain": new["chain"] | {"bearing_heights": [0.0, 0.3]}}
 
     def read(entry: dict) -> Model:
-        return decode(json.dumps(entry).encode(), ModelEntry, MODEL_FILE, file="model.json", hook=restored).model()
+        return built(json.dumps(entry).encode(), ModelEntry, MODEL_FILE, file="model.json", hook=restoring()).model()
 
     at_origin = replace(model, chain=replace(model.chain, bearing_heights=np.zeros(7)))
     places = [each.predict(values, conditions) for each in (read(new), model, read(old), at_origin)]

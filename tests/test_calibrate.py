@@ -19,8 +19,8 @@ from pincal import (
 )
 from pincal.errors import MeasurementError
 from pincal.identify.calibrate import expected_fit, refit
-from pincal.identify.exact import is_exact
 from pincal.identify.explain import explain
+from pincal.identify.noise import is_exact
 from pincal.identify.normal import accumulate, accumulate_each, reweighted
 from pincal.identify.split import hold_out
 from pincal.model.catalogue import TransmissionError

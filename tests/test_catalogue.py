@@ -18,8 +18,9 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import BadInputError
 from pincal.io.discovery_file import EffectName
-from pincal.io.entries import ModelEntry, effect_from_entry, effect_to_entry, known_effects, plain, restored
-from pincal.io.strict_json import MODEL_FILE, decode
+from pincal.io.entries import EFFECTS as REGISTERED
+from pincal.io.entries import ModelEntry, effect_from_entry, effect_to_entry, plain, restoring
+from pincal.io.strict_json import MODEL_FILE, built
 from pincal.measure.approach import moves_by_order
 from pincal.model import catalogue
 from pincal.model.catalogue import (
@@ -187,7 +188,7 @@ def surrounded(effect: Effect, chain: Chain, *, equilibrium: bool = False) -> Mo
 def written_and_read(model: Model) -> Model:
     """Return a model written as JSON and read again."""
     text = json.dumps(plain(ModelEntry.of_model(model)))
-    return decode(text.encode(), ModelEntry, MODEL_FILE, file="model.json", hook=restored).model()
+    return built(text.encode(), ModelEntry, MODEL_FILE, file="model.json", hook=restoring()).model()
 
 
 def units_of(model: Model, conditions: Conditions) -> np.ndarray:
@@ -215,7 +216,7 @@ def test_every_effect_of_the_catalogue_is_under_test(kuka: Robot) -> None:
     classes = set(in_catalogue())
 
     assert {type(make(kuka.joint_names)) for make in EFFECTS.values()} == classes
-    assert classes <= set(known_effects().values())
+    assert classes <= set(REGISTERED.known().values())
     assert {c.__name__ for c in classes} | {"candidates", "untestable"} == set(catalogue.__all__)
 
 
@@ -227,10 +228,10 @@ def in_catalogue() -> Iterator[type[Effect]]:
                 yield found
 
 
-@pytest.mark.parametrize("name", known_effects())
+@pytest.mark.parametrize("name", REGISTERED.known())
 def test_an_effect_says_all_of_itself(robot: Robot, name: str, rng: np.random.Generator) -> None:
     """By being registered a class is under this test: its words, its places on an arm, its variants, its form in files."""
-    cls, chain = known_effects()[name], chain_of(robot, "after")
+    cls, chain = REGISTERED.known()[name], chain_of(robot, "after")
     assert cls.name == name and cls.meaning and cls.meaning == meaning_of(name)
     if not issubclass(cls, Discoverable):
         return

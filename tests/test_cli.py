@@ -264,6 +264,7 @@ BAD_TABLES = {
     "a turn that no joint makes": (_with_cell("joint_3", 1e20), "line 5"),
     "a place beyond the earth": (lambda c: c | {"x": c["x"] + 1e19}, "at most 1e+07 m"),
     "a payload of a ship": (lambda c: c | {"payload": np.full(len(c["x"]), 1e300)}, "at most 1e+07 kg"),
+    "a time beyond any clock": (lambda c: c | {"time": 1e300 * np.arange(len(c["x"]))}, "at most 1e+20"),
     "a standard deviation of nothing": (lambda c: c | {"sigma": np.full(len(c["x"]), 1e-300)}, "at least 1e-12"),
     "text in a number": (_with_cell("y", "abc"), "line 5"),
     "no measurement": (lambda c: {n: v for n, v in c.items() if n not in "xyz"}, "measurement"),

@@ -232,23 +232,6 @@ def test_a_table_of_poses_comes_back_in_its_own_way(made: Made, names: tuple[str
     np.testing.assert_allclose(back, expected[:, :, :3], rtol=0.0, atol=1e-9)
 
 
-def test_a_script_of_universal_robots_is_corrected_as_a_whole_or_not(made: Made, tmp_path: Path) -> None:
-    """Targets in numbers are corrected, comments, texts and other lists stay; a target that is calculated refuses all."""
-    q = ", ".join(f"{x:.9f}" for x in made.at.q[0])
-    p = ",".join(f"{x:.9f}" for x in (*made.meant[1, :, 3], *Rotation.from_matrix(made.meant[1, :, :3]).as_rotvec()))
-    moves = f"  movej([{q}], a=1.4, v=1.05)\n  movel(p[{p}], a=1.2)\n"
-    text = f"def main():\n  # movej([1,2,3,4,5,6])\n  set_tcp(p[0,0,0.1,0,0,0])\n{moves}end\n"
-    found, rows = by_page(made, "part.script", text.encode(), tmp_path)
-    assert rows == ["ok"] * 2 and without_numbers(found) == without_numbers(text.encode())
-    lines = found.decode().splitlines()
-    assert lines[:3] == text.splitlines()[:3]
-    numbers = np.array([float(x) for x in lines[3].split("[")[1].split("]")[0].split(",")])
-    assert np.abs(made.arrived(np.tile(numbers, (20, 1)))[0] - made.meant[0]).max() < 1e-8
-
-    words, rows = by_page(made, "part.script", text.encode() + b"movel(home)\n", tmp_path)
-    assert rows is None and words.startswith(b"line 7: a motion whose target is not written in numbers")
-
-
 @pytest.mark.long
 def test_what_can_not_be_read_is_refused_by_name(made: Made, tmp_path: Path) -> None:
     """With what to do; the Python file ends with 3 and writes nothing."""
@@ -268,7 +251,11 @@ def test_what_can_not_be_read_is_refused_by_name(made: Made, tmp_path: Path) -> 
         assert code == 3 and words in said and "Traceback" not in said
         assert rows is None and words in refused.decode("latin-1")
     assert not (tmp_path / "out.csv").exists()
-    for name, words in (("weld.src", "a KUKA program"), ("a.ls", "a FANUC program"), ("t.xlsx", "Save it as CSV")):
+    for name, words in (
+        ("a.tp", "a FANUC binary"),
+        ("t.xlsx", "save it as CSV"),
+        ("weld.urp", "a packed PolyScope program"),
+    ):
         refused, rows = by_page(made, name, b"whatever", tmp_path)
         assert rows is None and words in refused.decode() and "pincal compensate model.json" in refused.decode()
 
@@ -307,10 +294,10 @@ def test_a_dropped_file_is_shown_and_saved(made: Made, tmp_path: Path) -> None:
         made.page,
         f"const bytes = Uint8Array.from({given}, (c) => c.charCodeAt(0)); let saved = null;"
         "URL.createObjectURL = (blob) => { saved = blob; return '#'; };"
-        "await take(new File([bytes], 'weld.csv')); $('save').click();"
+        "await take([new File([bytes], 'weld.csv')]); $('saves').firstChild.click();"
         "const text = new Uint8Array(await saved.arrayBuffer());"
         "return [$('rows').tBodies[0].rows.length, $('rows').tBodies[0].rows[0].innerText, $('summary').textContent,"
-        "  $('save').textContent, String.fromCharCode(...text), document.documentElement.scrollWidth <= innerWidth];",
+        "  $('saves').textContent, String.fromCharCode(...text), document.documentElement.scrollWidth <= innerWidth];",
         tmp_path,
     )
     found, _ = by_page(made, "weld.csv", joints_table(made), tmp_path)

@@ -23,12 +23,23 @@ from pincal import (
     measurements_from_arrays,
 )
 from pincal.builtin import kuka_urdf_path
-from pincal.design.bodies import Bodies, Boxes
+from pincal.design.collisions import Bodies, Boxes
 from pincal.design.design_model import DesignModel, noncentrality
-from pincal.design.exchange import DesignState, choose_greedily, covariance, exchange, gains, information, lower_bound, value
-from pincal.design.observability import SOURCES, observability, observed_directions
+from pincal.design.exchange import (
+    DesignState,
+    choose_greedily,
+    covariance,
+    exchange,
+    gains,
+    information,
+    length,
+    lower_bound,
+    short_route,
+    travel,
+    value,
+)
+from pincal.design.pose_design import SOURCES, observability, observed_directions
 from pincal.design.reach import Reach
-from pincal.design.route import length, short_route, travel
 from pincal.design.study import find_rival
 from pincal.errors import BadInputError
 from pincal.measure.table import read_measurements

@@ -21,7 +21,7 @@ from pincal.cli import main
 from pincal.diagnosis.excluded import most_different_poses, separation, tell_apart
 from pincal.diagnosis.lineup import ChangeHypotheses
 from pincal.diagnosis.robot_diagnosis import changes_since
-from pincal.diagnosis.row_evidence import Known, weighted_rows
+from pincal.diagnosis.row_evidence import Known
 from pincal.errors import BadInputError, ChangedRobotError, MeasurementError
 from pincal.io.diagnosis_file import DiagnosisFile
 from pincal.io.schemas import shipped
@@ -272,14 +272,7 @@ def test_weighing_again_after_a_change_is_consistent(offset: tuple[CalibratedMod
     start = lineup.release((), lineup.start)
     i = next(k for k, c in enumerate(lineup.changes) if c.parameters == ("axis_2.theta",))
     before = lineup.weigh(start, ())
-    after = weighted_rows(
-        lineup.station,
-        lineup.release((i,), start),
-        lineup.known,
-        lineup.free((i,)),
-        beside=lineup.beside,
-        sigma=lineup.robot.sigma,
-    )
+    after = lineup.weigh(lineup.release((i,), start), (i,))
 
     assert before.form.square - after.form.square == pytest.approx(before.gain(lineup.places[i])[0], rel=1e-2)
 
@@ -330,7 +323,7 @@ def test_what_a_model_left_is_no_change(tmp_path: Path) -> None:
     """Strong effects that it always had: an alarm for a model that forgot them, none for one that knows, file or not."""
     case = draw_case(0, missed=3)
     assert case is not None and case.model.left is not None
-    forgetful = replace(case.model, left=None)
+    forgetful = replace(case.model, left_by=None)
     case.model.save(tmp_path / "model.json")
     forgetful.save(tmp_path / "forgetful.json")
     read = pincal.load_model(tmp_path / "model.json")

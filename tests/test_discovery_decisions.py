@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
 import pytest
 
 from pincal.discover.decisions import (
@@ -47,21 +46,13 @@ class Told:
     """Evidence as a test wants it: everything is told apart and predicts unless said otherwise."""
 
     left: dict[tuple[int, int], float] = field(default_factory=dict)
-    together: dict[tuple[int, int], float] = field(default_factory=dict)
     silent: frozenset[int] = frozenset()
     beside: dict[tuple[tuple[int, ...], tuple[int, ...]], float] = field(default_factory=dict)
 
-    def left_given(self, which: int, given: int) -> float:
-        """Return what the test says, else that it is told apart beyond doubt."""
-        return self.left.get((which, given), 1e-12)
-
-    def cost_together(self, one: int, other: int) -> float:
-        """Return what the test says, else that no pair is worth its cost."""
-        return self.together.get((one, other), np.inf)
-
-    def left_beside(self, which: Sequence[int], given: Sequence[int]) -> float:
+    def score_given(self, which: Sequence[int], given: Sequence[int]) -> ScoreResult:
         """Return what the test says, else that they are told apart beyond doubt."""
-        return self.beside.get((tuple(which), tuple(given)), 1e-12)
+        left = self.beside | {((i,), (k,)): p_value for (i, k), p_value in self.left.items()}
+        return ScoreResult(200.0, 1, left.get((tuple(which), tuple(given)), 1e-12), 0.0)
 
     def left_out(self, which: int) -> Unfitted:
         """Return that it predicts if it is not silent."""
@@ -76,8 +67,7 @@ def row(effect: Effect, cost: float, *, p: float = 1e-9, gain: float = 200.0, ra
 def table(*rows: Row, told: Told | None = None) -> CandidateTable:
     """Return a table."""
     told = told or Told()
-    rows = tuple(replace(of, left_out=partial(told.left_out, i)) for i, of in enumerate(rows))
-    return CandidateTable(rows, told.left_given, told.cost_together, told.left_beside)
+    return CandidateTable([replace(of, which=(i,), left_out=partial(told.left_out, i)) for i, of in enumerate(rows)], told)
 
 
 def decided(names: CandidateTable, *nameless: Row, told: Told | None = None) -> Decision | None:
@@ -206,31 +196,6 @@ def test_dependences_without_a_name_are_rivals_of_a_name() -> None:
     names = table(row(OTHER, -60.0), row(PLAY, -58.0), told=Told(left={(0, 1): 0.5}))
     found = decided(names, row(STRANGE, -57.0), told=Told(left={(0, 2): 0.5}))
     assert found is not None and found.equivalent == (PLAY, STRANGE)
-
-
-def test_a_simple_curve_may_be_part_of_a_whole_one() -> None:
-    """The drive curve is an equivalent where it hints at more, and is chosen where it surely explains more."""
-    rows = row(RATIO, -60.0), row(CURVE, -50.0), row(PLAY, -20.0)
-    for left, effect, equivalent in ((0.5, RATIO, ()), (0.1, RATIO, (CURVE,)), (1e-6, CURVE, ())):
-        found = decided(table(*rows, told=Told(left={(1, 0): left})))
-        assert found is not None and (found.effect, found.equivalent) == (effect, equivalent)
-
-
-def test_a_second_name_is_better_than_a_whole_curve() -> None:
-    """Two names that together cost less than the curve keep it from being chosen."""
-    rows = row(RATIO, -60.0), row(CURVE, -65.0, p=0.5), row(WAVE, -20.0)
-    told = {(1, 0): 1e-6}
-    alone = decided(table(*rows, told=Told(left=told, together={(0, 2): -64.0})))
-    pair = decided(table(*rows, told=Told(left=told, together={(0, 2): -66.0})))
-    assert alone is not None and alone.effect == CURVE
-    assert pair is not None and pair.effect == RATIO and CURVE in pair.equivalent
-
-
-def test_the_best_of_simple_curves_counts() -> None:
-    """The drive curve has to add something to every simple curve of the joint that is nearly as good."""
-    rows = row(RATIO, -60.0), row(CURVE, -50.0), row(WAVE, -55.0)
-    found = decided(table(*rows, told=Told(left={(1, 0): 1e-9, (1, 2): 0.9})))
-    assert found is not None and found.effect == RATIO and found.equivalent == ()
 
 
 def test_each_heading_is_listed_once() -> None:

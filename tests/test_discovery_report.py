@@ -17,13 +17,13 @@ from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.calibrated_robot import load_model, save_model
 from pincal.cli import main
-from pincal.discover.levers import levers
+from pincal.discover.levers import levers, on_steps
 from pincal.discover.locate import _window, locate
 from pincal.discover.policy import POLICY
 from pincal.discover.precheck import critical_gain, detectable_noncentrality, minimum_detectable, power_of, precheck
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import score_test
-from pincal.discover.shrink import PartialResidual, _tone_gains, period_of
+from pincal.discover.shrink import PartialResidual, period_of
 from pincal.io.discovery_file import Findings, FoundEffect, Gap, ScatteringJoint
 from pincal.io.discovery_file import Verdict as FoundVerdict
 from pincal.measure.measurements import Measurements
@@ -305,9 +305,8 @@ def test_gains_of_tones_are_those_of_least_squares() -> None:
     """A sine, a cosine and a constant fitted with weights take as much off, for the first of many cycles and the last."""
     rng = np.random.default_rng(2)
     angle, y, w = rng.uniform(0.0, 2.0 * np.pi, 300), rng.standard_normal(300), rng.uniform(0.5, 2.0, 300)
-    cycles = np.arange(1.8, 75.0, 0.125)
 
-    gains = _tone_gains(angle, cycles, y, w)
+    cycles, gains = on_steps(angle, w * y, w, start=1.8, step=0.125, end=75.0, is_beside_constant=True)
 
     constant = np.sum(w * (y - np.average(y, weights=w)) ** 2)
     for k in (0, 100, len(cycles) - 1):

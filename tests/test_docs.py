@@ -18,7 +18,7 @@ import transcripts
 from nbclient import NotebookClient
 
 from pincal.cli import pincal
-from pincal.io.entries import known_effects
+from pincal.io.entries import EFFECTS
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -54,7 +54,7 @@ def test_every_effect_is_drawn_and_explained() -> None:
     """What it is, its signature with a picture, its look-alikes, what tells it apart, and its source, of each effect."""
     page = (ROOT / "docs" / "reference" / "effects.md").read_text(encoding="utf-8")
     sections = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## )", page, re.DOTALL | re.MULTILINE))
-    names = {name for name, cls in known_effects().items() if cls.__module__.startswith("pincal.")}
+    names = {name for name, cls in EFFECTS.known().items() if cls.__module__.startswith("pincal.")}
 
     assert set(sections) == names
     for name, section in sections.items():

@@ -13,7 +13,7 @@ from pincal import simulate as sim
 from pincal.calibration.calibrated_robot import load_stations
 from pincal.discover.score_tests import score_test
 from pincal.errors import BadInputError, MeasurementError
-from pincal.identify.earlier import Earlier
+from pincal.identify.believed import Earlier
 from pincal.identify.equations import Equations, Linearised
 from pincal.identify.problem import Problem, extended
 from pincal.identify.station import Station
@@ -68,7 +68,7 @@ def test_of_a_linear_model_it_gives_the_joint_fit(both: Fit) -> None:
     alone = equations_alone(both, new, Earlier.of(old_alone(both)))
     robots = both.problem.is_shared[both.solution.free]
     mine = ~new.is_own[both.solution.free[joint_places(both, new)]]
-    step, expected = (each.step(np.full(len(each.values), np.inf))[0] for each in (alone, joint))
+    step, expected = (each.step(np.full(len(each.shared), np.inf))[0] for each in (alone, joint))
     sigma = np.sqrt(np.diag(joint.posterior.covariance))
     np.testing.assert_allclose(step[mine] / sigma, expected[robots] / sigma, rtol=0.0, atol=1e-6)
     found = alone.posterior

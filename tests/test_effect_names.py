@@ -7,9 +7,9 @@ import ast
 import pytest
 from test_layers import MODULES
 
-from pincal.io.entries import known_effects
+from pincal.io.entries import EFFECTS
 
-CLASSES = {cls.__name__: cls for cls in known_effects().values() if cls.__module__.split(".")[0] == "pincal"}
+CLASSES = {cls.__name__: cls for cls in EFFECTS.known().values() if cls.__module__.split(".")[0] == "pincal"}
 # Who may name which effects, and why. The simulator has effects of its own, which share no code with these.
 ALLOWED = {
     "pincal.model.effect_registry": "registers the effects that a model is made of",
@@ -17,7 +17,7 @@ ALLOWED = {
     "pincal.model.effects": "lists what an elastic model is made of",
     "pincal.model.catalogue.bearing_features": "is the elasticity of a bearing in directions of its own",
     "pincal.validate.agreement": "zeros that data have pulled far are looked for",
-    "pincal.validate.zeros": "looks for the zeros of joints",
+    "pincal.validate.cures": "looks for the zeros of joints",
     "pincal.identify.explain": "a reason names base and tool",
     "pincal.identify.initial": "makes the frames of base and tool that a sensor's readings depend on",
     "pincal.identify.problem": "makes them for each station",
@@ -47,7 +47,7 @@ def texts(module: str) -> set[str]:
     """Return the names of effects that a module compares with or looks up."""
     tree = ast.parse(MODULES[module].read_text(encoding="utf-8"))
     found = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
-    return found & known_effects().keys()
+    return found & EFFECTS.known().keys()
 
 
 @pytest.mark.parametrize("module", sorted(name for name in MODULES if not name.startswith("pincal.simulate")))

@@ -171,7 +171,10 @@ def test_tests_without_an_effect_follow_from_those_with_it(blocks: int) -> None:
 
 
 def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_for() -> None:
-    """Those of dense columns, of curves in the model and beside it, of effects that share a coordinate, and of others."""
+    """Those of dense columns, of curves in the model and beside it, of effects that share a coordinate, and of others.
+
+    A candidate that the model takes in keeps them, and moves the rows as before.
+    """
     rng = np.random.default_rng(6)
     q = ROBOT.random_configurations(90, rng)
     tips = ROBOT.forward_kinematics(q + 1e-3 * np.sin(q))
@@ -203,3 +206,17 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
     fewer = tests.among([5, 1, 7], fit.names_of([own[0]]))
     told = whole.among([5, 1, 7], fit.names_of([own[0]]))
     np.testing.assert_allclose(fewer.products.inner, told.products.inner, rtol=1e-9, atol=1e-9)
+    n, m = cross.shape
+    for i in (1, 6):
+        taking, j = products.taking(i), products.columns[i]
+        expected, size = np.vstack([cross, products.inner[j]]), np.append(scale[:n], scale[n + j])
+        np.testing.assert_allclose(
+            taking.cross / np.outer(size, scale[n:]), expected / np.outer(size, scale[n:]), atol=1e-12
+        )
+        steps, own_steps = np.zeros((n + len(j), 1)), np.zeros((m, 1))
+        steps[n:] = own_steps[j] = rng.normal(size=(len(j), 1))
+        for part, before in zip(taking.parts, products.parts, strict=True):
+            moved = before.moved(np.zeros((n, 1)), own_steps)
+            np.testing.assert_allclose(part.moved(steps, np.zeros((m, 1))), moved, rtol=1e-12)
+            back = part.among(np.arange(n + len(j) + 1), np.arange(m + 1), np.append(steps, 0.0))
+            np.testing.assert_allclose(back.residuals, before.residuals + moved[0], rtol=1e-12)

@@ -299,3 +299,14 @@ def test_a_controller_gives_its_calibration_away(tmp_path: Path, decimals: int, 
         )
     assert numbers(text, "by the URDF, base and tool fitted, max:")[0] > 1e-3
     assert (tmp_path / "as_the_controller.urdf").is_file()
+
+
+@pytest.mark.long
+def test_readings_are_between_any_two_links(tmp_path: Path) -> None:
+    """Hands that touch, a head that looks, a track and a palletizer are right to little more than the noise, .080 mm."""
+    text = run("any_two_links.py", folder=tmp_path)
+
+    held_out = [float(figure) for figure in re.findall(r"calibrated ([\d.]+) mm; adequate", text)]
+    assert len(held_out) == 4
+    assert max(held_out) < 0.1
+    assert numbers(text, "the other hand, which no tracker saw:")[0] < 0.095

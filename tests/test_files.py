@@ -13,7 +13,7 @@ import pytest
 from pincal.calibration.calibrated_robot import load_model
 from pincal.errors import ModelFileError
 from pincal.io.arrays import ArrayShape, Matrix, Numbers, Record, Rotation, array_of
-from pincal.io.strict_json import MODEL_FILE, MOST_BYTES, MOST_DEPTH, MOST_DIGITS, decode
+from pincal.io.strict_json import MODEL_FILE, MOST_BYTES, MOST_DEPTH, MOST_DIGITS, bounded, built
 from pincal.model.effects import Conditions
 
 
@@ -29,7 +29,13 @@ class Pair(Record, frozen=True, kw_only=True):
 def read(text: str | bytes) -> Pair:
     """Read a pair."""
     content = text.encode() if isinstance(text, str) else text
-    return decode(content, Pair, MODEL_FILE, file="pair.json", hook=lambda kind, value: array_of(value))
+    return built(
+        bounded(content, MODEL_FILE, "pair.json"),
+        Pair,
+        MODEL_FILE,
+        file="pair.json",
+        hook=lambda kind, value: array_of(value),
+    )
 
 
 def test_arrays_come_back_in_their_shapes() -> None:

@@ -21,7 +21,7 @@ import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.cli import main as command
 from pincal.cli import pincal as verbs
-from pincal.cli.common import LENGTH
+from pincal.cli.quantities import LENGTH
 from pincal.errors import MeasurementError, PincalWarning, RobotFileError
 from pincal.measure.measurements import Measurements
 from pincal.measure.orientation import CONVENTIONS as KNOWN
@@ -492,6 +492,9 @@ def test_a_hidden_worksheet_gives_way_to_a_visible_one(tmp_path: Path) -> None:
     book.save(path)
     with pytest.warns(PincalWarning, match="the visible worksheets are empty; the hidden one measured is read"):
         assert len(read_measurements(path, JOINTS)) == N
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", PincalWarning)
+        assert len(read_measurements(path, JOINTS, sheet="measured")) == N
 
 
 def test_hidden_rows_of_a_worksheet_are_told_of(tmp_path: Path) -> None:

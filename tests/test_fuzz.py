@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_fit import calibrate
-from pincal.calibration.calibrated_robot import load_model
+from pincal.calibration.calibrated_robot import calibrate, load_model
 from pincal.compensate.targets import read_targets
 from pincal.errors import BadInputError, IdentificationError, printable
 from pincal.identify.options import Options

@@ -11,30 +11,80 @@ from house import House
 
 import pincal
 from pincal.discover import policy
+from pincal.identify import criteria
 from pincal.identify.problem import Problem
 
-# What there was when this was written, with 3 200 for programs in five languages of controllers; 44 000 is the aim.
-MOST_LINES = 59_800
+# What there was when this was written, with 4 400 for programs in five languages of controllers, in the page, too, and 200
+# for tables that come back as they went in; 44 000 is the aim. 100 are for errors that persist in the target's frame and for
+# few poses, which no older code looked for.
+MOST_LINES = 63_000
 TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [
-    thing for thing in vars(policy).values() if hasattr(thing, "__dataclass_fields__") and not isinstance(thing, type)
+    thing
+    for module in (policy, criteria)
+    for thing in vars(module).values()
+    if hasattr(thing, "__dataclass_fields__") and not isinstance(thing, type)
 ]
+# Numbers at the top of other files of rooms in which something is decided: they bound a computation (rows looked at, steps,
+# memory, rounding) or a prior, and nothing is named, kept or refused by them.
+BOUNDS = {
+    "calibration.moves": "_SEEN _ROUNDING _BEYOND_ROUNDING _MOST _MOST_STATIONS",
+    "calibration.unmodelled": "_MOST _ROWS _STATIONS _SEEN _ROUNDING",
+    "diagnosis.change_search": "_MOST_TRIED _LINEAR _MOST",
+    "diagnosis.excluded": "_MORE _TRIED _SHOWN _TELLABLE _SEEN",
+    "diagnosis.lineup": "_MOST_STEPS _HALVINGS _SHORT",
+    "diagnosis.row_evidence": "_POSES",
+    "identify.beliefs": "_FARTHEST _FREE _LEAST _MOST",
+    "identify.believed": "_LEAST",
+    "identify.calibrate": "_WEIGHINGS _SAME_WEIGHT _SCALINGS _CLOSE",
+    "identify.choices": "_ROWS",
+    "identify.dependence": (
+        "_BANDS _NEAR _NEAREST _READINGS _ROWS _STARTS _LONGEST _MEMORIES _LENGTHS _BLOCK_READINGS _MOST_STATIONS"
+    ),
+    "identify.equations": "_MOST_KEPT",
+    "identify.explain": "_ONE _SAME _RANK _ROWS _TOGETHER",
+    "identify.fit": "MOST_STEPS",
+    "identify.initial": "_ROWS _SETTLED_ROWS _FEWEST_SETTLED_ROWS _ALIKE",
+    "identify.jacobian": "_PADDING _AT_ONCE",
+    "identify.noise": "_POLISHING _PARTS _STRONG _CORRECTIONS _COARSE _EXACT MOST_EXACT",
+    "identify.normal": "_MOST_CHANGED",
+    "identify.options": "LENGTH_BOUND",
+    "identify.posterior": "_ROUNDING",
+    "identify.problem": "_ROWS",
+    "identify.quadratic": "SEEN ROUNDING NULL",
+    "identify.regions": "_SCALES _REGIONS _ANYWHERE",
+    "identify.solve": "SETTLED _ROUGH _ROUNDED _STEADY _SETTLED _MEMORY _SLOW _FIRST _MORE _LESS _MOST _REPAIR _HALVINGS",
+    "identify.split": "_BLOCKS",
+    "identify.station": "PIECE",
+    "identify.whitening": "_TILE",
+    "io.arrays": "_ROTATION _EXACT _MOST_EXACT _MOST_ROWS _BITS",
+    "io.camera_file": "_ROTATION",
+    "io.strict_json": "MOST_BYTES MOST_TOKENS MOST_DEPTH MOST_DIGITS",
+    "io.urdf_export": "FK_TOLERANCE _TIP_MOVED _CHECKED_POSES",
+    "io.urdf_text": "UNCHANGED _ROUNDING",
+}
 
 
 @pytest.mark.parametrize("numbers", NUMBERS, ids=lambda numbers: type(numbers).__name__)
-def test_numbers_that_decide_stand_in_the_policy(numbers: object) -> None:
-    """Each with its unit, its meaning, why it has this value, and a test that is there; none in another file of discover."""
-    elsewhere = {file.name: file.numbers for file in HOUSE.files if file.room == "discover" and file.numbers}
+def test_numbers_that_decide_stand_in_a_policy(numbers: object) -> None:
+    """Each with its unit, its meaning, why it has this value, and a test that is there."""
     known = set[str]()
     for path in TESTS.glob("*.py"):
         names = (node.name for node in ast.parse(path.read_text("utf-8")).body if isinstance(node, ast.FunctionDef))
         known |= {path.name, *(f"{path.name}::{name}" for name in names)}
 
-    assert not elsewhere
     for entry in fields(numbers):  # type: ignore[arg-type]
         assert all(entry.metadata[key].strip() for key in ("unit", "meaning", "origin", "pinned_by")), entry.name
         assert entry.metadata["pinned_by"] in known, entry.name
+
+
+def test_no_other_number_decides() -> None:
+    """None at the top of discover's other files, and elsewhere only those that bound a computation."""
+    rooms = {"discover", "diagnosis", "identify", "io"}
+    found = {of.name: " ".join(of.numbers) for of in HOUSE.files if of.numbers and (of.room in rooms or of.name in BOUNDS)}
+
+    assert found == BOUNDS
 
 
 def test_no_name_stands_in_two_places() -> None:

@@ -92,7 +92,7 @@ def test_where_pinocchio_can_not_be_installed_the_readme_says_what_to_do(tmp_pat
     done = run_without("pinocchio", *words, folder=tmp_path)
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
 
-    assert done.returncode == 3 and "pinocchio is not installed; README.md says" in done.stderr
+    assert done.returncode == 3 and "pinocchio is not installed; README.md lists" in done.stderr
     assert "### Where it installs" in readme and "no wheels for Windows" in readme
 
 

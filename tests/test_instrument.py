@@ -12,7 +12,7 @@ from tracker_cases import NOISE, seen, standing
 
 from pincal import load_model
 from pincal import simulate as sim
-from pincal.calibration.calibrated_fit import Fit, calibrate
+from pincal.calibration.calibrated_robot import Fit, calibrate
 from pincal.discover.candidate_tests import variants
 from pincal.discover.loop import discover_effects
 from pincal.discover.steps import History

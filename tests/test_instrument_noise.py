@@ -11,7 +11,7 @@ import pytest
 from tracker_cases import seen, standing
 
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated_fit import Fit, calibrate
+from pincal.calibration.calibrated_robot import Fit, calibrate
 from pincal.cli import main
 from pincal.discover.ending import note_on_joints
 from pincal.errors import BadInputError, MeasurementError

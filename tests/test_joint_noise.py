@@ -15,7 +15,7 @@ from pincal.identify.calibrate import fit_tables, refit
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
-from pincal.identify.repeat import monte_carlo
+from pincal.identify.split import monte_carlo
 from pincal.identify.station import PIECE
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.model.effects import GEOMETRIC

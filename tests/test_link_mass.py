@@ -25,7 +25,7 @@ from pincal.builtin import kuka_urdf_path
 from pincal.discover.levers import MassError
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import refit
-from pincal.identify.found_masses import along_gauge, found_moments, weight_of
+from pincal.identify.choices import along_gauge, found_moments, weight_of
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.model.catalogue.masses import LinkMass, with_masses
 from pincal.model.chain import Chain

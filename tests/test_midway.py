@@ -27,16 +27,18 @@ def table(seed: int, *, change: str = "", cut: int = 0, noise: str = "white", n:
     true = q.copy()
     if change in machine.names:
         true[cut:, machine.names.index(change)] += 1e-3
+    if noise == "joint":
+        true[:, 1] += 1e-4 * rng.standard_normal(n)
     position = _read(machine, true, TARGET, seed)
     if change == "tool":
         position[cut:] = _read(machine, true, TARGET + OTHER_TOOL, seed)[cut:]
     if change == "instrument":
         position[cut:, 0] += 3e-4
     steps = rng.standard_normal((n, 3))
-    if noise == "ar":
+    if phi := {"ar": 0.9, "slow": 0.98}.get(noise):
         for i in range(1, n):
-            steps[i] = 0.9 * steps[i - 1] + np.sqrt(1.0 - 0.9**2) * steps[i]
-        position += NOISE * steps
+            steps[i] = phi * steps[i - 1] + np.sqrt(1.0 - phi**2) * steps[i]
+        position += (NOISE if noise == "ar" else 2.0 * NOISE) * steps
     if noise == "walk":
         position += np.cumsum(1e-5 * steps, axis=0)
     if noise == "heat":
@@ -81,14 +83,25 @@ def test_the_line_is_found_among_many_rows() -> None:
     assert found is not None and found.cause.name == "joint_3" and abs(found.line - rows.rows[900]) <= 1
 
 
-@pytest.mark.parametrize("noise", ["white", "ar", "walk", "heat"])
+@pytest.mark.parametrize("noise", ["white", "ar", "walk", "heat", "joint"])
 def test_a_table_in_which_nothing_changed_is_left_alone(noise: str) -> None:
     """Whatever its noise."""
     assert [seen(table(100 + seed, noise=noise)) for seed in range(3)] == [None] * 3
 
 
+def test_a_joint_that_arrives_unevenly_was_not_remastered() -> None:
+    """Rows scatter along its lever most; as if they did so in all directions, this was 0.11 mrad from a line on."""
+    assert seen(table(9055, noise="joint")) is None
+
+
+def test_rows_that_are_held_out_are_no_step() -> None:
+    """Noise that persists over some fifty rows goes on where forty of them are missing."""
+    rows = [table(100 + seed, noise="slow").select(np.r_[:60, 100:150]) for seed in range(8)]
+    assert [seen(part) for part in rows] == [None] * 8
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("noise", ["white", "ar", "walk", "heat"])
+@pytest.mark.parametrize("noise", ["white", "ar", "walk", "heat", "joint"])
 def test_drifts_are_no_changes(noise: str) -> None:
     """In sixty tables of each noise none is seen: at most 4.9 % by the exact 95 % interval, one-sided."""
     alarms = sum(seen(table(9000 + seed, noise=noise)) is not None for seed in range(60))

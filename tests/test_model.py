@@ -317,7 +317,7 @@ class Augmented:
         x = coordinates.copy()
         for i in range(self.chain.robot.n_joints):
             x[self.chain.joint(i, "d")] -= x[self.chain.joint(i, "h")]
-        return x[FRAME:-FRAME]
+        return x[FRAME : self.chain.layout.starts[-1]]
 
     def pose(self, coordinates: np.ndarray) -> np.ndarray:
         """Return the tip in the frame where the path starts, shape (3, 4)."""
@@ -449,7 +449,8 @@ def test_jacobian_through_the_moments_is_pinocchios(
     bent, straight = model.coordinates(values, conditions), model.coordinates(stiff, conditions)
     _, jacobian = model.linearise(values, conditions, rows=6)
     thetas, gammas, k = [], [], []
-    for i, name in enumerate(robot.joint_names):
+    for name in robot.measured_joints:
+        i = robot.joint_names.index(name)
         thetas.append(chain.joint(i, "theta") - FRAME)
         gammas.append(chain.joint(i, "gamma_z") - FRAME)
         k.append(values[model.index(f"{name}.k_z")])
@@ -560,13 +561,14 @@ def test_a_bearing_sits_where_the_urdf_has_the_joint(robot: Robot, moment_frame:
 def test_equilibrium_balances_on_the_bent_arm(robot: Robot, moment_frame: MomentFrame, rng: np.random.Generator) -> None:
     """Bent by tens of mrad, each elastic angle is its compliance times the moment on the arm as it is bent."""
     chain = bare_chain(robot, moment_frame)
-    oblique = () if moment_frame == "paper" else tuple(ObliqueBearing(joint) for joint in robot.joint_names)
+    oblique = () if moment_frame == "paper" else tuple(ObliqueBearing(joint) for joint in robot.measured_joints)
     model, conditions = Model(chain, (*ELASTIC, *oblique), equilibrium=True), conditions_of(robot, 6, rng, targets=1)
     values = np.abs(values_of(model, conditions, rng))
     coordinates = model.coordinates(values, conditions)
     bending = np.zeros((len(conditions), robot.n_joints, 3))
     softness = np.zeros((robot.n_joints, 3, 3))
-    for i, name in enumerate(robot.joint_names):
+    for name in robot.measured_joints:
+        i = robot.joint_names.index(name)
         for j, axis in enumerate("xyz"):
             bending[:, i, j] = coordinates[:, chain.joint(i, f"gamma_{axis}")]
             softness[i, j, j] = values[model.index(f"{name}.k_{axis}")]

@@ -23,7 +23,7 @@ from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.io.arrays import packed_covariance, packed_matrix, unpacked
-from pincal.io.entries import known_effects
+from pincal.io.entries import EFFECTS
 from pincal.io.strict_json import Fault
 from pincal.io.urdf_export import calibrated_urdf
 from pincal.measure.table import measurements_from_arrays
@@ -340,8 +340,8 @@ def test_a_field_younger_than_the_file_has_its_default(calibrated: CalibratedMod
 
 def test_every_catalogued_effect_is_known() -> None:
     """Effects are found by the names of the contract; classes without a name of their own are none."""
-    assert {effect.name for effect in ELASTIC} | {"base_frame", "tool_frame"} <= known_effects().keys()
-    assert all(cls.name == name for name, cls in known_effects().items())
+    assert {effect.name for effect in ELASTIC} | {"base_frame", "tool_frame"} <= EFFECTS.known().keys()
+    assert all(cls.name == name for name, cls in EFFECTS.known().items())
 
 
 def _keys(value: Any, way: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:

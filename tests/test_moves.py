@@ -77,15 +77,15 @@ def test_intervals_are_those_of_a_fit_in_which_each_day_has_its_own(robot: Robot
     """Change and sigma equal those of a fit with an offset of its own at the other station."""
     offsets = next(effect for effect in GEOMETRIC if effect.locus.acts_on == "drive")
     tables = measured_over(5, {"a": 0.0, "b": 2e-4})
-    found = {move.parameter.name: move for move in moves_of(fitted(robot, tables))[1]}["joint_3.theta"]
+    found = {move["name"]: move for move in moves_of(fitted(robot, tables))[1]}["joint_3.theta"]
     effects = (*GEOMETRIC, AtStation(offsets, "b", "joint_3"))
     apart = fit_tables(robot, tables, Options(effects=effects, sigma=SIGMA))
     place = next(i for i, p in enumerate(apart.problem.parameters) if p.name.endswith("theta_here"))
 
-    assert found.change == pytest.approx(apart.values[place], rel=0.05)
-    assert found.sigma == pytest.approx(apart.estimate.fitted_sigma[place], rel=0.05)
-    fit_has_it = [move for move in moves_of(apart)[1] if move.moved]
-    assert [move.parameter.name for move in fit_has_it] == ["joint_3.theta_here"]
+    assert found["change"] == pytest.approx(apart.values[place], rel=0.05)
+    assert found["sigma"] == pytest.approx(apart.estimate.fitted_sigma[place], rel=0.05)
+    fit_has_it = [move for move in moves_of(apart)[1] if move["moved"]]
+    assert [move["name"] for move in fit_has_it] == ["joint_3.theta_here"]
 
 
 def test_nothing_moves_on_a_robot_that_stays_the_same(robot: Robot) -> None:

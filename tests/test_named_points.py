@@ -19,12 +19,12 @@ from pincal.errors import BadInputError, MeasurementError, PincalWarning
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
-from pincal.identify.repeat import cross_validate
+from pincal.identify.split import cross_validate
 from pincal.io.camera_file import read_camera
 from pincal.measure.admit import scorable_rows, unobservable_notes, usable_rows
+from pincal.measure.extrinsics import sample_rows
 from pincal.measure.lens import Lens
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.sampling import sample_rows
 from pincal.measure.setup import KnownDistance, NamedPoints, Setup, read_distances, read_points
 from pincal.measure.table import read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC

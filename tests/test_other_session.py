@@ -146,7 +146,11 @@ def test_gross_rows_of_a_sound_robot_are_no_changes(
 
     assert not found.changed and found.found.is_judged
     lines = ", ".join(str(line) for line in new.rows[gross])
-    assert any(note.text.endswith(f"lines {lines}") for note in found.found.warnings)
+    (said,) = [note for note in found.found.warnings if note.text.endswith(f"lines {lines}")]
+    assert said.is_doubt and f"{len(gross)} of {len(new)} rows are excluded" in said.text
+    validated = validate_rows([model], spoilt(new, gross))
+    (said,) = [note for note in validated.notes if "held-out rows are off" in note.text]
+    assert said.is_doubt and said.text.startswith(f"{len(gross)} of {len(new)} held-out rows")
 
 
 def test_rows_of_which_many_are_gross_tell_nothing(
@@ -202,8 +206,9 @@ def test_the_drives_of_a_ur10_on_another_day(shared_data: Path) -> None:
     """A model of series A on B: the pan's curve brings most by far, and found anew from 60 rows it does."""
     robot = Robot.from_urdf("ur10")
     series = [pincal.read_measurements(shared_data / "ur10_tmac" / f"series_{name}.csv", robot.joint_names) for name in "AB"]
-    # Every fourth row of A, as all 11911 take many minutes; they leave 0.176, 0.102 (pan) and 0.076 mm (all drives).
-    some = series[0].select(np.arange(0, len(series[0]), 4))
+    # Every fourth row of A, as all 11911 take many minutes; they leave 0.176, 0.102 (pan) and 0.076 mm (all drives). Of the
+    # quarters, which leave 0.192, 0.200, 0.184 and 0.162 mm, the one that is nearest to their mean of 0.185.
+    some = series[0].select(np.arange(2, len(series[0]), 4))
     found = run_discovery(robot, {"": some}, Options(effects=GEOMETRIC))
     model = found.calibration.fit.to_model()
     placed = place_station(model, series[1])

@@ -10,7 +10,7 @@ from machines import kuka as true_kuka
 from placed_arms import FIRST, MOVE, TOOL, measured, run, written
 
 from pincal import simulate as sim
-from pincal.calibration.calibrated_fit import calibrate
+from pincal.calibration.calibrated_robot import calibrate
 from pincal.identify.options import Options
 from pincal.measure.table import write_table
 from pincal.model.catalogue import BaseDrift
@@ -108,7 +108,7 @@ def test_compensation_reaches_where_it_is_measured_now(
         ("model.json", ["--placement", "fewer.csv"], 3, "3 position measurements; expected at least 4"),
         ("model.json", ["--station", "monday"], 3, "calibrated at a single one"),
         ("stations.json", ["--station", "noon"], 3, "expected one of monday, tuesday"),
-        ("stations.json", [], 3, "--station NAME for one of them, or --placement FEW.csv"),
+        ("stations.json", [], 3, "--station NAME for one of them, --placement FEW.csv"),
         ("stations.json", ["--station", "monday", "--placement", "few.csv"], 2, "give one of them"),
         ("model.json", ["--placement", "bent.csv"], 6, "pincal diagnose"),
     ],

@@ -9,7 +9,7 @@ from placed_arms import FIRST, MOVE, NOISE, TOOL, measured, transform
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
-from pincal.calibration.calibrated_fit import Fit, calibrate
+from pincal.calibration.calibrated_robot import Fit, calibrate
 from pincal.calibration.placing import place_station
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.options import Options

@@ -12,7 +12,7 @@ from pincal import Robot
 from pincal.calibration.calibration import Calibration
 from pincal.report.illustrations import inline_svg
 from pincal.report.plots import found, row_figures, style
-from pincal.report.row_errors import RowErrors, evidence_of
+from pincal.report.subject import RowErrors, evidence_of
 
 OF_EVIDENCE = {
     "histogram": row_figures.histogram_figure,

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal, norm
 
 from pincal import GEOMETRIC, BadInputError, Options, Robot, calibrate, measurements_from_arrays
 from pincal.cli import pincal as command
-from pincal.identify.serial import Serial
+from pincal.identify.whitening import Serial
 from pincal.measure.measurements import Measurements
 from pincal.simulate import paper_positions
 from pincal.units import size_in
@@ -56,6 +56,8 @@ def test_a_prior_counts_as_much_as_a_reading_of_the_parameter(kuka: Robot, table
         ({"*.theta": "1mm"}, "expected a number in rad"),
         ({"*.theta": -1.0}, "a standard deviation"),
         ({"*.theta": float("nan")}, "a standard deviation"),
+        ({"*.theta": 1e300}, "from 1e-30 to 1e\\+30"),
+        ({"*.theta": 1e-300}, "from 1e-30 to 1e\\+30"),
     ],
 )
 def test_a_prior_that_means_nothing_is_refused(

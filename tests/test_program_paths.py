@@ -30,6 +30,7 @@ from pincal.calibration.calibrated_robot import save_model
 from pincal.export import export_model
 from pincal.programs.arms import ArmSearch, ProgramAxes
 from pincal.programs.language import LANGUAGES as KNOWN
+from pincal.programs.language import read_sources
 from pincal.programs.program import Number, number_text
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
@@ -122,19 +123,32 @@ def test_points_are_inserted_where_a_line_is_not_straight(
     options = ["--seed-joints", " ".join(map(str, ENDS[0])), "--json", "--quiet"]
     assert run(model, tmp_path / name, "--out", tmp_path / f"ends{name}", *options) == 0
     plain = json.loads(capsys.readouterr().out)
-    assert run(model, tmp_path / name, "--out", tmp_path / f"via{name}", *options, "--path-error", "0.02mm") == 0
+    via_file = tmp_path / "new" / "folder" / name
+    assert run(model, tmp_path / name, "--out", via_file, *options, "--path-error", "0.02mm") == 0
     more = json.loads(capsys.readouterr().out)
     meant = poses_in(language, text)
-    two, many = (poses_in(language, (tmp_path / f"{kind}{name}").read_text()) for kind in ("ends", "via"))
+    two, many = (poses_in(language, file.read_text()) for file in (tmp_path / f"ends{name}", via_file))
     before, after = off_line(two, meant, real_arm), off_line(many, meant, real_arm)
 
     assert len(plain["points"]) == len(more["points"]) == 2 and not plain["left"] and not more["left"]
     assert before > 2.0 * LIMIT and plain["path"]["largest_mm"] == pytest.approx(1e3 * before, rel=0.05)
     assert len(many) == 2 + more["inserted"] and after < 1.05 * LIMIT
-    ends, via = ((tmp_path / f"{kind}{name}").read_bytes().splitlines(keepends=True) for kind in ("ends", "via"))
+    ends, via = (file.read_bytes().splitlines(keepends=True) for file in (tmp_path / f"ends{name}", via_file))
     assert len(via) == len(ends) + more["inserted"] and [line for line in via if line in ends] == ends
     with capsys.disabled():
         print(f"\n{language}: {1e3 * before:.3f} mm off the line, {1e3 * after:.4f} mm with {more['inserted']} points")
+
+
+def test_what_is_inserted_has_angles_of_half_a_turn_at_most(tmp_path: Path) -> None:
+    """As a pendant shows them, wherever the angles of the end lie."""
+    name, text = line_program("KRL")
+    (tmp_path / name).write_bytes(text.encode())
+    language = KNOWN.known()["KRL"]()
+    program = language.read(read_sources([tmp_path / name]))
+    values = np.array([1.0, 2.0, 3.0, -190.0, 20.0, 202.5])
+    posture = next(iter(program.points.values())).posture
+    inserted = language.statement(program.motions[-1][0], program.sources[0], values=values, posture=posture)
+    assert inserted == "LIN {X 1.0000,Y 2.0000,Z 3.0000,A 170.000000,B 20.000000,C -157.500000} C_DIS"
 
 
 def test_a_line_that_takes_no_points_is_named(model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,7 +169,7 @@ def test_a_line_that_takes_no_points_is_named(model: Path, tmp_path: Path, capsy
         ("a.src", "DEF a( )\nLOOP\nPTP XP1\nEND\n", "a.src, line 4, column 1: 'END' within LOOP of line 2"),
         ("a.src", "MODULE a\nENDMODULE\n", "a.src, line 1, column 1: a statement outside of DEF"),
         ("a.src", "DEF a( )\nPTP XP1\n", "a.src, line 3, column 1: the end of the file within DEF of line 1: is it cut?"),
-        ("a.mod", "MODULE a\nPROC b()\nENDPROC\n", "a.mod, line 4, column 1: the end of the file, within MODULE of line 1"),
+        ("a.mod", "MODULE a\nPROC b()\nENDPROC\n", "a.mod, line 4, column 1: the end of the file within MODULE of line 1"),
         ("a.mod", "DEF a( )\nEND\n", "a.mod, line 3, column 1: the end of the file, expected RAPID"),
         ("a.ls", "/PROG A\n/MN\n   1:J P[1] 10% FINE ;\n/POS\nP[1]{\n  GP1:\n  UF : 0, UT", "a.ls, line 7, column 13"),
         ("a.script", "def a():\n  movej([0,0,0,0,0,0])\n", "a.script, line 3, column 1: the end of the file within def"),

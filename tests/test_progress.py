@@ -13,7 +13,7 @@ from rich.console import Console
 from pincal.calibration.result_tables import ParameterRow, parameter_table
 from pincal.cli import main, progress, show_progress
 from pincal.cli.progress import console
-from pincal.identify.reasons import Cause, Reason, Status
+from pincal.identify.explain import Cause, Reason, Status
 from pincal.result_table import one_line
 
 REASON = Reason(Cause.ALIASED, tuple(f"joint_{i}.theta" for i in range(1, 7)))

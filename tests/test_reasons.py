@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from pincal.calibration.caveats import Caveat, CaveatKind, findings_on_replicates
-from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
+from pincal.identify.explain import IDENTIFIED, Cause, Combination, Reason, Status
 from pincal.validate.lack_of_fit import Degrees, LackOfFit
 
 FULL = {

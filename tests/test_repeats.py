@@ -1,15 +1,11 @@
 """Joints that take the same positions again and again: what can't be told of them is said, and no curve is finer."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from machines import kuka as true_kuka
 
 from pincal import simulate as sim
-from pincal.discover import drive_curves
-from pincal.discover.drive_curves import curves_over, notes_on_repeats, resolved
-from pincal.discover.policy import CURVES
+from pincal.discover.drive_curves import notes_on_repeats, smoothed
 from pincal.discover.precheck import precheck
 from pincal.discover.run import run_discovery
 from pincal.identify.calibrate import fit_tables
@@ -74,20 +70,5 @@ def test_no_curve_is_finer_than_the_positions_of_its_joint(kuka: Robot, rows: Me
     assert finest == {"joint_1": 18, "joint_3": 12, "joint_4": 18, "joint_5": 18, "joint_6": 18}
     assert reasons == ["joint_2 takes 5 distinct positions, and the coarsest curve that is tried has 8 pieces"]
     curve = TransmissionError.over("joint_3", situation.positions("joint_3"), 8)
-    assert [c.resolution for c in curves_over(fit, curve, [8, 12, 15, 18])] == [8, 12]
-
-
-def test_curves_tested_a_few_at_a_time_are_the_same(
-    kuka: Robot, rows: Measurements, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One at a time or all at once: the same resolution and heights, but for rounding."""
-    fit = fit_tables(kuka, rows, Options(effects=GEOMETRIC, sigma=5e-5))
-    situation = PoseSet(fit.model.chain, fit.station.conditions)
-    curve = TransmissionError.over("joint_1", situation.positions("joint_1"), 8)
-    found = []
-    for most in (1, 10**6):
-        monkeypatch.setattr(drive_curves, "CURVES", replace(CURVES, at_once=most))
-        found.append(resolved(fit, curve, np.arange(ROWS) % 8))
-    (one, heights, _), (other, same, _) = found
-    assert one == other
-    np.testing.assert_allclose(heights, same, rtol=1e-6, atol=1e-12)
+    ((entered, _),) = smoothed(fit, [curve])[0].values()
+    assert curve.smooth(situation, None).resolution == 12 >= entered.resolution

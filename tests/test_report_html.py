@@ -13,7 +13,7 @@ from report_cases import HOSTILE, ORIGIN, discovered, hostile_run, kuka_run, pag
 from pincal import Robot
 from pincal.calibration.calibration import Calibration
 from pincal.discover.run import Discovery
-from pincal.identify.reasons import Cause, Reason
+from pincal.identify.explain import Cause, Reason
 from pincal.report.blocks import Section, paragraph
 from pincal.report.html import SECTIONS, report_page
 from pincal.report.judgement import judged, narrow_joints, next_steps, unidentified_groups

@@ -8,7 +8,7 @@ from machines import kuka as true_kuka
 
 from pincal import simulate as sim
 from pincal.calibration.held_out import StationRows, as_measured
-from pincal.discover.scatter import Excess, find_excess, find_scatter, related, visits
+from pincal.discover.scatter import Excess, find_excess, related, visits
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.options import Options
 from pincal.identify.station import station_of
@@ -47,7 +47,8 @@ def measured(
 @pytest.mark.parametrize("size", [1e-4, 5e-5])
 def test_scatter_of_a_joint_is_found_with_its_size(size: float, kuka: Robot) -> None:
     """It is the same for all targets of a visit: 70 draws of it tell its size to about a tenth."""
-    found = find_scatter(fit_tables(kuka, measured(kuka, size, seed=3), Options(effects=GEOMETRIC, sigma=NOISE)))
+    excess = find_excess(fit_tables(kuka, measured(kuka, size, seed=3), Options(effects=GEOMETRIC, sigma=NOISE)))
+    found = None if excess is None else excess.scattering
 
     assert found is not None and found.joint == "joint_3"
     assert found.sigma_rad == pytest.approx(size, rel=0.3)
@@ -56,7 +57,8 @@ def test_scatter_of_a_joint_is_found_with_its_size(size: float, kuka: Robot) -> 
 @pytest.mark.parametrize("seed", range(4))
 def test_noise_of_several_targets_is_no_scatter(seed: int, kuka: Robot) -> None:
     """Sound readings raise no alarm."""
-    assert find_scatter(fit_tables(kuka, measured(kuka, 0.0, seed=seed), Options(effects=GEOMETRIC, sigma=NOISE))) is None
+    excess = find_excess(fit_tables(kuka, measured(kuka, 0.0, seed=seed), Options(effects=GEOMETRIC, sigma=NOISE)))
+    assert excess is None or excess.scattering is None
 
 
 def _excess_of_rows(kuka: Robot, table: Measurements, options: Options) -> Excess | None:

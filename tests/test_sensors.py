@@ -19,13 +19,12 @@ from pincal.measure.lens import Lens
 from pincal.measure.measurements import measurements_from_arrays, sensor_of
 from pincal.measure.registry import SENSORS
 from pincal.measure.sensor import Sensor
-from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor
-from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
-from pincal.measure.sensors.fixed_camera import FixedCameraSensor
+from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor, FixedCameraSensor
+from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor, PointDistances
+from pincal.measure.sensors.link_contact import LinkContactSensor, LinkDistanceSensor
 from pincal.measure.sensors.plane import GaugeSensor, PlaneContactSensor
-from pincal.measure.sensors.pose import PoseSensor
-from pincal.measure.sensors.position import PositionSensor
-from pincal.measure.sensors.socket import ContactSensor
+from pincal.measure.sensors.pose import PoseSensor, PositionSensor
+from pincal.measure.sensors.socket import Coincidences, ContactSensor
 from pincal.measure.setup import NamedPoints, Setup
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.plugins import load_plugin
@@ -69,17 +68,17 @@ def ahead(poses: np.ndarray) -> np.ndarray:
     return np.einsum("nij,nj->ni", poses[:, :, :3], AHEAD[: len(poses)]) + poses[:, :, 3]
 
 
-def held(poses: np.ndarray) -> Sensor:
+def held(poses: np.ndarray, sensor: type[Coincidences] = ContactSensor) -> Sensor:
     """Return contacts whose sockets are wherever the tool point is: one known, the others to be found."""
     places = dict.fromkeys(NAMES) | {"p0": tuple(poses[0, :, 3])}
-    return ContactSensor(NamedPoints(places), np.arange(len(poses)))
+    return sensor(NamedPoints(places), np.arange(len(poses)))
 
 
-def anchored(poses: np.ndarray) -> Sensor:
+def anchored(poses: np.ndarray, sensor: type[PointDistances] = AnchoredDistanceSensor) -> Sensor:
     """Return distances in turn from a known anchor and from one to be found."""
     index = np.arange(len(poses)) % 2
     points = NamedPoints({"a": tuple(FAR[0]), "b": None})
-    return AnchoredDistanceSensor(points, index, np.linalg.norm(poses[:, :, 3] - FAR[index], axis=1))
+    return sensor(points, index, np.linalg.norm(poses[:, :, 3] - FAR[index], axis=1))
 
 
 def cases() -> list[Case]:
@@ -91,6 +90,8 @@ def cases() -> list[Case]:
         Case("distance", lambda poses: DistanceSensor(np.linalg.norm(poses[:, :, 3], axis=1))),
         Case("socket", lambda _: held(SEEN), places[1:].ravel()),
         Case("distance", anchored, FAR[1]),
+        Case("contact", lambda _: held(SEEN, LinkContactSensor), places[1:].ravel()),
+        Case("contact distance", lambda poses: anchored(poses, LinkDistanceSensor), FAR[1]),
         Case(
             "camera_point",
             lambda _: CameraPointSensor(NamedPoints(dict.fromkeys(NAMES)), np.arange(N), AHEAD.copy()),
@@ -220,7 +221,8 @@ def test_no_sensor_is_recognised_outside_its_own_file() -> None:
     # Names of arrays and columns, not kinds: of a table of targets, of a list of known distances, of records in files, the
     # displacement that stands for the error of an image, and the points of programs, which are poses or joint positions.
     others = ("compensate/targets.py", "measure/setup.py", "validate/accuracy.py")
-    others += ("measure/nested_sheet.py", "measure/vectors.py", "programs/")
+    # And what a pin of a loop holds.
+    others += ("measure/nested_sheet.py", "programs/", "model/loops.py", "robot/")
     assert [entry for entry in found if not entry.startswith(others)] == []
 
 

@@ -15,7 +15,7 @@ from pincal.errors import BadInputError
 from pincal.robot.urdf_file import find_file
 from pincal.simulate.contact import hold
 from pincal.simulate.lens import draw_lens
-from pincal.simulate.sensors import SENSORS, SetupOptions, draw_setup
+from pincal.simulate.request import SENSORS, SetupOptions, draw_setup
 
 URDF = str(kuka_urdf_path())
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))

@@ -15,9 +15,9 @@ from scipy.stats import multivariate_normal
 
 from pincal import GEOMETRIC, Measurements, Options, Robot
 from pincal import simulate as sim
-from pincal.calibration.calibrated_fit import Fit as CalibratedFit
+from pincal.calibration.calibrated_robot import Fit as CalibratedFit
 from pincal.calibration.calibrated_robot import load_model
-from pincal.discover.drive_curves import CurveSquares, smoothed
+from pincal.discover.drive_curves import CurveSquares, resolved, smoothed
 from pincal.discover.levers import situation_of
 from pincal.identify.calibrate import fit_tables, refit
 from pincal.identify.fit import ModelFit
@@ -132,6 +132,21 @@ def fits(kuka: Robot, rows: Measurements) -> tuple[ModelFit, ModelFit]:
     chosen, near = smoothed(coarse, [curve])
     ((smooth, heights),) = chosen.values()
     return coarse, refit(near, [*GEOMETRIC, smooth], start={smooth: heights})
+
+
+def test_a_curve_enters_as_it_would_end(fits: tuple[ModelFit, ModelFit]) -> None:
+    """Of a fit without it, as of one with a coarse curve: as rough, in as many pieces, and of the same heights."""
+    coarse, fine = fits
+    curve = next(e for e in coarse.options.effects if isinstance(e, TransmissionError))
+    smooth = next(e for e in fine.options.effects if isinstance(e, TransmissionError))
+    entered, heights, _ = resolved(refit(coarse, GEOMETRIC), curve, np.zeros(len(coarse.problem), int))
+
+    assert isinstance(entered, TransmissionError) and entered.roughness and smooth.roughness
+    assert entered.size == pytest.approx(smooth.size, abs=2)
+    assert entered.roughness == pytest.approx(smooth.roughness, rel=0.2)
+    q = np.linspace(curve.lower, curve.upper, 200)
+    drawn = fine.values[fine.problem.places_at(smooth)] @ smooth.basis(q)
+    np.testing.assert_allclose(heights @ entered.basis(q), drawn, rtol=0.0, atol=0.1 * np.ptp(drawn))
 
 
 def test_a_fit_with_a_smooth_curve_is_penalised_least_squares(fits: tuple[ModelFit, ModelFit]) -> None:

@@ -131,3 +131,29 @@ def test_workers_of_a_discovery_that_is_killed_end(tmp_path: Path) -> None:
     command = [*pincal, "discover", "ur5", table, "--out", tmp_path / "found"]
     ends_whole(command, after="subsample 2 of 20", by=signal.SIGKILL)
     assert not (tmp_path / "found").exists()
+
+
+INTERRUPTED = """import signal, sys, time
+from pincal.spread import own_processes, spread
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.siginterrupt(signal.SIGINT, False)
+    with own_processes() as executor:
+        print("waits", flush=True)
+        list(spread(time.sleep, [60.0], label="nap", executor=executor))
+"""
+
+
+def test_a_wait_for_workers_ends_with_an_interruption(tmp_path: Path) -> None:
+    """Even where a library has set SIGINT to restart what it interrupts, as polars does: it took until the next result."""
+    (tmp_path / "wait.py").write_text(INTERRUPTED)
+    running = subprocess.Popen(
+        [sys.executable, tmp_path / "wait.py"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert running.stdout is not None and running.stdout.readline() == "waits\n"
+    time.sleep(1.0)
+    began = time.monotonic()
+    running.send_signal(signal.SIGINT)
+    assert "KeyboardInterrupt" in running.communicate(timeout=50)[1]
+    assert time.monotonic() - began < 5.0

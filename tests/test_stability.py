@@ -11,7 +11,7 @@ from discovery_cases import Case, draw_case
 from scipy.stats import binom, kstest
 from stability_study import by_class, study
 
-from pincal.calibration.calibrated_fit import Fit as CalibratedFit
+from pincal.calibration.calibrated_robot import Fit as CalibratedFit
 from pincal.discover.ending import of_bearings, of_candidates, of_masses
 from pincal.discover.findings import chance_of_best, findings_of
 from pincal.discover.levers import MassError, missing_features
@@ -24,8 +24,8 @@ from pincal.io.discovery_file import Findings, Repeated, Stability
 from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.effects import GEOMETRIC
 from pincal.parameters import root_of
+from pincal.report.html import _named
 from pincal.report.illustrations import stability_drawings
-from pincal.report.missing import _named
 
 COUNT = 2
 

@@ -19,8 +19,7 @@ from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.sensor import Sensor
 from pincal.measure.sensors.distance import DistanceSensor
-from pincal.measure.sensors.pose import PoseSensor
-from pincal.measure.sensors.position import PositionSensor
+from pincal.measure.sensors.pose import PoseSensor, PositionSensor
 from pincal.robot.robot import Robot
 
 PLACEMENTS = [*range(10), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(10, 30))]

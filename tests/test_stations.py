@@ -14,32 +14,31 @@ from machines import kuka as true_kuka
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
-from pincal.calibration.calibrated_fit import Fit as CalibratedFit
+from pincal.calibration.calibrated_robot import Fit as CalibratedFit
 from pincal.calibration.calibrated_robot import load_stations
 from pincal.calibration.result_tables import parameter_rows
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.errors import BadInputError
 from pincal.identify import equations
-from pincal.identify.batch import Batch
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.equations import Linearised
-from pincal.identify.explain import explain
+from pincal.identify.explain import Status, explain
 from pincal.identify.fit import ModelFit
 from pincal.identify.initial import place
 from pincal.identify.jacobian import Jacobian
+from pincal.identify.normal import Batch
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.posterior import Posterior, eliminate, posterior
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
-from pincal.identify.reasons import Status
-from pincal.identify.repeat import bootstrap, bootstrap_stations
 from pincal.identify.solve import Course, solve
+from pincal.identify.split import bootstrap, bootstrap_stations
 from pincal.measure.lens import Lens
 from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays
 from pincal.measure.setup import Setup
 from pincal.measure.table import stations_of
 from pincal.model.at_station import AtStation
-from pincal.model.catalogue import BaseDrift, GearEccentricity, ThermalExpansion
+from pincal.model.catalogue import Backlash, BaseDrift, GearEccentricity, ThermalExpansion
 from pincal.model.effects import GEOMETRIC, Effect, JointElasticity
 from pincal.robot.robot import Robot
 
@@ -668,3 +667,16 @@ def test_candidates_of_one_station_are_told_from_those_of_all(two: ModelFit) -> 
     for k, effect in enumerate(asked):
         alone = score_test(two, [effect], groups)
         assert found.gain([k])[0] == pytest.approx(alone.gain([0])[0], rel=1e-6)
+
+
+def test_directions_that_one_station_records_are_unknown_at_the_other(kuka: Robot) -> None:
+    """An effect that follows them is fitted with those of the one, instead of refused for want of the other's."""
+    rng = np.random.default_rng(0)
+    with_them, without = (
+        measurements_from_arrays(kuka.joint_names, q, position=kuka.forward_kinematics(q)[:, :3, 3])
+        for q in (kuka.random_configurations(40, rng) for _ in range(2))
+    )
+    with_them = replace(with_them, approach=rng.choice([-1.0, 1.0], with_them.q.shape))
+    fit = fit_tables(kuka, {"a": with_them, "b": without}, Options(effects=(*GEOMETRIC, Backlash("joint_2")), sigma=1e-5))
+
+    assert fit.solution.free[[parameter.name for parameter in fit.problem.parameters].index("joint_2.backlash")]

@@ -332,6 +332,16 @@ KINDS: dict[str, Kind] = {
         file("log.csv", lines([f"{a} [°]" for a in SHORT] + list("xyz"), cells(DEG, XYZ)).encode("latin-1"))
     ),
     "units in the header": headed(IN_MM, DEG, MM),
+    "a position by other names": headed(
+        "Achse_1 Achse_2 Achse_3 Achse_4 Achse_5 Achse_6 TCP_X/mm TCP_Y/mm TCP_Z/mm Fx Fy Fz", Q, MM, np.ones((K, 3)),
+        note="the position is taken from the columns TCP_X/mm=x [mm]",
+    ),
+    "a unit in each name": headed(
+        " ".join(f"JointAngle{i}_deg" for i in range(1, 7)) + " pos_x_mm pos_y_mm pos_z_mm", DEG, MM,
+    ),
+    "a first column called #": Kind(
+        file("log.csv", lines(["#", *JOINTS, *(f"P{axis}" for axis in "xyz"), "RMS", "Temp IR", "remark"], EXTRA))
+    ),
     "a row of units": Kind(
         file("log.csv", lines([*SHORT, *"XYZ"], [["degrees"] * 6 + ["MM"] * 3, *cells(DEG, MM)])),
         note="the names of the columns are taken from line 1, units from line 2",

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from pincal.calibration.result_tables import ParameterRow, correlation_table, error_table, iso9283_table, parameter_table
-from pincal.identify.reasons import IDENTIFIED, Cause, Reason, Status
+from pincal.identify.explain import IDENTIFIED, Cause, Reason, Status
 from pincal.result_table import Column, Kind, Table
 from pincal.units import Quantity, fixed
 

@@ -78,7 +78,7 @@ def test_the_scan_is_least_squares_of_a_sine_and_a_cosine() -> None:
     rng = np.random.default_rng(0)
     q, lever = rng.uniform(-2.0, 2.5, 60), rng.uniform(0.1, 1.0, (3, 60))
     r = rng.standard_normal((3, 60))
-    orders, gains = levers._on_steps(q, (lever * r).sum(0), (lever**2).sum(0), start=20.0, step=0.7, end=150.0)
+    orders, gains = levers.on_steps(q, (lever * r).sum(0), (lever**2).sum(0), start=20.0, step=0.7, end=150.0)
     for k in range(0, len(orders), 11):
         A = np.stack([lever * np.sin(orders[k] * q), lever * np.cos(orders[k] * q)]).reshape(2, -1).T
         fit = A @ np.linalg.lstsq(A, r.ravel(), rcond=None)[0]
@@ -92,7 +92,7 @@ def test_what_was_searched_for_is_paid_for() -> None:
     q, lever = rng.uniform(-2.6, 2.6, 200), rng.uniform(0.5, 1.0, 200)
     step = 0.25 * 2 * np.pi / np.ptp(q)
     draws = lever * rng.standard_normal((300, 200))
-    highest = [levers._on_steps(q, along, lever**2, start=BAND[0], step=step, end=BAND[1])[1].max() for along in draws]
+    highest = [levers.on_steps(q, along, lever**2, start=BAND[0], step=step, end=BAND[1])[1].max() for along in draws]
     chances = independent_orders(q, BAND) * np.exp(-0.5 * np.array(highest))
 
     assert 0.01 < np.mean(chances < 0.1) < 0.1

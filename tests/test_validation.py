@@ -11,7 +11,7 @@ from placed_arms import FIRST, MOVE, NOISE, measured, run, transform, written
 
 from pincal import simulate as sim
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_fit import calibrate
+from pincal.calibration.calibrated_robot import calibrate
 from pincal.calibration.validation import validate_rows
 from pincal.diagnosis.robot_diagnosis import diagnose
 from pincal.errors import BadInputError

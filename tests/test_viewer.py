@@ -17,7 +17,7 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.calibrated_robot import save_model
 from pincal.calibration.covered import Covered
 from pincal.cli import main
-from pincal.cli.view import view
+from pincal.cli.export import view
 from pincal.errors import BadInputError, OutputError
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.table import write_table
@@ -30,8 +30,8 @@ from pincal.robot.kinematics import Kinematics
 from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
 from pincal.viewer import build_scene, deviation_fields, held_out_rows, page, show, write_html
-from pincal.viewer.arm import axes_of
 from pincal.viewer.field import effect_name
+from pincal.viewer.scene import axes_of
 from pincal.viewer.shapes import shapes_of
 
 LOOK = '<link name="base"/><link name="tool0"/><link name="arm"><visual><geometry>{}</geometry></visual></link>'

@@ -7,6 +7,7 @@ reports differs from the URDF as drawn. Held-out errors are compared with those 
 from __future__ import annotations
 
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Callable
@@ -53,6 +54,9 @@ if PUBLISHED is not None:
     ARMS |= {
         "KR 16": Arm(str(PUBLISHED / "kuka/kuka_kr16_support/urdf/kr16_2.urdf"), "tool0", ("joint_a2", "joint_a3")),
         "IRB 2400": Arm(str(PUBLISHED / "abb/abb_irb2400_support/urdf/irb2400.urdf"), "tool0", ("joint_2", "joint_3")),
+        "LR Mate": Arm(
+            str(PUBLISHED / "fanuc/fanuc_lrmate200id_support/urdf/lrmate200id.xacro"), "tool0", ("joint_2", "joint_3")
+        ),
     }
 
 
@@ -62,7 +66,11 @@ def drawn(arm: Arm, seed: int) -> tuple[Robot, Measurements]:
         warnings.simplefilter("ignore")
         robot = Robot.from_urdf(arm.urdf, tip=arm.tip)
     rng = np.random.default_rng(seed)
-    machine = sim.TrueMachine.from_urdf(find_file(arm.urdf), tip=robot.tip)
+    with tempfile.TemporaryDirectory() as folder:
+        # The simulator takes no xacro.
+        file = Path(folder) / "expanded.urdf"
+        file.write_bytes(robot.urdf)
+        machine = sim.TrueMachine.from_urdf(file if arm.urdf.endswith(".xacro") else find_file(arm.urdf), tip=robot.tip)
     machine = draw_typical_errors(machine, rng)
     if machine.nominal.masses.sum() > 0.0:
         machine = draw_typical_elasticity(machine, rng)

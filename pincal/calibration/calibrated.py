@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -14,14 +14,12 @@ from numpy.typing import ArrayLike
 
 from pincal.atomic import write_atomic
 from pincal.calibration.covered import Covered
-from pincal.calibration.model_file import FORMAT_VERSION, ModelFile, write_model_file
+from pincal.calibration.model_file import ModelFile, write_model_file
 from pincal.calibration.result_tables import estimate_table
 from pincal.calibration.station_model import StationModel
-from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import BadInputError
-from pincal.identify.fingerprints import fingerprints, together
 from pincal.identify.fit import ModelFit
-from pincal.io.entries import ModelEntry, ParameterEntry
+from pincal.identify.station import fingerprints, together
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.model.augmented import pinocchio_model
 from pincal.model.effects import Conditions
@@ -41,13 +39,8 @@ class Calibrated(ABC):
 
     @property
     @abstractmethod
-    def _predictors(self) -> Mapping[str, CalibratedModel]:
-        """The stations as far as they predict: to find what they left may take as long as a fit; one alone is called ""."""
-
-    @property
-    @abstractmethod
-    def left(self) -> Unmodelled | None:
-        """Effects that the rows of the calibration showed and the model does not have, as far as that is known."""
+    def models(self) -> Mapping[str, CalibratedModel]:
+        """The calibrated model of each station by its name; of a single one, which needs none, under ""."""
 
     @abstractmethod
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -60,18 +53,12 @@ class Calibrated(ABC):
 
     def summary(self) -> str:
         """Return which robot it is, what it was calibrated with and how many parameters were found."""
-        return self.robot_predictor().summary()
+        return self.robot_model().summary()
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the stations."""
-        return tuple(self._predictors)
-
-    @property
-    def models(self) -> Mapping[str, CalibratedModel]:
-        """The calibrated model of each station by its name; of a single one, which needs none, under ""."""
-        (name, first), *others = self._predictors.items()
-        return {name: first.knowing(self.left), **dict(others)}
+        return tuple(self.models)
 
     def at(self, station: str | None = None) -> CalibratedModel:
         """Return the calibrated model that predicts what one station reads; default: the only one.
@@ -79,7 +66,19 @@ class Calibrated(ABC):
         Raises:
             BadInputError: if there is no such station, or none is named and there are several.
         """
-        return self.models[self._name_of(station)]
+        names = self.names
+        if station is None:
+            if len(names) > 1:
+                several = f"there are {len(names)}: {', '.join(names)}; choose one with fit.at(NAME)"
+                raise BadInputError(f"this needs a single station, and {several}")
+            station = names[0]
+        elif station not in names and names == ("",):
+            raise BadInputError(
+                f"station {station!r} is not in the model, which was calibrated at a single one; omit the name"
+            )
+        elif station not in names:
+            raise BadInputError(f"station {station!r} is not in the model; expected one of {', '.join(names)}")
+        return self.models[station]
 
     def to_model(self) -> CalibratedModel:
         """Return the calibrated model of the only station, all that a prediction or a diagnosis needs."""
@@ -87,40 +86,17 @@ class Calibrated(ABC):
 
     def robot_model(self) -> CalibratedModel:
         """Return the model of the first station with all that the rows of all cover: the robot is the same in each."""
-        return self.robot_predictor().knowing(self.left)
-
-    def robot_predictor(self) -> CalibratedModel:
-        """Return the same as far as it predicts: to find what it left may take as long as a fit."""
-        first, *others = self._predictors.values()
-        if not others:
-            return first
+        first, *others = self.models.values()
         covered = first.covered
         for other in others:
             covered = covered.over(other.covered)
-        return replace(first, covered=covered, rows=together(first.rows, *(other.rows for other in others)))
-
-    def _predictor(self) -> CalibratedModel:
-        return self._predictors[self._name_of(None)]
-
-    def _name_of(self, station: str | None) -> str:
-        names = self.names
-        if station in names:
-            return station
-        if station is not None and names == ("",):
-            raise BadInputError(
-                f"station {station!r} is not in the model, which was calibrated at a single one; omit the name"
-            )
-        if station is not None:
-            raise BadInputError(f"station {station!r} is not in the model; expected one of {', '.join(names)}")
-        if len(names) > 1:
-            several = f"there are {len(names)}: {', '.join(names)}; choose one with fit.at(NAME)"
-            raise BadInputError(f"this needs a single station, and {several}")
-        return names[0]
+        rows = together(first.rows, *(other.rows for other in others))
+        return replace(first, covered=covered, rows=rows) if others else first
 
     @property
     def robot_estimate(self) -> Estimate:
         """What is known of the robot's own parameters, whatever it was measured with: ``Options.earlier`` of a next fit."""
-        first = next(iter(self._predictors.values()))
+        first = next(iter(self.models.values()))
         effects = (effect for effect in first.model.effects if effect.scope == "robot")
         return first.estimate.take(p.name for effect in effects for p in effect.parameters(first.model.chain))
 
@@ -164,9 +140,9 @@ class Calibrated(ABC):
         Raises:
             BadInputError: if the joint positions have another shape, or there is no such target.
         """
-        model = self._predictor()
-        conditions = at if isinstance(at, Conditions) else model.conditions_at(at, payload=payload, target=target)
-        poses = model.model.predict(model.model_values, model.of_its_day(conditions))
+        found = self.at()
+        conditions = at if isinstance(at, Conditions) else found.conditions_at(at, payload=payload, target=target)
+        poses = found.model.predict(found.model_values, found.of_its_day(conditions))
         return (poses, self.position_sigma(conditions)) if return_sigma else poses
 
     def position_sigma(self, conditions: Conditions) -> np.ndarray:
@@ -176,22 +152,20 @@ class Calibrated(ABC):
         what is unknown beside that, where an effect follows temperature or time and the conditions lack them: as much as it
         varied over the calibration's rows.
         """
-        found = self._predictor()
-        unknown = found.unknown_motion(conditions)
-        conditions = found.of_its_day(conditions)
-        n = found.model.n_parameters
-        C = found.covariance[:n, :n]
+        found = self.at()
+        lacking, conditions, n = found.unrecorded(conditions), found.of_its_day(conditions), found.model.n_parameters
         out = np.empty((len(conditions), 3))
         for start in range(0, len(conditions), _PIECE):
             rows = slice(start, start + _PIECE)
             _, J = found.model.linearise(found.model_values, conditions.select(rows))
-            out[rows] = np.einsum("nip,nip->ni", J @ C, J)
-        return np.asarray(np.sqrt(np.maximum(out, 0.0) + unknown))
+            out[rows] = np.einsum("nip,nip->ni", J @ found.covariance[:n, :n], J)
+        unknown = [found.varied_by(effect, conditions) ** 2 for effect in lacking]
+        return np.asarray(np.sqrt(np.maximum(out, 0.0) + sum(unknown)))
 
     @property
     def covariance(self) -> np.ndarray:
         """Covariance of the values, shape (P, P); zero rows and columns for those that were not fitted."""
-        return self._predictor().dense_covariance
+        return self.at().dense_covariance
 
     def export_urdf(self, path: str | os.PathLike[str] | None = None) -> UrdfExport:
         """Return the robot's URDF with the calibrated geometry, and write it to a file if one is named.
@@ -200,7 +174,7 @@ class Calibrated(ABC):
             RobotFileError: if the model has no URDF.
             OutputError: if the place can't be written to.
         """
-        found = self.robot_predictor()
+        found = self.robot_model()
         export = calibrated_urdf(found.model, found.values)
         if path is not None:
             write_atomic(path, export.text)
@@ -208,7 +182,7 @@ class Calibrated(ABC):
 
     def to_pinocchio(self) -> pin.Model:
         """Return the robot's Pinocchio model with the calibrated geometry; elastic effects are not in it."""
-        found = self.robot_predictor()
+        found = self.robot_model()
         return pinocchio_model(found.model, found.model_values)
 
     def _repr_html_(self) -> str:
@@ -248,7 +222,10 @@ class CalibratedModel(StationModel, Calibrated):
         name = fit.station.name if station is None else station
         k = [found.name for found in fit.problem.stations].index(name)
         at, options = fit.problem.stations[k], fit.options.at(name)
-        estimate, places = estimate_at(fit.estimate, name, at.model)
+        own = tuple(fit.problem.parameters[i].name for i in fit.problem.places[k])
+        # A file of stations that share nothing but the robot needs no list of names.
+        table_names = own if at.shares_setup else ()
+        estimate, places = estimate_at(fit.estimate, name, at.model, own)
         return cls(
             model=at.model,
             estimate=replace(estimate, prior=np.array([parameter.size for parameter in estimate.parameters])),
@@ -261,6 +238,7 @@ class CalibratedModel(StationModel, Calibrated):
             nominal_values=fit.nominal.values[places],
             rows=fingerprints(at),
             is_noise_declared=options.sigma is not None,
+            table_names=table_names,
         )
 
     def __repr__(self) -> str:
@@ -268,13 +246,9 @@ class CalibratedModel(StationModel, Calibrated):
         return f"CalibratedModel({robot!r}: {len(self.estimate)} parameters, {self.sensor_kind})"
 
     @property
-    def _predictors(self) -> Mapping[str, CalibratedModel]:
+    def models(self) -> Mapping[str, CalibratedModel]:
         """Itself."""
         return {"": self}
-
-    def knowing(self, left: Unmodelled | None) -> CalibratedModel:
-        """Return the same with what it left of the robot."""
-        return self if left is self.left else replace(self, left=left)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write ``model.json``: the whole file or nothing, its numbers in full precision.
@@ -285,16 +259,7 @@ class CalibratedModel(StationModel, Calibrated):
         Raises:
             OutputError: if the place can't be written to, or a number is not finite.
         """
-        write_model_file(path, self._file)
-
-    def _file(self) -> ModelFile:
-        return ModelFile.of_station(
-            self,
-            format_version=FORMAT_VERSION,
-            parameters=tuple(map(ParameterEntry.of_parameter, self.estimate.parameters)),
-            model=ModelEntry.of_model(self.model),
-            files=None,
-        )
+        write_model_file(path, lambda: ModelFile.of_model(self))
 
     @property
     def parameters(self) -> Table:
@@ -311,11 +276,19 @@ class CalibratedModel(StationModel, Calibrated):
         )
 
 
-def estimate_at(estimate: Estimate, station: str, model: Model) -> tuple[Estimate, np.ndarray]:
-    """Return the estimate of one station's parameters by their names within it, and their places among all, shape (P,)."""
-    of_sensor = [p.name for p in estimate.parameters if p.station == station]
-    of_model = [f"{station}/{n}" if f"{station}/{n}" in estimate.names else n for n in model.names]
-    names = [*of_model, *(n for n in of_sensor if n not in of_model)]
+def estimate_at(estimate: Estimate, station: str, model: Model, names: Sequence[str] = ()) -> tuple[Estimate, np.ndarray]:
+    """Return the estimate of one station's parameters by their names within it, and their places among all, shape (P,).
+
+    Args:
+        estimate: of all parameters.
+        station: name of the station.
+        model: its model.
+        names: of its parameters among all; default: those of the robot, and ``STATION/NAME``.
+    """
+    if not names:
+        of_sensor = [p.name for p in estimate.parameters if p.station == station]
+        of_model = [f"{station}/{n}" if f"{station}/{n}" in estimate.names else n for n in model.names]
+        names = [*of_model, *(n for n in of_sensor if n not in of_model)]
     found = estimate.take(names)
     local = tuple(replace(p, name=p.local_name, station="") for p in found.parameters)
     return replace(found, parameters=local), estimate.places(names)

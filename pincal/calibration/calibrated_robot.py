@@ -1,33 +1,37 @@
-"""A calibrated robot as files hold it, with one station or more."""
+"""A calibrated robot with one station or more: read from a file, or made from tables, as a user works with it."""
 
 from __future__ import annotations
 
+import logging
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel, estimate_at
-from pincal.calibration.model_file import (
-    STATIONS_VERSION,
-    CovarianceEntry,
-    MeasuredEntry,
-    ModelFile,
-    StationEntry,
-    StationsFile,
-    read_model,
-    write_model_file,
-)
-from pincal.calibration.result_tables import estimate_table
-from pincal.calibration.unmodelled import Unmodelled
-from pincal.errors import ModelFileError
+from pincal.calibration.information import RobotInformation
+from pincal.calibration.model_file import MeasuredEntry, ModelFile, StationsFile, read_model, write_model_file
+from pincal.calibration.result_tables import estimate_table, parameter_rows, parameter_table
+from pincal.calibration.unmodelled import Unmodelled, unmodelled_by
+from pincal.errors import BadInputError, ModelFileError
+from pincal.identify import calibrate as identify
+from pincal.identify import fit as identified
+from pincal.identify.calibrate import Tables
 from pincal.identify.fit import ModelFit
-from pincal.io.entries import ChainEntry, ParameterEntry, RobotEntry
+from pincal.identify.options import Options
+from pincal.identify.station import Station
+from pincal.measure.measurements import Measurements
+from pincal.measure.table import read_measurements, stations_of
 from pincal.model.model import Model
 from pincal.parameters import Estimate, estimate_of
 from pincal.result_table import Table
+from pincal.robot.robot import Robot
 
 
 @dataclass(frozen=True, repr=False)
@@ -48,33 +52,26 @@ class CalibratedRobot(Calibrated):
 
     @classmethod
     def of(
-        cls, fit: ModelFit, provenance: dict[str, Any] | None = None, *, left: Unmodelled | None = None
+        cls,
+        fit: ModelFit,
+        provenance: dict[str, Any] | None = None,
+        *,
+        left_by: Callable[[], Unmodelled | None] | None = None,
     ) -> CalibratedRobot:
-        """Return what a fit found.
-
-        Args:
-            fit: the fit.
-            provenance: its origin, in JSON types.
-            left: effects that it left.
-        """
+        """Return what a fit found."""
         names = [station.name for station in fit.problem.stations]
         models = {name: CalibratedModel.of(fit, provenance, station=name) for name in names}
-        models[names[0]] = models[names[0]].knowing(left)
+        models[names[0]] = replace(models[names[0]], left_by=left_by)
         prior = np.array([parameter.size for parameter in fit.problem.parameters])
         return cls(models, replace(fit.estimate, prior=prior), fit.nominal.values, dict(provenance or {}))
 
     def __repr__(self) -> str:
-        return f"CalibratedRobot({self.robot_predictor().model.chain.robot.name!r}: stations {' '.join(self.names)})"
+        return f"CalibratedRobot({self.robot_model().model.chain.robot.name!r}: stations {' '.join(self.names)})"
 
     @property
-    def _predictors(self) -> Mapping[str, CalibratedModel]:
-        """The stations, with what they left."""
+    def models(self) -> Mapping[str, CalibratedModel]:
+        """The stations."""
         return self.stations
-
-    @property
-    def left(self) -> Unmodelled | None:
-        """Effects that the rows showed and the model does not have; the first station keeps them."""
-        return next(iter(self.stations.values())).left
 
     @property
     def parameters(self) -> Table:
@@ -89,30 +86,7 @@ class CalibratedRobot(Calibrated):
         """
         if len(self.stations) == 1:
             return self.at().save(path)
-        write_model_file(path, self._file)
-
-    def _file(self) -> StationsFile:
-        stations = (
-            StationEntry.of_station(
-                found,
-                name=name,
-                chain=ChainEntry.like(found.model.chain),
-                effects=found.model.effects,
-                equilibrium=found.model.equilibrium,
-            )
-            for name, found in self.stations.items()
-        )
-        return StationsFile(
-            format_version=STATIONS_VERSION,
-            provenance=self.provenance,
-            robot=RobotEntry.of_robot(self.robot_predictor().model.chain.robot),
-            parameters=tuple(map(ParameterEntry.of_parameter, self.estimate.parameters)),
-            values=self.estimate.values,
-            nominal_values=self.nominal_values,
-            fitted=tuple(map(bool, self.estimate.free)),
-            covariance=CovarianceEntry.of_covariance(self.estimate.covariance),
-            stations=tuple(stations),
-        )
+        write_model_file(path, lambda: StationsFile.of_stations(self.stations, self.estimate, self.nominal_values))
 
 
 def load_stations(path: str | os.PathLike[str]) -> CalibratedRobot:
@@ -125,7 +99,7 @@ def load_stations(path: str | os.PathLike[str]) -> CalibratedRobot:
     if isinstance(file, ModelFile):
         estimate = estimate_of([entry.parameter() for entry in file.parameters], file.values, file.covariance)
         known, origin = file.nominal_values, file.provenance
-        only = model_of_entry(file, file.model.model(), estimate, nominal_values=known, provenance=origin)
+        only = _read(file, file.model.model(), estimate, nominal_values=known, provenance=origin)
         nominal = np.full(len(only.values), np.nan) if known is None else known
         return CalibratedRobot({"": only}, estimate, nominal, origin)
     parameters = tuple(entry.parameter() for entry in file.parameters)
@@ -134,9 +108,9 @@ def load_stations(path: str | os.PathLike[str]) -> CalibratedRobot:
     models = {}
     for k, entry in enumerate(file.stations):
         model = file.model(k)
-        local, places = estimate_at(estimate, entry.name, model)
+        local, places = estimate_at(estimate, entry.name, model, entry.table_names)
         nominal = file.nominal_values[places]
-        models[entry.name] = model_of_entry(entry, model, local, nominal_values=nominal, provenance=file.provenance)
+        models[entry.name] = _read(entry, model, local, nominal_values=nominal, provenance=file.provenance)
     return CalibratedRobot(models, estimate, file.nominal_values, file.provenance)
 
 
@@ -161,10 +135,220 @@ def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
     return found.at()
 
 
-def model_of_entry(
+def _read(
     entry: MeasuredEntry, model: Model, estimate: Estimate, *, nominal_values: np.ndarray | None, provenance: dict[str, Any]
 ) -> CalibratedModel:
     """Return the calibrated model of a station of a file; the others as they stand in :class:`CalibratedModel`."""
     measured = {name: getattr(entry, name) for name in MeasuredEntry.__struct_fields__ if name != "sensor_module"}
     found = measured | {"setup": entry.setup.setup(), "nominal_values": nominal_values, "provenance": provenance}
-    return CalibratedModel(model=model, estimate=estimate, **found)
+    return CalibratedModel(model=model, estimate=estimate, left_by=found.pop("left"), **found)
+
+
+log = logging.getLogger(__name__)
+
+File = str | os.PathLike[str]
+Files = File | Sequence[File] | Mapping[str, File]
+
+
+@dataclass(frozen=True, repr=False)
+class Fit(identified.ModelFit, Calibrated):
+    """A calibrated robot with all results of its identification.
+
+    It predicts and is saved and exported like a :class:`pincal.CalibratedModel`; in addition it has problem and solution.
+    """
+
+    @classmethod
+    def of(cls, found: identified.ModelFit) -> Fit:
+        """Return what an identification found, with the methods of a calibrated model."""
+        return cls(**{field.name: getattr(found, field.name) for field in fields(identified.ModelFit)})
+
+    def __repr__(self) -> str:
+        rms = float(np.sqrt(self.solution.cost))
+        robot = self.problem.stations[0].model.chain.robot.name
+        return f"Fit({robot!r}: {len(self.problem)} rows, residuals {rms:.3g} times the noise)"
+
+    @cached_property
+    def left(self) -> Unmodelled | None:
+        """Effects present in the rows but not in the model, for a diagnosis."""
+        return unmodelled_by(self)
+
+    def _robot(self, provenance: dict[str, Any] | None = None) -> CalibratedRobot:
+        return CalibratedRobot.of(self, provenance, left_by=partial(getattr, self, "left"))
+
+    @cached_property
+    def models(self) -> Mapping[str, CalibratedModel]:
+        """The calibrated model of each station by its name; of a single one, which needs none, under ""."""
+        return self._robot().stations
+
+    def save(self, path: str | os.PathLike[str], *, provenance: dict[str, Any] | None = None) -> None:
+        """Write ``model.json``, with all stations if there are several; see :func:`pincal.load_model`.
+
+        Args:
+            path: the file; an existing one is replaced only when the new one is complete.
+            provenance: its origin, in JSON types.
+
+        Raises:
+            OutputError: if the place can't be written to, or a number is not finite.
+        """
+        self._robot(provenance).save(path)
+
+    def information(self) -> RobotInformation:
+        """Return the information of the rows on the robot, with base, targets and instrument eliminated: some kilobytes."""
+        return RobotInformation.of(self)
+
+    def to_stations(self) -> CalibratedRobot:
+        """Return the robot with its stations; a fit has them itself: this is for one release."""
+        warnings.warn("fit.to_stations() is the fit itself: fit.models, fit.at(NAME)", DeprecationWarning, stacklevel=2)
+        return self._robot()
+
+    @cached_property
+    def log_likelihood(self) -> float:
+        """Logarithm of the density of the readings that count (outliers do not), given the values and the noise."""
+        weights = [self.solution.weights[rows] for rows in self.problem.rows]
+        return float(sum(map(self._log_density, range(len(weights)), self.problem.stations, weights)))
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion; a parameter counts as far as readings, not its prior, tell it."""
+        return 2.0 * self.solution.effective - 2.0 * self.log_likelihood
+
+    @property
+    def bic(self) -> float:
+        """Bayesian information criterion; parameters count as for :attr:`aic`."""
+        n = int(self.problem.readings(self.solution.weights).sum())
+        return float(self.solution.effective * np.log(n)) - 2.0 * self.log_likelihood
+
+    def score(self, measurements: Measurements | str | os.PathLike[str], *, station: str = "") -> float:
+        """Return the mean log density of one reading of other rows, given the values and the noise; the larger the better.
+
+        Args:
+            measurements: the rows, or their file.
+            station: whose base, targets and noise they have, if the fit is of several.
+        """
+        table = _tables(self.problem.chain.robot, measurements)
+        if not isinstance(table, Measurements):
+            raise BadInputError(f"{len(table)} tables; expected one, which is scored at one station")
+        rows, k = self.readings(table, station=station), self.names.index(station)
+        return self._log_density(k, rows, np.ones(len(table))) / (len(table) * int(rows.block_sizes.sum()))
+
+    def _log_density(self, k: int, rows: Station, weights: np.ndarray) -> float:
+        """Return the log density of rows at the k-th station, with robust weights of shape (N,): 0 where not counted."""
+        sigma = np.repeat(self.solution.sigma[self.problem.block_spans[k]], rows.block_sizes)[:, None]
+        residuals = rows.whitened(rows.residuals(self.values[self.problem.places[k]])) * (scale := rows.weights / sigma)
+        counted = weights > 0.0
+        # Innovations of correlated noise have the determinant of its covariance beside that of white noise.
+        constant = float(np.sum(np.log(2.0 * np.pi / scale[:, counted] ** 2)))
+        constant += 0.0 if rows.serial is None else rows.serial.log_determinant
+        return -0.5 * (float(np.sum(residuals[:, counted] ** 2)) + constant)
+
+    @property
+    def parameters(self) -> Table:
+        """Value and standard deviation of each parameter; of one station also whether the data identify it, or why not."""
+        return estimate_table(self.estimate) if len(self.names) > 1 else parameter_table(parameter_rows(self))
+
+    def summary(self) -> str:
+        """Return what was calibrated, whether the fit converged and what is left of the residuals."""
+        state = "converged" if self.solution.converged else "did not converge"
+        rank = self.solution.posterior.identifiable_rank
+        return (
+            f"{super().summary()}\n{len(self.problem)} rows, {state} after {self.iterations} iterations; "
+            f"identifiable rank {rank} of {int(self.solution.free.sum())}; noise {'; '.join(self._noise())}"
+        )
+
+    def _noise(self) -> Iterator[str]:
+        """Yield the noise of each station's readings, with its name if there are several."""
+        sigma = iter(self.solution.sigma)
+        for station in self.problem.stations:
+            sizes = ", ".join(f"{next(sigma):.3g} {block.unit}" for block in station.sensor.blocks)
+            yield f"{station.name}: {sizes}" if len(self.names) > 1 else sizes
+
+
+def calibrate(
+    robot: Robot, measurements: Tables | Files, options: Options | None = None, *, executor: Executor | None = None
+) -> Fit:
+    """Calibrate a robot from measured poses.
+
+    Several tables are several stations: set-ups of an instrument and its targets, of the same kind or not. Each has base,
+    targets and noise of its own, and all share the robot.
+
+    Args:
+        robot: the arm.
+        measurements: training rows, one table or several, perhaps by the names of their stations, or the files that hold
+            them; hold rows back before the call to validate on them.
+        options: how to calibrate; defaults as documented there.
+        executor: evaluates the stations side by side; default: one after the other.
+
+    Returns:
+        The fit, ready to predict; look at ``solution.converged``.
+
+    Raises:
+        MeasurementError: if the rows are too few to determine the parameters and the noise.
+
+    Example:
+        >>> from pincal.builtin import kuka_urdf_path
+        >>> from pincal.measure.measurements import measurements_from_arrays
+        >>> from pincal.model.effects import GEOMETRIC
+        >>> from pincal.simulate import Instrument, TrueMachine
+        >>> robot = Robot.from_urdf(kuka_urdf_path())
+        >>> rng = np.random.default_rng(1)
+        >>> machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
+        >>> machine = machine.draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
+        >>> q = robot.random_configurations(60, rng)
+        >>> columns = Instrument(targets=(0.1, 0.0, 0.2)).measure(machine, q)
+        >>> position = np.column_stack([columns[c] for c in "xyz"])
+        >>> table = measurements_from_arrays(robot.joint_names, q, position=position)
+        >>> fit = calibrate(robot, table, Options(effects=GEOMETRIC))
+        >>> bool(np.abs(fit.predict(q)[:, :, 3] - position).max() < 1e-9)
+        True
+    """
+    return Fit.of(identify.fit_tables(robot, _tables(robot, measurements), options, executor=executor))
+
+
+def _tables(robot: Robot, measurements: Tables | Files) -> Tables:
+    """Return tables of this robot, those that are given as files read; several files are stations named after them."""
+
+    def table(of: Measurements | File) -> Measurements:
+        if isinstance(of, Measurements):
+            return of
+        return read_measurements(of, robot)
+
+    if isinstance(measurements, Measurements | str | os.PathLike):
+        return table(measurements)
+    if isinstance(measurements, Mapping):
+        return {name: table(of) for name, of in measurements.items()}
+    several = [table(of) for of in measurements]
+    names = [Path(of).stem for of in measurements if not isinstance(of, Measurements)]
+    return several if len(names) < len(several) else stations_of(zip(names, several, strict=True))
+
+
+def calibrate_parts(robot: Robot, parts: Iterable[Measurements], options: Options | None = None) -> Fit:
+    """Calibrate a robot from more rows than memory holds, one part of them at a time.
+
+    Each part is fitted with the information of those before it, see ``Options.earlier``, with base, targets and noise
+    of its own, as if it were a station. Where parts are similar, as those of a table in random order, no accuracy is lost.
+
+    Args:
+        robot: the arm.
+        parts: the rows, each part with enough of them to place instrument and targets.
+        options: how to calibrate; what they leave open is decided by the first part.
+
+    Returns:
+        The fit of the last part, whose robot is that of all.
+
+    Raises:
+        BadInputError: without any part.
+        MeasurementError: as :func:`calibrate`.
+
+    Example::
+
+        rows = (pincal.read_measurements(path, robot.joint_names, part=part) for part in pincal.row_parts(path))
+        fit = pincal.calibrate_parts(robot, rows)
+    """
+    fit, rows = None, 0
+    for k, part in enumerate(parts, 1):
+        fit, rows = calibrate(robot, part, options), rows + len(part)
+        options = replace(fit.options, earlier=fit.robot_estimate)
+        log.info("part %d taken in, %d rows so far", k, rows)
+    if fit is None:
+        raise BadInputError("no rows to calibrate with; expected at least one part")
+    return fit

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.calibration.calibrated_fit import Fit, calibrate
+from pincal.calibration.calibrated_robot import Fit, calibrate
 from pincal.calibration.held_out import SplitBy, StationRows, leave_out_stations, require_several, split_rows, with_holdout
 from pincal.calibration.result import Result, result_of
 from pincal.calibration.result_tables import error_table
@@ -23,7 +23,7 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.setup import Setup
 from pincal.notes import Note, doubts_first
 from pincal.robot.robot import Robot
-from pincal.validate.agreement import check_agreement
+from pincal.validate.agreement import check_agreement, unknown_zeros
 
 log = logging.getLogger(__name__)
 # Corrections of a robot's description, after which it is none.
@@ -148,6 +148,7 @@ def run_calibration(
         robot, told_of = found.of(robot), found.notes
         log.info("again, as %s", "; ".join(told_of))
         fit, corrected = calibrate(robot, trained, options), [*corrected, *told_of]
+    corrected += unknown_zeros(fit)
     for text in corrected:
         warn(text)
     rows = tuple(replace(part, name=at.name) for part, at in zip(parts, fit.problem.stations, strict=True))

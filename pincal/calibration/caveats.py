@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from pincal.identify.calibrate import doubts_of_known
+from pincal.identify.choices import found_moments
 from pincal.identify.fit import ModelFit
-from pincal.identify.found_masses import found_moments
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.notes import Note, Severity
@@ -51,6 +51,23 @@ class CaveatKind(Enum):
         "noise is too small; uncertainties are scaled up accordingly"
     )
     NOISE_OVERSTATED = "the residuals are smaller than the declared noise allows: the declared noise is too large"
+    NO_INSTRUMENT = (
+        "no instrument saw the robot, so what its readings do not show stays as its description has it; deviations from "
+        "that are taken to be {geometry:.2g} times as large as usual, compliances {elasticity:.2g} times, by which regions "
+        "of poses that are left out are predicted best. Elsewhere the standard deviation of a predicted position falls {how}"
+    )
+    UNSEEN_DIRECTION = (
+        "all readings are within 10 degrees of {where} in the axes of {base}: nothing was measured across; vary the "
+        "directions of contact"
+    )
+    BLIND = (
+        "these readings tell little of {link}: the standard deviation of its predicted position in its workspace was "
+        "{before:.2g} mm and is {after:.2g} mm; do not use the model to correct its positions"
+    )
+    MOUNT_MOVED = (
+        "the readings alone move the mount of {joint} by {moved:.3g} mm, known to {sigma:.2g} mm: they do not hold it. "
+        "Measure in more directions, and at more places, or with an instrument"
+    )
     MASSES_FOUND = (
         "the robot description has no usable masses for {links} links: they were estimated with the compliances, "
         "{mass:.3g} kg in total, to {percent:.0f} %; predictions do not depend on their common factor"
@@ -107,12 +124,14 @@ class CaveatKind(Enum):
     )
 
 
-UNUSABLE = frozenset({CaveatKind.IMPLAUSIBLE, CaveatKind.MANY_OUTLIERS})
+UNUSABLE = frozenset({CaveatKind.IMPLAUSIBLE, CaveatKind.MANY_OUTLIERS, CaveatKind.MOUNT_MOVED})
 """What makes a calibration none, though it converged."""
 
 DOUBTS = UNUSABLE | {
     CaveatKind.FEW_READINGS,
     CaveatKind.OWN_POSE,
+    CaveatKind.UNSEEN_DIRECTION,
+    CaveatKind.BLIND,
     CaveatKind.NOT_CONVERGED,
     CaveatKind.NOISE_EXCEEDED,
     CaveatKind.CONTRADICTED,
@@ -134,18 +153,19 @@ class Caveat:
 
     Attributes:
         kind: what was found.
-        figures: its particulars, by the names in the text of the kind.
+        figures: its particulars, by the names in the text of the kind; ``count`` and ``lines`` are those of the rows.
         station: name of the station that it is about; "" for all of them.
         rows: lines of the rows concerned, if any.
     """
 
     kind: CaveatKind
-    figures: Mapping[str, Any] = field(default_factory=dict)
+    figures: dict[str, Any] = field(default_factory=dict)
     station: str = ""
     rows: tuple[int, ...] = ()
 
     def __str__(self) -> str:
-        words = self.kind.value.format(**self.figures)
+        lines = ", ".join(map(str, self.rows[:_LISTED])) + " ..." * (len(self.rows) > _LISTED)
+        words = self.kind.value.format(**{"count": len(self.rows), "lines": lines} | self.figures)
         return f"{self.station}: {words}" if self.station else words
 
     @property
@@ -221,24 +241,22 @@ def findings_on_order(station: Station) -> list[Caveat]:
         share = float(np.max(serial.share))
         rows = 1.0 / (1.0 - float(np.max(serial.phi)))
         lasts = f"for about {rows:.0f} rows" if rows < n else "over all rows"
-        what = f"{100 * share:.0f} % of its variance is an error that persists {lasts}; rows were weighted accordingly"
+        error = "an error" if serial.turns is None else "an error of the target's place on the tool"
+        what = f"{100 * share:.0f} % of its variance is {error} that persists {lasts}; rows were weighted accordingly"
         found.append(Caveat(CaveatKind.DEPENDENT_ROWS, {"what": what}, station.name))
     if station.position is not None and n >= _ROWS:
         # What sets one load apart from another may be elastic.
         loads = (station.conditions.payload == load for load in np.unique(station.conditions.payload))
         parts = [station.select(rows) for rows in loads if rows.sum() >= _ROWS] or [station]
-        steady = np.min([_steady(part) for part in parts], axis=0)
+        steady = np.full(station.conditions.q.shape[1], np.inf)
+        for q, position in ((part.conditions.q, part.position) for part in parts):
+            rank = np.argsort(np.argsort([*q.T, position], axis=1), axis=1)
+            correlation = np.abs(np.atleast_2d(np.corrcoef(rank))[-1, :-1])
+            steady = np.minimum(steady, np.where(np.ptp(q, axis=0) > 0.0, correlation, 0.0))
         if steady.max() > _STEADY:
             joint = station.model.chain.robot.joint_names[int(np.argmax(steady))]
             found.append(Caveat(CaveatKind.SORTED, {"joint": joint}, station.name))
     return found
-
-
-def _steady(station: Station) -> np.ndarray:
-    """Return how steadily each of n joints moved along the rows, as a rank correlation without its sign, shape (n,)."""
-    rank = np.argsort(np.argsort([*station.conditions.q.T, station.position], axis=1), axis=1)
-    moves = np.ptp(station.conditions.q, axis=0) > 0.0
-    return np.where(moves, np.abs(np.atleast_2d(np.corrcoef(rank))[-1, :-1]), 0.0)
 
 
 def findings_on_plausibility(fit: ModelFit, tables: Iterable[Measurements]) -> list[Caveat]:
@@ -260,42 +278,35 @@ def findings_on_outliers(
         table: the fitted rows.
         rejected: shape (N,), which of them were rejected.
     """
-    lines = table.rows[rejected].tolist()
-    figures = {"count": len(lines), "rows": len(table), "lines": _listed(lines)}
-    found = [Caveat(CaveatKind.OUTLIERS, figures, station.name, tuple(lines))] if lines else []
+
+    def about(kind: CaveatKind, some: np.ndarray, **figures: Any) -> Caveat:
+        return Caveat(kind, figures, station.name, tuple(table.rows[some].tolist()))
+
+    found = [about(CaveatKind.OUTLIERS, rejected)] if rejected.any() else []
     if rejected.mean() >= _MANY:
         common = in_common(station, values, table, rejected) or "no common cause was found"
-        found = [Caveat(CaveatKind.MANY_OUTLIERS, figures | {"common": common}, station.name, tuple(lines))]
+        found = [about(CaveatKind.MANY_OUTLIERS, rejected, rows=len(table), common=common)]
     elif (gathered := gathering_of(station, rejected)) is not None:
-        where = _words_of(station, gathered)
-        here = table.rows[gathered.rows].tolist()
-        figures = {"count": len(here), "rows": len(lines), "where": where, "lines": _listed(here)}
-        found.append(Caveat(CaveatKind.GATHERED, figures, station.name, tuple(here)))
+        where, unit = "in one stretch of the table", _unit_of(station, gathered)
+        if unit:
+            low, high = ((np.degrees(x) if unit == "rad" else x) for x in (gathered.low, gathered.high))
+            where = f"where {gathered.variable} is {low:.4g} to {high:.4g} {'deg' if unit == 'rad' else unit}"
+        found.append(about(CaveatKind.GATHERED, gathered.rows, rows=int(rejected.sum()), where=where))
     if (bump := bump_in(station, values)) is not None:
-        found.append(_of_bump(station, bump, table))
+        assert bump.size is not None
+        per, turns = _unit_of(station, bump), _unit_of(station, bump) == "rad"
+        low, high = ((float(np.degrees(x)) if turns else 1e3 * x) for x in (bump.low, bump.high))
+        span = {"joint": bump.variable, "low": low, "high": high, "unit": "deg" if turns else "mm"}
+        found.append(about(CaveatKind.BUMP, bump.rows, size=1e3 * abs(bump.size), per=per, **span))
     if change := change_in(station, values, free, table.rows):
         found.append(Caveat(CaveatKind.STEP, {"line": change.line, "what": change}, station.name, (change.line,)))
     return found
 
 
-def _of_bump(station: Station, bump: Gathering, table: Measurements) -> Caveat:
-    assert bump.size is not None
-    robot, here = station.model.chain.robot, table.rows[bump.rows].tolist()
-    per = robot.joint_units[robot.joint_names.index(bump.variable)]
-    low, high = ((np.degrees(x) if per == "rad" else 1e3 * x) for x in (bump.low, bump.high))
-    where = {"joint": bump.variable, "low": low, "high": high, "unit": "deg" if per == "rad" else "mm"}
-    figures = {**where, "count": len(here), "size": 1e3 * abs(bump.size), "per": per, "lines": _listed(here)}
-    return Caveat(CaveatKind.BUMP, figures, station.name, tuple(here))
-
-
-def _words_of(station: Station, gathered: Gathering) -> str:
-    """Return where outliers gather."""
+def _unit_of(station: Station, gathered: Gathering) -> str:
+    """Return the unit of the joint that outliers gather along; empty if it is none."""
     robot = station.model.chain.robot
-    if gathered.variable not in robot.joint_names:
-        return "in one stretch of the table"
-    unit = robot.joint_units[robot.joint_names.index(gathered.variable)]
-    low, high = ((np.degrees(x) if unit == "rad" else x) for x in (gathered.low, gathered.high))
-    return f"where {gathered.variable} is {low:.4g} to {high:.4g} {'deg' if unit == 'rad' else unit}"
+    return dict(zip(robot.joint_names, robot.joint_units, strict=True)).get(gathered.variable, "")
 
 
 def findings_on_held_out(test: Station | None, values: np.ndarray, table: Measurements) -> list[Caveat]:
@@ -306,15 +317,8 @@ def findings_on_held_out(test: Station | None, values: np.ndarray, table: Measur
     far = errors > _FAR * np.median(errors)
     if not far.any():
         return []
-    lines = table.rows[far].tolist()
-    figures = {
-        "count": int(far.sum()),
-        "rows": len(errors),
-        "largest": float(errors.max()),
-        "mean": float(errors[~far].mean()),
-        "lines": _listed(lines),
-    }
-    return [Caveat(CaveatKind.FAR_OFF, figures, test.name, tuple(lines))]
+    figures = {"rows": len(errors), "largest": float(errors.max()), "mean": float(errors[~far].mean())}
+    return [Caveat(CaveatKind.FAR_OFF, figures, test.name, tuple(table.rows[far].tolist()))]
 
 
 def findings_on_replicates(lack: LackOfFit | None, p_value: float | None) -> list[Caveat]:
@@ -331,7 +335,3 @@ def findings_on_replicates(lack: LackOfFit | None, p_value: float | None) -> lis
     if p_value is not None and p_value < MISFIT:
         return [Caveat(CaveatKind.NOISY_REPLICATES, {"test": lack})]
     return []
-
-
-def _listed(lines: Sequence[int]) -> str:
-    return ", ".join(map(str, lines[:_LISTED])) + " ..." * (len(lines) > _LISTED)

@@ -11,8 +11,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pincal.calibration.calibrated_fit import Fit as CalibratedFit
-from pincal.calibration.calibrated_fit import calibrate
+from pincal.calibration.calibrated_robot import Fit as CalibratedFit
+from pincal.calibration.calibrated_robot import calibrate
 from pincal.calibration.placing import place_station
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Tables, tables_of
@@ -146,11 +146,6 @@ def as_measured(fit: ModelFit, rows: Sequence[StationRows]) -> ModelFit:
 
 def errors_held_out(fit: ModelFit, values: np.ndarray, rows: Sequence[StationRows]) -> dict[str, dict[str, float]]:
     """Return the statistics of errors of held-out poses, of all stations together.
-
-    Args:
-        fit: the model.
-        values: shape (P,), its parameters.
-        rows: the rows of each station.
 
     Returns:
         Name and statistics, as those of :func:`pincal.validate.accuracy.error_statistics`: "regions" and "stretches", where

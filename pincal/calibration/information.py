@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import zlib
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
 from typing import Annotated, Literal
@@ -19,8 +18,7 @@ from pincal.identify.quadratic import ROUNDING, Quadratic
 from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, packed_matrix
 from pincal.io.entries import ParameterEntry, plain, restoring
 from pincal.io.strict_json import Fault, FileKind, read_json, write_json
-from pincal.parameters import Estimate, Parameter, estimate_of
-from pincal.robot.robot import Robot
+from pincal.parameters import Estimate, estimate_of
 
 # Link frames that count as the same [m or 1]: what files of the same robot differ by.
 _DIGITS = 9
@@ -31,82 +29,19 @@ _FILE = FileKind(
 )
 
 
-@dataclass(frozen=True)
-class RobotInformation:
-    """Information of readings on the parameters of one robot: a quadratic about its nominal, without any prior.
+class RobotInformation(Record, frozen=True, kw_only=True):
+    """Information of readings on the parameters of one robot, a quadratic about its nominal without any prior, and its file.
 
-    Two of them add up: ``a + b`` is what the rows of both say, as a joint fit of them linearised where each was fitted.
-    Base, targets and instrument of each station are eliminated. It is an information form (Bierman 1977), see
-    :mod:`pincal.identify.quadratic`.
-
-    Attributes:
-        robot: name of the arm.
-        geometry: checksum of its nominal geometry.
-        parameters: the F parameters of the robot that were fitted, with their priors.
-        form: their squares, in units of the noise.
-    """
-
-    robot: str
-    geometry: int
-    parameters: tuple[Parameter, ...]
-    form: Quadratic
-
-    @classmethod
-    def of(cls, fit: ModelFit) -> RobotInformation:
-        """Return the information of the rows of all stations of a fit on the robot."""
-        problem, robot = fit.problem, fit.problem.chain.robot
-        form = reduce(add, (information_at(fit, k).form for k in range(len(problem.stations))))
-        known = {p.name: (p, value) for p, value in zip(problem.parameters, fit.values, strict=True)}
-        nominal = form.at(-np.array([known[name][1] for name in form.names]))
-        return cls(robot.name, _geometry(robot), tuple(known[name][0] for name in form.names), nominal)
-
-    def __add__(self, other: RobotInformation) -> RobotInformation:
-        """Return what the rows of both say.
-
-        Raises:
-            BadInputError: if they are of different robots.
-        """
-        if self.geometry != other.geometry:
-            raise BadInputError(
-                f"information on {self.robot!r} and on {other.robot!r} can't be added: their nominal geometries differ; "
-                "calibrate both with the same URDF, base and tip"
-            )
-        known = {p.name: p for p in (*self.parameters, *other.parameters)}
-        form = self.form + other.form
-        return replace(self, parameters=tuple(known[name] for name in form.names), form=form)
-
-    def estimate(self) -> Estimate:
-        """Return the most probable parameters and their covariance, the priors of the model counted once."""
-        form = self.form + Quadratic.of_prior(self.form.names, np.array([p.size for p in self.parameters]))
-        values, covariance = form.estimate(np.arange(len(form.names)), ROUNDING)
-        return estimate_of(self.parameters, values, covariance)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write it to a file, see :func:`load_information`.
-
-        Raises:
-            OutputError: if the place can't be written to, or a number is not finite.
-        """
-        file = InformationFile.like(
-            self.form,
-            format="pincal-information",
-            format_version=1,
-            robot=self.robot,
-            geometry=self.geometry,
-            parameters=tuple(map(ParameterEntry.of_parameter, self.parameters)),
-        )
-        write_json(path, plain(file), indent=None)
-
-
-class InformationFile(Record, frozen=True, kw_only=True):
-    """Squares about the nominal robot: square - 2 g x + x H x over deviations x of its parameters, in units of the noise.
+    In units of the noise it is square - 2 g x + x H x over deviations x of the robot's parameters, an information form
+    (Bierman 1977), see :mod:`pincal.identify.quadratic`. Two of them add up: ``a + b`` is what the rows of both say, as a
+    joint fit of them linearised where each was fitted. Base, targets and instrument of each station are eliminated.
 
     Attributes:
         format: what the file is.
         format_version: 1.
         robot: name of the arm.
         geometry: checksum of its nominal geometry (CRC-32 of its link frames, rounded to 1e-9).
-        parameters: the F parameters, each with its prior.
+        parameters: the F parameters of the robot that were fitted, each with its prior.
         H: shape (F, F), their information.
         g: shape (F,), half of the negative gradient of the sum of squares.
         whole: shape (F,), the diagonal of H before base, targets and instrument were eliminated.
@@ -135,6 +70,65 @@ class InformationFile(Record, frozen=True, kw_only=True):
         if np.any(self.whole < 0.0) or np.any(np.diag(self.H) < -_ROUNDING * self.whole):
             raise Fault("has a negative entry on its diagonal", "an information matrix", key=".H")
 
+    @classmethod
+    def of(cls, fit: ModelFit) -> RobotInformation:
+        """Return the information of the rows of all stations of a fit on the robot."""
+        problem, robot = fit.problem, fit.problem.chain.robot
+        form = reduce(add, (information_at(fit, k).form for k in range(len(problem.stations))))
+        known = {p.name: (p, value) for p, value in zip(problem.parameters, fit.values, strict=True)}
+        nominal = form.at(-np.array([known[name][1] for name in form.names]))
+        # Robots of the same joints and link frames share this number.
+        frames = np.round(np.concatenate([robot.frames.T_base_link, robot.frames.T_last_tip[None]]), _DIGITS) + 0.0
+        geometry = zlib.crc32(" ".join(robot.joint_names).encode() + frames.tobytes())
+        parameters = {name: ParameterEntry.of_parameter(p) for name, (p, _) in known.items()}
+        return cls._with(nominal, robot.name, geometry, parameters)
+
+    @classmethod
+    def _with(cls, form: Quadratic, robot: str, geometry: int, parameters: dict[str, ParameterEntry]) -> RobotInformation:
+        return cls.like(
+            form,
+            format="pincal-information",
+            format_version=1,
+            robot=robot,
+            geometry=geometry,
+            parameters=tuple(parameters[name] for name in form.names),
+        )
+
+    @property
+    def form(self) -> Quadratic:
+        """It by the names of the parameters."""
+        names = tuple(parameter.name for parameter in self.parameters)
+        return Quadratic(self.H, self.g, self.whole, names=names, square=self.square, degrees=self.degrees)
+
+    def __add__(self, other: RobotInformation) -> RobotInformation:
+        """Return what the rows of both say.
+
+        Raises:
+            BadInputError: if they are of different robots.
+        """
+        if self.geometry != other.geometry:
+            raise BadInputError(
+                f"information on {self.robot!r} and on {other.robot!r} can't be added: their nominal geometries differ; "
+                "calibrate both with the same URDF, base and tip"
+            )
+        known = {p.name: p for p in (*self.parameters, *other.parameters)}
+        return self._with(self.form + other.form, self.robot, self.geometry, known)
+
+    def estimate(self) -> Estimate:
+        """Return the most probable parameters and their covariance, the priors of the model counted once."""
+        parameters = [entry.parameter() for entry in self.parameters]
+        form = self.form + Quadratic.of_prior(self.form.names, np.array([p.size for p in parameters]))
+        values, covariance = form.estimate(np.arange(len(form.names)), ROUNDING)
+        return estimate_of(parameters, values, covariance)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write it to a file, see :func:`load_information`.
+
+        Raises:
+            OutputError: if the place can't be written to, or a number is not finite.
+        """
+        write_json(path, plain(self), indent=None)
+
 
 def load_information(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> RobotInformation:
     """Return the information on a robot from a file, or the sum of several.
@@ -143,20 +137,8 @@ def load_information(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[
         ModelFileError: if a file can't be read, or a value is missing or invalid.
         BadInputError: without any file, or if they are of different robots.
     """
-    found = [_loaded(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
+    paths = [paths] if isinstance(paths, str | os.PathLike) else paths
+    found = [read_json(path, RobotInformation, _FILE, hook=restoring()) for path in paths]
     if not found:
         raise BadInputError("no information files; expected one or more")
     return reduce(add, found)
-
-
-def _loaded(path: str | os.PathLike[str]) -> RobotInformation:
-    file = read_json(path, InformationFile, _FILE, hook=restoring())
-    names = tuple(parameter.name for parameter in file.parameters)
-    form = Quadratic(file.H, file.g, file.whole, names=names, square=file.square, degrees=file.degrees)
-    return RobotInformation(file.robot, file.geometry, tuple(entry.parameter() for entry in file.parameters), form)
-
-
-def _geometry(robot: Robot) -> int:
-    """Return a number that robots of the same joints and link frames share."""
-    frames = np.round(np.concatenate([robot.frames.T_base_link, robot.frames.T_last_tip[None]]), _DIGITS) + 0.0
-    return zlib.crc32(" ".join(robot.joint_names).encode() + frames.tobytes())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -11,26 +11,27 @@ import msgspec
 import numpy as np
 
 from pincal.calibration.covered import Covered
+from pincal.calibration.station_model import StationModel
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import OutputError
-from pincal.identify.fingerprints import are_fingerprints
+from pincal.identify.station import are_fingerprints
 from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, Vector, packed_covariance, packed_matrix, shaped
 from pincal.io.entries import (
     ChainEntry,
     Effects,
     ModelEntry,
     ParameterEntry,
-    RobotEntry,
     SetupEntry,
     model_of,
     plain,
     restoring,
 )
 from pincal.io.result_folder import not_written_with
+from pincal.io.robot_entry import RobotEntry
 from pincal.io.strict_json import MODEL_FILE, Fault, built, read_bounded, write_json
 from pincal.measure.registry import known_kinds
 from pincal.model.model import Model
-from pincal.parameters import Covariance
+from pincal.parameters import Covariance, Estimate
 
 # Of files with one station, and with several.
 FORMAT_VERSION, STATIONS_VERSION = 1, 2
@@ -76,15 +77,11 @@ class MeasuredEntry(Record, frozen=True, kw_only=True):
         raise Fault(f"unknown sensor {kind!r}", f"one of {', '.join(known_kinds())}", key=".sensor_kind")
 
     @classmethod
-    def of_station(cls, found: Any, **others: Any) -> Self:
-        """Return the entry of a calibrated model, see :class:`pincal.CalibratedModel`."""
+    def measured(cls, found: StationModel, **others: Any) -> Self:
+        """Return the record of a calibrated model, with what else a subclass has."""
         module = known_kinds().get(found.sensor_kind, "pincal")
-        return cls.like(
-            found,
-            sensor_module=None if module.split(".")[0] == "pincal" else module,
-            setup=SetupEntry.of_setup(found.setup),
-            **others,
-        )
+        is_own = module.split(".")[0] == "pincal"
+        return cls.like(found, sensor_module=None if is_own else module, setup=SetupEntry.of_setup(found.setup), **others)
 
 
 class ModelFile(MeasuredEntry, frozen=True, kw_only=True):
@@ -109,6 +106,13 @@ class ModelFile(MeasuredEntry, frozen=True, kw_only=True):
     model: ModelEntry
     nominal_values: Annotated[Numbers | None, ArrayShape("parameters")] = None
     files: dict[str, str] | None = None
+
+    @classmethod
+    def of_model(cls, found: StationModel) -> ModelFile:
+        """Return the file of a calibrated model."""
+        parameters = tuple(map(ParameterEntry.of_parameter, found.estimate.parameters))
+        model = ModelEntry.of_model(found.model)
+        return cls.measured(found, format_version=FORMAT_VERSION, parameters=parameters, model=model, files=None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -160,12 +164,14 @@ class StationEntry(MeasuredEntry, frozen=True, kw_only=True):
         chain: reference frames of base and targets.
         effects: the effects of this station's model.
         equilibrium: whether moments are those of the deflected arm.
+        table_names: names of its parameters in the table, where it shares some besides the robot's with other stations.
     """
 
     name: str
     chain: ChainEntry
     effects: Effects
     equilibrium: bool
+    table_names: tuple[str, ...] = ()
 
 
 class StationsFile(Record, frozen=True, kw_only=True):
@@ -195,6 +201,32 @@ class StationsFile(Record, frozen=True, kw_only=True):
     stations: Annotated[tuple[StationEntry, ...], msgspec.Meta(max_length=MOST_STATIONS)]
     files: dict[str, str] | None = None
 
+    @classmethod
+    def of_stations(cls, found: Mapping[str, StationModel], estimate: Estimate, nominal_values: np.ndarray) -> StationsFile:
+        """Return the file of calibrated models by the names of their stations, with the estimate that is common to them."""
+        first = next(iter(found.values()))
+        stations = (
+            StationEntry.measured(
+                of,
+                name=name,
+                chain=ChainEntry.of_chain(of.model.chain),
+                effects=of.model.effects,
+                equilibrium=of.model.equilibrium,
+            )
+            for name, of in found.items()
+        )
+        return cls(
+            format_version=STATIONS_VERSION,
+            provenance=first.provenance,
+            robot=RobotEntry.of_robot(first.model.chain.robot),
+            parameters=tuple(map(ParameterEntry.of_parameter, estimate.parameters)),
+            values=estimate.values,
+            nominal_values=nominal_values,
+            fitted=tuple(map(bool, estimate.free)),
+            covariance=CovarianceEntry.of_covariance(estimate.covariance),
+            stations=tuple(stations),
+        )
+
     def __post_init__(self) -> None:
         super().__post_init__()
         n, n_effects = sum(self.fitted), sum(len(station.effects) for station in self.stations)
@@ -209,7 +241,9 @@ class StationsFile(Record, frozen=True, kw_only=True):
         for k, station in enumerate(self.stations):
             shaped(f".stations[{k}].covered.q", station.covered.q, ArrayShape(len(self.robot.joint_names), 2), {})
             names = self.model(k).names
-            missing = [name for name in names if name not in known and f"{station.name}/{name}" not in known]
+            here = dict(zip(names, station.table_names, strict=False))
+            missing = [name for name in names if not known & {name, f"{station.name}/{name}", here.get(name, name)}]
+            missing += [name for name in station.table_names if name not in known]
             if missing:
                 raise Fault(f"do not hold {missing[0]!r}", f"all those of station {station.name!r}", key=".parameters")
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtr, chdtrc
 
+from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import ModelFit
 from pincal.identify.normal import accumulate
 from pincal.identify.posterior import eliminate, posterior
@@ -25,42 +26,16 @@ from pincal.identify.quadratic import Form, Quadratic
 from pincal.identify.selection import Scored, select_stepwise
 from pincal.model.effect import Family
 from pincal.parameters import Parameter
+from pincal.validate.outcome import MovedParameter
 
-# Chance that anything is said to have moved on a robot that is the same at all stations.
-_ALPHA = 0.01
 # Part of a parameter's information that the station's own ones must leave, for the station to tell of it.
 _SEEN = 1e-4
 # Part of a value's information that is added to it, well above rounding and far below what matters.
 _ROUNDING = 1e-8
 # What is well above the error of an eigenvalue that came out negative, over its size.
 _BEYOND_ROUNDING = 10.0
-# How far values of stations may be apart, in sizes that are typical of the parameter: as good as any.
-_WIDE = 30.0
-# Part of a station's rows up to which those that were rejected are taken for wrong readings.
-_OUTLIERS = 0.05
-# Chance of as little noise as a station shows by itself below which the fit has taken something else for noise.
-_UNLIKELY = 1e-3
-# How much likelier it is that a drive lost its zero than that anything else moved, before any row is seen: -2 log odds.
-_USUAL = 2.0 * np.log(10.0)
 # Parameters released at most, and stations beyond which none is looked for: work and memory grow with their square.
 _MOST, _MOST_STATIONS = 6, 100
-
-
-@dataclass(frozen=True)
-class ParameterChange:
-    """What a parameter of the robot is at a station.
-
-    Attributes:
-        parameter: the parameter.
-        change: by how much it is other than at the first station that tells; what a model has of a station alone: its value.
-        sigma: standard deviation of the change.
-        moved: whether it is another than at the station before, more surely than by chance.
-    """
-
-    parameter: Parameter
-    change: float
-    sigma: float
-    moved: bool
 
 
 @dataclass(frozen=True)
@@ -85,7 +60,7 @@ class StationInformation:
         """
         gain, rank = self.form.gain(np.arange(len(self.places)), _SEEN)
         square, degrees = self.form.square - gain, self.form.degrees - rank
-        return max(square, 1e-12) / degrees if degrees > 0 and chdtr(degrees, square) < _UNLIKELY else 1.0
+        return max(square, 1e-12) / degrees if degrees > 0 and chdtr(degrees, square) < CHANGES.too_quiet else 1.0
 
 
 @dataclass(frozen=True)
@@ -110,7 +85,8 @@ class _StationsInformation:
 
     def released(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return station and parameter of each value of its own, shape (n,), these values, and their covariance."""
-        station, parameter = (np.concatenate(part) for part in zip(*(self._where(p) for p in chosen), strict=True))
+        own = [np.flatnonzero(self.seen[:, p]) for p in chosen]
+        station, parameter = np.concatenate(own), np.repeat(chosen, list(map(len, own)))
         U = self.G[station, parameter]
         M = -U @ self.C @ U.T + np.where(station[:, None] == station, U[:, parameter], 0.0)
         # What moves at all stations alike is the fit's own: nothing but rounding is left of it here.
@@ -126,10 +102,6 @@ class _StationsInformation:
         station, parameter, values, _ = self.released(chosen)
         return float(values @ self.b[station, parameter])
 
-    def _where(self, p: int) -> tuple[np.ndarray, np.ndarray]:
-        station = np.flatnonzero(self.seen[:, p])
-        return station, np.full(len(station), p)
-
 
 def _inverse(M: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Return the inverse of a matrix that is positive definite up to rounding, which grows with the parameters of a fit.
@@ -144,13 +116,13 @@ def _inverse(M: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return np.asarray((spread / values) @ spread.T)
 
 
-def moves_of(fit: ModelFit) -> tuple[tuple[ParameterChange, ...], ...]:
+def moves_of(fit: ModelFit) -> tuple[tuple[MovedParameter, ...], ...]:
     """Return, for each of several stations, those parameters of the robot that are not the same at all of them."""
     n = len(fit.problem.stations)
     own = [list(_of_station(fit, k)) for k in range(n)]
     if n > _MOST_STATIONS:
         return tuple(map(tuple, own))
-    shared = np.flatnonzero(fit.solution.free & fit.problem.is_shared)
+    shared = shared_places(fit)
     told = _information_of(fit, shared)
     chosen = _moved(told)
     if chosen:
@@ -158,7 +130,7 @@ def moves_of(fit: ModelFit) -> tuple[tuple[ParameterChange, ...], ...]:
         for p in chosen:
             rows = np.flatnonzero(parameter == p)
             for k, change, sigma, moved in _course(station[rows], values[rows], covariance[np.ix_(rows, rows)]):
-                own[k].append(ParameterChange(fit.problem.parameters[shared[p]], change, sigma, moved))
+                own[k].append(_entry(fit.problem.parameters[shared[p]], change, sigma, moved))
     return tuple(map(tuple, own))
 
 
@@ -170,7 +142,7 @@ def _information_of(fit: ModelFit, shared: np.ndarray) -> _StationsInformation:
         rows, blocks = problem.rows[k], problem.block_spans[k]
         weights = solution.weights[rows]
         # So many rows do not contradict the robot by mistake: it is another one there.
-        weights = weights if np.mean(weights == 0.0) <= _OUTLIERS else np.ones_like(weights)
+        weights = weights if np.mean(weights == 0.0) <= CHANGES.wrong_rows else np.ones_like(weights)
         said = information_at(fit, k, weights)
         declared = fit.noise.declared[blocks.start] or 0.0
         at, noise = said.places, max(said.noise_squared, (declared / solution.sigma[blocks.start]) ** 2)
@@ -182,7 +154,9 @@ def _information_of(fit: ModelFit, shared: np.ndarray) -> _StationsInformation:
     usual = np.array([problem.parameters[place].name in of_drives for place in shared], bool)
     sizes, offsets = fit.priors.sizes[shared], fit.values[shared]
     found = posterior(Form.of(G.sum(axis=0), g.sum(axis=0)), sizes, offsets)
-    return _StationsInformation(G, g - G @ found.step, seen & np.isfinite(sizes), found.covariance, _WIDE * sizes, usual)
+    return _StationsInformation(
+        G, g - G @ found.step, seen & np.isfinite(sizes), found.covariance, CHANGES.wide * sizes, usual
+    )
 
 
 def information_at(fit: ModelFit, k: int, weights: np.ndarray | None = None) -> StationInformation:
@@ -198,14 +172,20 @@ def information_at(fit: ModelFit, k: int, weights: np.ndarray | None = None) -> 
     square = float(normal.squares @ solution.sigma[blocks] ** -2.0 - step @ own.balance.form.H @ step)
     square -= float(own.precision @ step**2)
     readings = float(np.sum(weights > 0.0) * sum(block.size for block in station.sensor.blocks))
-    robots = problem.is_shared & solution.free
-    # A station that is alone shares all.
-    robots[places[station.is_own]] = False
-    shared = np.flatnonzero(robots)
+    shared = shared_places(fit)
     at = np.searchsorted(shared, places[free][~is_own])
     names = tuple(problem.parameters[place].name for place in shared[at])
     found = Quadratic(**vars(left), names=names, square=square, degrees=readings - spent)
     return StationInformation(found, at, spent)
+
+
+def shared_places(fit: ModelFit) -> np.ndarray:
+    """Return the places of the robot's parameters that are free, shape (F,)."""
+    robots = fit.problem.is_shared & fit.solution.free
+    for station, places in zip(fit.problem.stations, fit.problem.places, strict=True):
+        # A station that is alone shares all.
+        robots[places[station.is_own]] = False
+    return np.flatnonzero(robots)
 
 
 def spent_at(fit: ModelFit, k: int) -> float:
@@ -224,7 +204,7 @@ def _moved(told: _StationsInformation) -> tuple[int, ...]:
         for p in (p for p in candidates if p not in chosen):
             gain = told.gain([*chosen, p]) - before
             chance = chdtrc(told.seen[:, p].sum() - 1, gain)
-            yield Scored(p, -gain - _USUAL * told.usual[p], chance < _ALPHA / len(candidates))
+            yield Scored(p, -gain - CHANGES.usual * told.usual[p], chance < CHANGES.moved / len(candidates))
 
     return select_stepwise((), gains, lambda chosen, p: (*chosen, p), most=_MOST)
 
@@ -232,19 +212,16 @@ def _moved(told: _StationsInformation) -> tuple[int, ...]:
 def _course(station: np.ndarray, values: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[int, float, float, bool]]:
     """Yield station, change since the first, its standard deviation, and whether it came since the station before."""
     yield int(station[0]), 0.0, 0.0, False
+    own = np.diag(covariance)
     for i in range(1, len(station)):
-        (change, variance), (step, of_step) = (_between(j, i, values, covariance) for j in (0, i - 1))
-        moved = chdtrc(1, step**2 / of_step) < _ALPHA / (len(station) - 1)
-        yield int(station[i]), change, float(np.sqrt(variance)), bool(moved)
+        since = np.array([0, i - 1])
+        variance = np.maximum(own[since] + own[i] - 2.0 * covariance[since, i], 1e-300)
+        change, step = values[i] - values[since]
+        moved = chdtrc(1, step**2 / variance[1]) < CHANGES.moved / (len(station) - 1)
+        yield int(station[i]), float(change), float(np.sqrt(variance[0])), bool(moved)
 
 
-def _between(i: int, j: int, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-    """Return the difference of two values and its variance."""
-    variance = covariance[i, i] + covariance[j, j] - 2.0 * covariance[i, j]
-    return float(values[j] - values[i]), float(max(variance, 1e-300))
-
-
-def _of_station(fit: ModelFit, k: int) -> Iterator[ParameterChange]:
+def _of_station(fit: ModelFit, k: int) -> Iterator[MovedParameter]:
     """Yield what the model itself has of a joint at a station alone."""
     station, places = fit.problem.stations[k], fit.problem.places[k]
     model, sigma = station.model, fit.estimate.fitted_sigma
@@ -252,4 +229,8 @@ def _of_station(fit: ModelFit, k: int) -> Iterator[ParameterChange]:
         if effect.locus.station is not None and effect.locus.joint is not None:
             for local in range(span.start, span.stop):
                 place = places[local]
-                yield ParameterChange(model.parameters[local], float(fit.values[place]), float(sigma[place]), moved=True)
+                yield _entry(model.parameters[local], float(fit.values[place]), float(sigma[place]), True)
+
+
+def _entry(parameter: Parameter, change: float, sigma: float, moved: bool) -> MovedParameter:
+    return {"name": parameter.name, "unit": parameter.unit, "change": change, "sigma": sigma, "moved": moved}

@@ -9,18 +9,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
-from pincal.calibration.covered import of_the_day, unrecorded, varied_by, with_means, words_of
+from pincal.calibration.covered import of_the_day
 from pincal.errors import BadInputError
 from pincal.identify.beliefs import bounds_of
 from pincal.identify.fit import Priors, Solution
 from pincal.identify.initial import place_arm
 from pincal.identify.noise import Noise
 from pincal.identify.normal import accumulate
-from pincal.identify.options import Options
 from pincal.identify.posterior import eliminate
 from pincal.identify.problem import Problem
 from pincal.identify.solve import solve
@@ -29,8 +29,6 @@ from pincal.measure.admit import check_placeable
 from pincal.measure.measurements import Measurements
 from pincal.measure.registry import blocks_of
 from pincal.measure.sensor import Block
-from pincal.measure.setup import Setup
-from pincal.model.effect import Effect
 from pincal.parameters import FRAME_SYMBOLS, Estimate, estimate_of
 from pincal.robot.se3 import placed as frame_at
 from pincal.robot.se3 import rotation_vectors
@@ -69,7 +67,7 @@ class FrameShift:
             ("the target moved by", self.target, "m"),
         )
         told = [f"{words} {format_readable(way, unit, '.4g')}" for words, way, unit in ways if way is not None]
-        return ", ".join(told) or "such readings do not show how far they moved"
+        return ", ".join(told) or "how far they moved is unknown"
 
 
 @dataclass(frozen=True, repr=False)
@@ -133,13 +131,14 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
         >>> round(found.moved.instrument, 6), found.moved.target < 1e-9
         (0.866025, True)
     """
-    known = calibrated.robot_predictor()
-    setup = _setup_over(known.setup, measurements)
+    known = calibrated.robot_model()
+    # Other points, and what was found of them, belong to other stations.
+    points = () if measurements.point_names is None else map(str, np.unique(measurements.point_names))
+    setup = replace(known.setup, points={name: known.setup.points.get(name) for name in points})
     check_placeable(measurements, setup)
-    measurements, as_recorded = with_means(measurements, known.model, known.covered.days), measurements
+    measurements, as_recorded = known.of_its_day(measurements), measurements
     arm = known.with_effects(lambda effect: effect.scope == "robot")
-    x, y, z = map(float, known.payload_centre)
-    options = Options(payload_centre=(x, y, z), setup=setup)
+    options = known.options(setup=setup)
     ((station, start),) = place_arm(arm.model, arm.model_values, {"": measurements}, options=options)
     problem = Problem((station,))
     free = station.is_own.copy()
@@ -150,11 +149,10 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
     sigma = np.where(in_metres, np.hypot(noise, unknown), noise) if unknown else noise
     priors = Priors(np.array([parameter.size for parameter in station.parameters]), bounds_of(problem, options))
     solution = solve(problem, start, free, priors, Noise(tuple(map(float, sigma))))
-    of_arm = _of_arm(station, arm.estimate)
     model = replace(
         known,
         model=station.model,
-        estimate=estimate_of(station.parameters, solution.values, _with_own(station, solution, of_arm)),
+        estimate=_estimate(station, solution, arm.estimate),
         sensor_kind=measurements.kind,
         sigma=sigma,
         setup=setup,
@@ -169,32 +167,18 @@ def _of_another_session(known: CalibratedModel, station: Station, rows: Measurem
 
     It is as much as effects that are not taken along, and those that follow what the rows lack, did to the target.
     """
-    lacking = set(unrecorded(known.model, rows))
-    left = [effect for effect in known.model.effects if effect in lacking or _is_of_instrument(effect)]
-    days, square, notes = known.covered.days, 0.0, []
-    for effect in left:
-        told = set(effect.needs) <= set(days)
-        size = None
-        if told:
-            at = with_means(replace(station.conditions, target=np.zeros(len(station), int)), known.model, days)
-            way = varied_by(effect, known.model, known.model_values, at, days)
-            size = float(np.sqrt(np.mean(np.sum(way**2, axis=1))))
-            square += size**2 / 3.0
-        notes.append(words_of(effect, rows.source, size=size, is_left_out=effect.scope == "station"))
-    return float(np.sqrt(square)), tuple(notes)
-
-
-def _is_of_instrument(effect: Effect) -> bool:
-    """Return whether an effect is the instrument's own, beside its place, drift and targets."""
-    return effect.scope == "station" and effect.locus.station is None and effect.locus.acts_on not in ("base", "tool")
-
-
-def _setup_over(setup: Setup, measurements: Measurements) -> Setup:
-    """Return the setup with the points of a table alone: others, and what was found of them, belong to other stations."""
-    names = measurements.point_names
-    if names is None:
-        return replace(setup, points={})
-    return replace(setup, points={str(name): setup.points.get(str(name)) for name in np.unique(names)})
+    lacking = set(known.unrecorded(rows))
+    left = [
+        effect
+        for effect in known.model.effects
+        # The instrument's own, beside its place, drift and targets, does not come along.
+        if effect in lacking
+        or (effect.scope == "station" and effect.locus.station is None and effect.locus.acts_on not in ("base", "tool"))
+    ]
+    at = known.of_its_day(replace(station.conditions, target=np.zeros(len(station), int))) if left else None
+    days = set(known.covered.days)
+    found = [known.note_on(effect, rows.source, at if set(effect.needs) <= days else None) for effect in left]
+    return float(np.sqrt(sum(size**2 / 3.0 for size, _ in found))), tuple(note for _, note in found)
 
 
 def expected_noise(known: CalibratedModel, blocks: Sequence[Block], measurements: Measurements) -> np.ndarray:
@@ -221,31 +205,25 @@ def noise_like(known: CalibratedModel, kind: str, blocks: Sequence[Block]) -> np
     return np.array([by_unit.get(block.unit, block.noise) for block in blocks], float)
 
 
-def _of_arm(station: Station, arm: Estimate) -> np.ndarray:
-    """Return the covariance of a station's parameters, shape (P, P), as far as they are the arm's; zero for the others."""
-    names = [p.name for p, own in zip(station.parameters, station.is_own, strict=True) if not own]
-    covariance = np.zeros((len(station.parameters),) * 2)
-    covariance[np.ix_(~station.is_own, ~station.is_own)] = arm.take(names).dense_covariance()
-    return covariance
-
-
-def _with_own(station: Station, solution: Solution, of_arm: np.ndarray) -> np.ndarray:
-    r"""Return the covariance of all parameters, shape (P, P), if the station's own were found with the arm's held.
+def _estimate(station: Station, solution: Solution, arm: Estimate) -> Estimate:
+    r"""Return the estimate of all parameters if the station's own were found with the arm's held.
 
     With K their covariance for a known arm, L how they follow it and C the arm's covariance: :math:`K + L C L^T`, and
     :math:`-L C` with the arm's.
     """
-    own, known = solution.free, np.diag(of_arm) > 0.0
+    own, robots = solution.free, ~station.is_own
+    covariance = np.zeros((len(own),) * 2)
+    covariance[np.ix_(robots, robots)] = arm.take(p.name for p in compress(station.parameters, robots)).dense_covariance()
+    known = np.diag(covariance) > 0.0
     free = own | known
     form = accumulate(station, solution.values, free, solution.weights).at(solution.sigma)
     sizes = np.array([parameter.size for parameter in station.parameters])
     _, part = eliminate(form, own[free], sizes[free], solution.values[free])
-    C = of_arm[np.ix_(known, known)]
-    covariance = of_arm.copy()
+    C = covariance[np.ix_(known, known)]
     covariance[np.ix_(own, own)] = part.alone.covariance + part.carried @ C @ part.carried.T
     covariance[np.ix_(own, known)] = -part.carried @ C
     covariance[np.ix_(known, own)] = covariance[np.ix_(own, known)].T
-    return covariance
+    return estimate_of(station.parameters, solution.values, covariance)
 
 
 def _refuse_undetermined(model: CalibratedModel, station: Station, solution: Solution, *, source: str) -> None:
@@ -274,12 +252,10 @@ def without_absent(calibrated: CalibratedModel, rows: Measurements) -> tuple[Cal
     Returns:
         The model, and notes on what the rows lack.
     """
-    gone = [
-        effect
-        for effect in unrecorded(calibrated.model, rows)
-        if effect.scope == "station" and not set(of_the_day(effect)) <= set(calibrated.covered.days)
-    ]
-    notes = tuple(words_of(effect, rows.source, size=None, is_left_out=True) for effect in gone)
+    days = set(calibrated.covered.days)
+    lacking = calibrated.unrecorded(rows)
+    gone = [effect for effect in lacking if effect.scope == "station" and not set(of_the_day(effect)) <= days]
+    notes = tuple(calibrated.note_on(effect, rows.source, None)[1] for effect in gone)
     found = calibrated.with_effects(lambda effect: effect not in gone) if gone else calibrated
     return found, (*notes, *found.notes_on_day(rows))
 
@@ -288,6 +264,10 @@ def moved(before: CalibratedModel, after: CalibratedModel) -> FrameShift:
     """Return how far instrument and targets are from where they were, for the same robot at two stations."""
     both = set(before.estimate.names) & set(after.estimate.names)
     instrument = turned = target = None
+    links = [(model.model.chain.path.start, model.model.chain.path.tip) for model in (before, after)]
+    if links[0] != links[1]:
+        # What stands on another link has not moved, and another hand has other targets.
+        return FrameShift(None, None, None)
     T_instrument_base = [frame_at(m.model.chain.base_rotation, _coordinates(m, "base")) for m in (before, after)]
     if {f"base.{symbol}" for symbol in FRAME_SYMBOLS[:3]} <= both:
         origins = [np.linalg.inv(T)[:3, 3] for T in T_instrument_base]

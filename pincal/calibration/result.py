@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import numpy as np
 from msgspec import UNSET, to_builtins
@@ -26,17 +26,19 @@ from pincal.calibration.caveats import (
     findings_on_replicates,
 )
 from pincal.calibration.held_out import LeftOut, StationRows, errors_held_out, headline_of
-from pincal.calibration.moves import ParameterChange, moves_of, spent_at
+from pincal.calibration.improvement import findings_without_instrument, improvements
+from pincal.calibration.moves import moves_of, spent_at
 from pincal.calibration.placing import moved
 from pincal.calibration.result_tables import ParameterRecord, ParameterRow, parameter_rows
 from pincal.identify.fit import ModelFit
+from pincal.identify.regions import has_instrument
 from pincal.identify.station import Station
 from pincal.measure.poses import SCATTER, replicate_groups
 from pincal.notes import Note, doubts_first, doubts_of
 from pincal.validate.accuracy import Replicates, error_statistics, error_summary, iso9283, pose_error_sizes
 from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
 from pincal.validate.misfit import NoiseTest, Verdict, judge, tells
-from pincal.validate.outcome import Correlation, Errors, MovedParameter, NoiseRecord, Outcome, StationRecord
+from pincal.validate.outcome import Correlation, Errors, NoiseRecord, Outcome, StationRecord
 
 # Absolute correlation from which a pair is listed: two parameters then share four fifths of their variance.
 _CORRELATED = 0.9
@@ -91,7 +93,9 @@ class Result(Outcome):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""
-        absent = {name for name in ("iso9283", "lack_of_fit", "stations") if getattr(self, name) in (None, UNSET)}
+        absent = {
+            name for name in ("iso9283", "lack_of_fit", "stations", "improvement") if getattr(self, name) in (None, UNSET)
+        }
         contents = {name: value for name, value in asdict(self).items() if name not in {*absent, "doubt", "shift"}}
         contents |= {"parameters": [row.to_dict() for row in self.parameters], "warnings": to_builtins(self.warnings)}
         return contents | {"verdict": self.verdict_of().value}
@@ -141,23 +145,27 @@ def result_of(
         for found in findings_on_replicates(lack, p_value)
     ]
     read = Readings.of(fit, [part.poses[0] for part in seen])
+    improved = () if has_instrument(fit) else improvements(fit)
     found = [
         *findings_on_plausibility(fit, [part.train for part in rows]),
         *findings_on_fit(fit, p_value),
         *findings_on_data(fit, read),
+        *findings_without_instrument(fit, improved),
         *_on_rows(seen, left_out),
         *on_replicates,
     ]
     if len(on_replicates) == len(seen) and all(n.kind is CaveatKind.NOISY_REPLICATES for n in on_replicates):
         # What exceeds the declared noise is the scatter between replicates, which is told.
         found = [n for n in found if n.kind is not CaveatKind.NOISE_EXCEEDED]
+    # A change midway explains the others, so it comes before them.
+    found.sort(key=lambda n: n.kind is not CaveatKind.STEP)
     fitted, held = (sum(len(part.rows.measured[k]) for part in seen) for k in (0, 1))
     error = _errors(fit, seen)
     alone = [one for one in left_out if one.sizes]
     if alone:
         for model, by_part in error.items():
             by_part["test"] = error_statistics(one.sizes[model] for one in alone)
-        held = sum(len(part.train) for part, one in zip(seen, left_out, strict=True) if one.sizes)
+        held = sum(len(part.parts["train"]) for part, one in zip(seen, left_out, strict=True) if one.sizes)
     apart = left_out or [LeftOut(part.rows.name) for part in seen]
     return Result(
         noise=_noise(fit),
@@ -181,6 +189,7 @@ def result_of(
         iso9283=iso,
         lack_of_fit=lack,
         stations=tuple(_records(fit, seen, apart, again)) if len(seen) > 1 else UNSET,
+        improvement=improved or UNSET,
     )
 
 
@@ -190,8 +199,7 @@ class _Seen:
 
     Attributes:
         rows: its rows.
-        train: the fitted ones under the calibrated model.
-        test: the held-out ones; None without any.
+        parts: the calibrated model over the fitted ones, "train", and over the held-out ones, "test", if there are any.
         values: its parameters with base and tool fitted alone ("nominal"), and "calibrated".
         blocks: where its blocks of readings stand among all.
         weights: robust weights of the fitted rows.
@@ -199,8 +207,7 @@ class _Seen:
     """
 
     rows: StationRows
-    train: Station
-    test: Station | None
+    parts: dict[str, Station]
     values: dict[str, np.ndarray]
     blocks: slice
     weights: np.ndarray
@@ -208,11 +215,16 @@ class _Seen:
 
     @classmethod
     def of(cls, fit: ModelFit, k: int, rows: StationRows) -> _Seen:
-        problem = fit.problem
-        values = {"nominal": fit.nominal.values[problem.places[k]], "calibrated": fit.values[problem.places[k]]}
-        weights = fit.solution.weights[problem.rows[k]]
-        free = fit.solution.free[problem.places[k]]
-        return cls(rows, problem.stations[k], rows.held(fit), values, problem.block_spans[k], weights, free)
+        problem, test = fit.problem, rows.held(fit)
+        places, of_rows = problem.places[k], problem.rows[k]
+        return cls(
+            rows=rows,
+            parts={"train": problem.stations[k]} | ({} if test is None else {"test": test}),
+            values={"nominal": fit.nominal.values[places], "calibrated": fit.values[places]},
+            blocks=problem.block_spans[k],
+            weights=fit.solution.weights[of_rows],
+            free=fit.solution.free[places],
+        )
 
     @cached_property
     def poses(self) -> list[np.ndarray]:
@@ -220,21 +232,9 @@ class _Seen:
         return replicate_groups(self.rows.measured, within=SCATTER)
 
     @property
-    def parts(self) -> dict[str, Station]:
-        """Fitted rows, and held-out ones if there are any."""
-        return {"train": self.train} | ({} if self.test is None else {"test": self.test})
-
-    @property
     def outliers(self) -> list[int]:
         """Lines of the rejected rows."""
         return [int(line) for line in self.rows.measured[0].rows[self.rows.by_row(self.weights) == 0.0]]
-
-    @property
-    def findings(self) -> list[Caveat]:
-        """What to say of them."""
-        values, rejected = self.values["calibrated"], self.weights == 0.0
-        found = findings_on_outliers(self.train, values, self.free, table=self.rows.train, rejected=rejected)
-        return [*found, *findings_on_order(self.train)]
 
 
 def _errors(fit: ModelFit, seen: Sequence[_Seen]) -> Errors:
@@ -245,7 +245,7 @@ def _errors(fit: ModelFit, seen: Sequence[_Seen]) -> Errors:
     rows = [part.rows for part in seen]
     found: Errors = {}
     for model, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
-        fitted = error_statistics(pose_error_sizes(part.train, part.values[model]) for part in seen)
+        fitted = error_statistics(pose_error_sizes(part.parts["train"], part.values[model]) for part in seen)
         found[model] = {"train": fitted} | errors_held_out(fit, values, rows)
     lead = headline_of(found["calibrated"])
     for of_model in found.values():
@@ -265,7 +265,7 @@ def _records(
     for k, (station, one, (iso, lack), moves) in enumerate(zip(seen, left_out, again, moves_of(fit), strict=True)):
         record: StationRecord = {
             "name": station.rows.name,
-            "kind": station.train.sensor.kind,
+            "kind": station.parts["train"].sensor.kind,
             "rows": {"train": len(station.rows.measured[0]), "test": len(station.rows.measured[1])},
             "noise": _noise(fit, station.blocks),
             "outliers": station.outliers,
@@ -281,7 +281,7 @@ def _records(
             record["left_out"] = error_statistics([one.sizes["calibrated"]])
             record["left_out_geometric"] = error_statistics([one.sizes["geometric"]])
         if moves:
-            record["parameters"] = list(map(_moved, moves))
+            record["parameters"] = list(moves)
         if iso is not None:
             record["iso9283"] = iso
         if lack is not None:
@@ -289,22 +289,19 @@ def _records(
         yield record
 
 
-def _moved(move: ParameterChange) -> MovedParameter:
-    at = move.parameter
-    return {"name": at.name, "unit": at.unit, "change": move.change, "sigma": move.sigma, "moved": move.moved}
-
-
 def _on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut]) -> Iterator[Caveat]:
     """Yield what was found of the rows of each station: the fitted ones, then those that judge."""
     for part in seen:
-        yield from part.findings
-    if not left_out and not any(part.test for part in seen):
+        train, values, rejected = part.parts["train"], part.values["calibrated"], part.weights == 0.0
+        yield from findings_on_outliers(train, values, part.free, table=part.rows.train, rejected=rejected)
+        yield from findings_on_order(train)
+    if not left_out and not any("test" in part.parts for part in seen):
         yield Caveat(CaveatKind.NOT_HELD_OUT)
     for one in left_out:
         if one.obstacle:
             yield Caveat(CaveatKind.NOT_LEFT_OUT, {"why": one.obstacle}, one.station)
     for part in seen:
-        yield from findings_on_held_out(part.test, part.values["calibrated"], part.rows.test)
+        yield from findings_on_held_out(part.parts.get("test"), part.values["calibrated"], part.rows.test)
 
 
 def _replicates(fit: ModelFit, k: int, seen: _Seen) -> tuple[dict[str, Any] | None, LackOfFit | None]:
@@ -315,7 +312,7 @@ def _replicates(fit: ModelFit, k: int, seen: _Seen) -> tuple[dict[str, Any] | No
     at = fit.problem.stations[k].name
     counted = seen.rows.by_row(seen.weights) > 0.0
     found = [Replicates("train", train, fit.readings(train, station=at), train_poses, counted)]
-    if seen.test is not None:
+    if "test" in seen.parts:
         found.append(Replicates("test", test, fit.readings(test, station=at), test_poses, np.ones(len(test), bool)))
     solution, is_alone = fit.solution, len(fit.problem.stations) == 1
     spent = solution.posterior.effective if is_alone else spent_at(fit, k)
@@ -332,16 +329,11 @@ def _noise(fit: ModelFit, blocks: slice = slice(None)) -> NoiseRecord:
         weight = float(n * block.size)
         found.setdefault(f"sigma_{block.unit}", []).append((float(sigma if declared is None else declared), weight))
         found.setdefault(f"residual_sigma_{block.unit}", []).append((float(estimated), weight))
-    noise = {name: _root_mean_square(sizes) for name, sizes in found.items()}
-    source: Literal["declared", "estimated"] = "declared" if fit.is_declared else "estimated"
-    return cast(NoiseRecord, {"source": source, **noise})
-
-
-def _root_mean_square(sizes: list[tuple[float, float]]) -> float:
-    if len(sizes) == 1:
-        return sizes[0][0]
-    values, weights = np.array(sizes).T
-    return float(np.sqrt(np.average(values**2, weights=weights)))
+    noise = {}
+    for name, sizes in found.items():
+        values, weights = np.array(sizes).T
+        noise[name] = float(values[0] if len(values) == 1 else np.sqrt(np.average(values**2, weights=weights)))
+    return cast(NoiseRecord, {"source": "declared" if fit.is_declared else "estimated", **noise})
 
 
 def _correlations(fit: ModelFit, rows: tuple[ParameterRow, ...]) -> tuple[Correlation, ...]:

@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from pincal.identify.explain import explain
+from pincal.identify.explain import Reason, Status, explain
 from pincal.identify.fit import ModelFit
-from pincal.identify.reasons import Reason, Status
 from pincal.parameters import Estimate, Parameter
 from pincal.result_table import Cell, Column, Kind, RowTone, Table
 from pincal.robot.se3 import placed, rotation_vectors
 from pincal.units import Quantity, fixed, format_readable, show_sigma, show_unit, show_value
 from pincal.validate.accuracy import ANGLE_WORDS
-from pincal.validate.outcome import StationRecord
+from pincal.validate.outcome import Improvement, StationRecord
 
 PARTS = {"train": "fitted", "test": "held out", "regions": "held-out regions", "stretches": "held-out stretches"}
 """What the two parts of a data set are called."""
@@ -149,6 +148,15 @@ def station_table(stations: Sequence[StationRecord]) -> Table:
     return Table("Mean error at each station [mm]", (*heads, *columns), tuple(rows))
 
 
+def improvement_table(regions: Sequence[Improvement]) -> Table:
+    """Return the predicted standard deviation of positions before and after, by link and region."""
+    heads = (Column("link", kind=Kind.NAME), Column("region", kind=Kind.LABEL), Column("poses", kind=Kind.NUMBER, show=str))
+    sizes = tuple(Column(name, "mm", Kind.NUMBER, fixed(3)) for name in ("before", "after"))
+    rows = tuple((of.link, of.region, of.poses, of.before_mm, of.after_mm) for of in regions)
+    note = "near, far, low and high: halves by distance from the axis of the base and by height, within the joints' limits"
+    return Table("Standard deviation of predicted positions", (*heads, *sizes), rows, (note,))
+
+
 def moved_table(stations: Sequence[StationRecord]) -> Table | None:
     """Return the parameters of the robot that are not the same at all stations, in the order of these; None if all are.
 
@@ -262,11 +270,7 @@ def correlation_table(correlations: Iterable[Mapping[str, Any]]) -> Table:
 
 
 def iso9283_table(iso: Mapping[str, Any]) -> Table:
-    """Return mean and largest pose accuracy AP and repeatability RP, position and each angle in rows of their own.
-
-    Args:
-        iso: ``iso9283`` of ``result.json``.
-    """
+    """Return mean and largest pose accuracy AP and repeatability RP, position and each angle in rows of their own."""
     heads = tuple(Column(name, kind=Kind.LABEL) for name in ("model", "poses", "unit"))
     sizes = tuple(
         Column(f"{name} {size}", kind=Kind.NUMBER, show=fixed(4)) for name in ("AP", "RP") for size in ("mean", "max")

@@ -5,24 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pincal.calibration.covered import (
-    Covered,
-    Outside,
-    OutsideCurve,
-    Turned,
-    curves_at,
-    unrecorded,
-    varied_by,
-    with_means,
-    words_of,
-)
+from pincal.calibration.covered import Covered, Outside, OutsideCurve, Turned, curves_at, of_the_day
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import BadInputError, MeasurementError
+from pincal.identify.options import Options
 from pincal.identify.station import Station, conditions_of, station_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.setup import Setup
@@ -30,6 +21,9 @@ from pincal.model.effects import Conditions, Effect
 from pincal.model.model import Model
 from pincal.parameters import FRAME_SYMBOLS, Estimate
 from pincal.robot.se3 import placed
+from pincal.units import format_readable
+
+_Rows = TypeVar("_Rows", Measurements, Conditions)
 
 
 @dataclass(frozen=True, repr=False)
@@ -48,7 +42,8 @@ class StationModel:
         nominal_values: shape (P,), the values with only base and tool fitted; None where nobody knows them.
         rows: fingerprints of the training rows; empty where nobody knows them.
         is_noise_declared: whether the noise was declared, not estimated.
-        left: effects that the rows showed and the model does not have; None where there were none, or nobody looked.
+        table_names: names of its parameters among those of all stations, where it shares some besides the robot's.
+        left_by: :attr:`left`, or what returns it: to look for it takes as long as a fit.
     """
 
     model: Model
@@ -62,7 +57,13 @@ class StationModel:
     nominal_values: np.ndarray | None = None
     rows: str = ""
     is_noise_declared: bool = False
-    left: Unmodelled | None = None
+    table_names: tuple[str, ...] = ()
+    left_by: Unmodelled | Callable[[], Unmodelled | None] | None = None
+
+    @property
+    def left(self) -> Unmodelled | None:
+        """Effects that the rows showed and the model does not have; None where there were none, or nobody looked."""
+        return self.left_by() if callable(self.left_by) else self.left_by
 
     @property
     def values(self) -> np.ndarray:
@@ -90,28 +91,74 @@ class StationModel:
                 f"{measurements.source}: measurements of kind {measurements.kind}; expected {self.sensor_kind}, "
                 "as this model was calibrated with"
             )
-        rows = with_means(measurements, self.model, self.covered.days)
-        return station_of(self.model, rows, self.payload_centre, self.setup)
+        return station_of(self.model, self.of_its_day(measurements), self.payload_centre, self.setup)
 
-    def of_its_day(self, conditions: Conditions) -> Conditions:
-        """Return conditions with the calibration's mean temperature and time, where effects need them and they lack them."""
-        return with_means(conditions, self.model, self.covered.days)
+    def unrecorded(self, rows: Measurements | Conditions) -> list[Effect]:
+        """Return the effects that need a column of the day that rows lack."""
+        return [e for e in self.model.effects if any(getattr(rows, column) is None for column in of_the_day(e))]
 
-    def unknown_motion(self, conditions: Conditions) -> np.ndarray:
-        """Return the variance of the target's position by effects that follow what conditions lack, shape (N, 3) [m^2]."""
-        lacking = unrecorded(self.model, conditions)
-        at, days = self.of_its_day(conditions), self.covered.days
-        ways = [varied_by(effect, self.model, self.model_values, at, days) for effect in lacking]
-        return np.sum(np.square(ways), axis=0) if ways else np.zeros((len(conditions), 3))
+    def of_its_day(self, rows: _Rows) -> _Rows:
+        """Return rows with the calibration's mean temperature and time, where effects need them and they lack them."""
+        lacking = {column for effect in self.unrecorded(rows) for column in of_the_day(effect)}
+        return self._at_days(rows, [name for name in sorted(lacking) if getattr(rows, name) is None])
+
+    def _at_days(self, rows: _Rows, names: list[str], side: float = 0.0) -> _Rows:
+        """Return rows with columns of the day at their means, or by so many standard deviations off, as far as known."""
+        days = {name: self.covered.days[name] for name in names if name in self.covered.days}
+        columns: dict[str, Any] = {
+            name: np.full(rows.q.shape if name == "move" else len(rows.q), mean + side * spread)
+            for name, (mean, spread) in days.items()
+        }
+        return replace(rows, **columns) if columns else rows
+
+    def varied_by(self, effect: Effect, conditions: Conditions) -> np.ndarray:
+        """Return how far the target moves, shape (N, 3) [m], as an effect goes from its mean to where it typically was.
+
+        The conditions have all columns that the model needs.
+        """
+
+        def way(at: Conditions) -> np.ndarray:
+            without = self.model_values.copy()
+            without[self.model.spans[self.model.effects.index(effect)]] = 0.0
+            ends = [self.model.predict(values, at)[:, :, 3] for values in (self.model_values, without)]
+            return np.asarray(ends[0] - ends[1])
+
+        columns = [column for column in of_the_day(effect) if column in self.covered.days]
+        if columns:
+            ends = [way(self._at_days(conditions, columns, side)) for side in (1.0, -1.0)]
+            return np.asarray(0.5 * (ends[0] - ends[1]))
+        found = way(conditions)
+        # A shift that all poses share is the new place of the instrument.
+        return np.asarray(found - found.mean(axis=0))
+
+    def note_on(self, effect: Effect, source: str, conditions: Conditions | None) -> tuple[float, str]:
+        """Return how far an effect of the day or the set-up typically moved the target [m], and what is done about it.
+
+        Args:
+            effect: the effect.
+            source: what the rows are called.
+            conditions: of the rows, with all columns that the model needs; None where the model's file does not tell.
+        """
+        name = " of ".join(filter(None, (effect.name, effect.locus.joint)))
+        columns = ", ".join(of_the_day(effect))
+        lacks = f"{source} has no column {columns}" if columns else "it belongs to the instrument as it stood then"
+        left_out, at_mean = "of the calibration's station is left out", "is taken at its mean over the calibration's rows"
+        done = f"{name} {left_out if effect.scope == 'station' else at_mean}: {lacks}"
+        if conditions is None:
+            return 0.0, done
+        size = float(np.sqrt(np.mean(np.sum(self.varied_by(effect, conditions) ** 2, axis=1))))
+        uncertain = format_readable(size, "m", ".2g")
+        return size, f"{done}; that leaves {uncertain} of uncertainty, as much as it varied there"
 
     def notes_on_day(self, rows: Measurements) -> tuple[str, ...]:
         """Return what is done about effects that follow a temperature or time that rows lack."""
-        full, days, notes = self.of_its_day(self.conditions(rows)), self.covered.days, []
-        for effect in unrecorded(self.model, rows):
-            way = varied_by(effect, self.model, self.model_values, full, days)
-            size = float(np.sqrt(np.mean(np.sum(way**2, axis=1))))
-            notes.append(words_of(effect, rows.source, size=size, is_left_out=effect.scope == "station"))
-        return tuple(notes)
+        full = self.of_its_day(self.conditions(rows))
+        return tuple(self.note_on(effect, rows.source, full)[1] for effect in self.unrecorded(rows))
+
+    def options(self, **others: Any) -> Options:
+        """Return what is known beforehand of a station like that of the calibration, with other options."""
+        x, y, z = map(float, self.payload_centre)
+        return Options(payload_centre=(x, y, z), **{"setup": self.setup} | others)
 
     def reads(self, measurements: Measurements) -> bool:
         """Return whether it predicts measurements of this kind: its own, or any if it needs no sensor's parameters."""
@@ -126,17 +173,32 @@ class StationModel:
         """
         return conditions_of(self.model, measurements, np.array(self.payload_centre))
 
+    def between(self, start: str | None = None, tip: str | None = None) -> Self:
+        """Return the model of where a link of the robot is, seen from another: without any instrument or target.
+
+        Args:
+            start: the link from which it is seen; default: the robot's base.
+            tip: the link; default: that of the calibration.
+
+        Raises:
+            RobotFileError: for an unknown link, or if a joint on the way is locked in this robot.
+        """
+        own = self.with_effects(lambda effect: effect.scope == "robot")
+        chain = own.model.chain.between(start or own.model.chain.robot.base, tip or own.model.chain.path.tip)
+        chain = chain.with_references(np.eye(3), np.tile(np.eye(3), (len(chain.targets), 1, 1)))
+        return replace(own, model=own.model.with_chain(chain))
+
     def conditions_at(self, q: ArrayLike, *, payload: float = 0.0, target: str | None = None) -> Conditions:
         """Return the conditions of joint positions that share a payload [kg] and a target.
 
-        They are those that the controller reports; joints that mimic another one may be left out of ``q``.
+        They are those that the controller reports; joints that follow from others may be left out of ``q``.
 
         Raises:
             BadInputError: if the joint positions have another shape, or there is no such target.
         """
         positions, robot = np.atleast_2d(np.asarray(q, float)), self.model.chain.robot
         n = robot.n_joints
-        if robot.mimics and positions.ndim == 2 and positions.shape[1] == len(robot.own_joints):
+        if robot.dependent and positions.ndim == 2 and positions.shape[1] == len(robot.own_joints):
             positions = robot.spread(positions)
         if positions.ndim != 2 or positions.shape[1] != n:
             raise BadInputError(f"joint positions have shape {np.shape(q)}; expected (N, {n}), one row per pose")

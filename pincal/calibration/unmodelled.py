@@ -13,12 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from typing import Annotated
 
 import numpy as np
 
-from pincal.identify.fit import ModelFit
-from pincal.identify.normal import accumulate
+from pincal.calibration.moves import information_at, shared_places
+from pincal.identify.criteria import CHANGES
+from pincal.identify.fit import ModelFit, Priors
 from pincal.identify.posterior import eliminate
 from pincal.identify.problem import extended
 from pincal.identify.quadratic import Form, Quadratic
@@ -29,8 +31,6 @@ from pincal.model.catalogue.candidates import testable
 from pincal.model.conditions import PoseSet, joined_conditions
 from pincal.model.effect import Curve, Effect
 
-# Chance of one such effect, all candidates counted, beyond which none is taken for real.
-_ALPHA = 1e-3
 # Effects at most; rows and stations that are looked at, which bound the work on large tables.
 _MOST, _ROWS, _STATIONS = 8, 2000, 20
 # Part of a parameter's information that must be left for the rows to see it, and to be more than rounding.
@@ -66,7 +66,7 @@ def unmodelled_by(fit: ModelFit) -> Unmodelled | None:
     names = [tuple(p.name for p in effect.parameters(fit.problem.chain)) for effect in effects]
     ends = np.cumsum([0, *map(len, names)])
     places = [np.arange(*ends[i : i + 2]) for i in range(len(effects))]
-    said, robot, carried = _said(fit, effects, rows)
+    said, robot, carried = _information(fit, effects, rows)
 
     def chances(chosen: tuple[int, ...]) -> Iterator[Scored[int]]:
         # What was released says nothing any more, and another form of it has the same parameters.
@@ -75,7 +75,7 @@ def unmodelled_by(fit: ModelFit) -> Unmodelled | None:
         for i in range(len(effects)):
             if known.isdisjoint(names[i]):
                 chance = rest.chance(places[i], _SEEN)
-                yield Scored(i, chance, chance < _ALPHA / len(effects))
+                yield Scored(i, chance, chance < CHANGES.unmodelled / len(effects))
 
     chosen = select_stepwise(tuple[int, ...](), chances, lambda before, i: (*before, i), most=_MOST)
     if not chosen:
@@ -115,7 +115,7 @@ def _effects(fit: ModelFit, rows: Mapping[int, np.ndarray]) -> list[Effect]:
     ]
 
 
-def _said(
+def _information(
     fit: ModelFit, effects: list[Effect], sample: Mapping[int, np.ndarray]
 ) -> tuple[Quadratic, tuple[str, ...], np.ndarray]:
     """Return what rows of stations say of some effects, the stations' own parameters and the robot's projected out.
@@ -125,36 +125,34 @@ def _said(
         a unit of each, shape (K, E).
     """
     problem, solution = fit.problem, fit.solution
-    some = replace(problem, stations=tuple(problem.stations[k] for k in sample))
-    among = np.empty(len(some.parameters), int)
-    for k, places in zip(sample, some.places, strict=True):
-        among[places] = problem.places[k]
-    wider, known = extended(some, effects)
-    n = len(wider.parameters)
-    free, values, sizes = np.ones(n, bool), np.zeros(n), np.full(n, np.inf)
-    free[known], values[known], sizes[known] = solution.free[among], solution.values[among], fit.priors.sizes[among]
-    is_own = np.zeros(n, bool)
-    for station, places in zip(wider.stations, wider.places, strict=True):
-        is_own[places[station.is_own]] = True
-    is_new = np.ones(n, bool)
-    is_new[known] = False
-    robot, new = np.flatnonzero(free & ~is_own & ~is_new), np.flatnonzero(is_new)
-    index = np.full(n, -1)
-    index[np.concatenate([robot, new])] = np.arange(len(robot) + len(new))
-    n = len(robot) + len(new)
+    some = replace(problem, stations=tuple(problem.stations[k].select(rows) for k, rows in sample.items()))
+    wider, _ = extended(some, effects)
+    values, known, free, sizes = (
+        problem.carried_over(of, wider)
+        for of in (solution.values, np.ones(len(solution.values), bool), solution.free, fit.priors.sizes)
+    )
+    found = replace(
+        solution,
+        values=values,
+        free=free | ~known,
+        weights=np.concatenate([solution.weights[problem.rows[k]][rows] for k, rows in sample.items()]),
+        sigma=np.concatenate([solution.sigma[problem.block_spans[k]] for k in sample]),
+    )
+    priors = Priors(np.where(known, sizes, np.inf), np.full(len(sizes), np.inf))
+    wide = replace(fit, problem=wider, solution=found, priors=priors)
+    shared = shared_places(wide)
+    n = len(shared)
     H, g, whole = np.zeros((n, n)), np.zeros(n), np.zeros(n)
-    for (k, rows), station, local in zip(sample.items(), wider.stations, wider.places, strict=True):
-        places = local[free[local]]
-        weights = solution.weights[problem.rows[k]][rows]
-        normal = accumulate(station.select(rows), values[local], free[local], weights)
-        form = normal.at(solution.sigma[problem.block_spans[k]])
-        left, _ = eliminate(form, is_own[places], sizes[places], values[places])
-        at = index[places[~is_own[places]]]
-        H[np.ix_(at, at)] += left.H
-        g[at] += left.g
-        whole[at] += left.whole
-    both = np.concatenate([robot, new])
-    rest, taken = eliminate(Form(H, g, whole), np.arange(len(both)) < len(robot), sizes[both], values[both])
-    names = tuple(p.name for effect in effects for p in effect.parameters(problem.chain))
-    found = Quadratic(**vars(rest), names=names, square=0.0, degrees=0.0)
-    return found, tuple(wider.parameters[place].name for place in robot), taken.carried
+    for k in range(len(sample)):
+        said = information_at(wide, k)
+        H[np.ix_(said.places, said.places)] += said.form.H
+        g[said.places] += said.form.g
+        whole[said.places] += said.form.whole
+    robot = known[shared]
+    rest, taken = eliminate(Form(H, g, whole), robot, priors.sizes[shared], values[shared])
+    names = tuple(wider.parameters[place].name for place in shared)
+    return (
+        Quadratic(**vars(rest), names=tuple(compress(names, ~robot)), square=0.0, degrees=0.0),
+        tuple(compress(names, robot)),
+        taken.carried,
+    )

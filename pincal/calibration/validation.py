@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any, Literal
 
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.covered import inside_curves
+from pincal.calibration.caveats import findings_on_held_out
+from pincal.calibration.covered import curves_at
 from pincal.calibration.placing import FrameShift, Placed, expected_noise, place_station
 from pincal.errors import BadInputError
-from pincal.identify.fingerprints import known_rows, together
-from pincal.identify.options import Options
-from pincal.identify.station import Station
+from pincal.identify.initial import links_of
+from pincal.identify.station import Station, known_rows, together
 from pincal.measure.admit import scorable, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, replicate_groups
@@ -79,7 +79,8 @@ class Validation:
         )
         told = (self.doubt, self.note, rest if is_noted else "", fitted if self.fitted_rows else "")
         doubts = (Note(Severity.DOUBT, text) for text in filter(None, told))
-        return (*doubts, *(Note(Severity.NOTE, text) for text in self.of_day))
+        far = (found.note for found in findings_on_held_out(self.station, self.values, self.table))
+        return (*doubts, *far, *(Note(Severity.NOTE, text) for text in self.of_day))
 
     @property
     def verdict(self) -> Verdict:
@@ -120,32 +121,6 @@ class Validation:
         )
 
 
-@dataclass(frozen=True)
-class _Stand:
-    """Rows at a calibrated station."""
-
-    model: CalibratedModel
-    table: Measurements
-    station: Station
-    sigma: np.ndarray
-
-    @property
-    def distance(self) -> float:
-        """How far typical rows are off, in units of the noise."""
-        sigma = np.repeat(self.sigma, [block.size for block in self.station.sensor.blocks])
-        return float(np.median(np.linalg.norm(self.station.residuals(self.model.values) / sigma[:, None], axis=0)))
-
-    def misfit(self, robust: np.ndarray) -> Misfit:
-        """Return what is left at this station."""
-        at = self.station, self.model.values
-        return misfit_at(*at, covariance=self.model.covariance, sigma=self.sigma, robust=robust)
-
-    def validation(self, name: str, misfit: Misfit, **told: Any) -> Validation:
-        """Return the judgement of rows that are taken to be of this station."""
-        still, none = FrameShift(0.0, 0.0, 0.0), np.zeros(len(self.model.values), bool)
-        return Validation(name, "as calibrated", self.table, self.model, self.station, none, still, misfit, **told)
-
-
 def validate_rows(
     models: Sequence[CalibratedModel], measurements: Measurements, *, name: str = "", refit: bool = True
 ) -> Validation:
@@ -172,6 +147,11 @@ def validate_rows(
 
 def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, name: str, refit: bool) -> Validation:
     """Return the judgement; arguments as in :func:`validate_rows`."""
+
+    def refitted(model: CalibratedModel) -> Validation:
+        rows = usable_rows(measurements, model.setup.over(measurements))
+        return _refitted(name, rows, place_station(model, rows))
+
     stands = list(_stands(models, measurements))
     if not stands:
         if not refit:
@@ -179,33 +159,56 @@ def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, na
                 f"{measurements.source}: these rows do not match the chosen station: sensor, target, points or columns "
                 "differ"
             )
-        rows = usable_rows(measurements, models[0].setup.over(measurements))
-        return _refitted(name, rows, place_station(models[0], rows))
-    here = min(stands, key=lambda stand: stand.distance)
+        return refitted(_anywhere(models))
+    _, model, table, station, sigma = min(stands, key=lambda stand: stand[0])
+
+    def misfit(sigma: np.ndarray, robust: np.ndarray) -> Misfit:
+        return misfit_at(station, model.values, covariance=model.covariance, sigma=sigma, robust=robust)
+
+    def as_calibrated(left: Misfit, **told: Any) -> Validation:
+        still, none = FrameShift(0.0, 0.0, 0.0), np.zeros(len(model.values), bool)
+        return Validation(name, "as calibrated", table, model, station, none, still, left, **told)
+
     try:
-        placed = place_station(here.model, here.table)
+        placed = place_station(model, table)
     except BadInputError as error:
-        return _where_it_was(name, here, why=str(error), refit=refit)
-    robust = (placed.solution.weights > 0.0).astype(float)
-    before = replace(here, sigma=placed.model.sigma).misfit(robust)
+        # These rows can't tell another place than the calibrated one.
+        before = misfit(sigma, np.ones(len(table)))
+        if refit and before.is_far():
+            errors = next(iter(pose_errors(station, model.values).values()))
+            raise BadInputError(f"{error}; as calibrated, they are off by {errors.mean():.4g} mm") from None
+        return as_calibrated(before)
+    before = misfit(placed.model.sigma, (placed.solution.weights > 0.0).astype(float))
     is_moved = has_moved(before, placed.misfit)
     if is_moved and refit:
-        if len(here.table) < len(measurements):
-            rows = usable_rows(measurements, here.model.setup.over(measurements))
-            return _refitted(name, rows, place_station(here.model, rows))
-        return _refitted(name, here.table, placed)
-    if len(here.table) < len(measurements):
+        return refitted(model) if len(table) < len(measurements) else _refitted(name, table, placed)
+    if len(table) < len(measurements):
         # Once more, for the warning of what is left out.
-        scorable_rows(measurements, here.model.setup)
-    note = f"{name or here.table.source}: these rows fit another pose of instrument and target: {placed.moved}"
-    doubt = doubt_of(here.table, placed)
-    return here.validation(name, before, doubt=doubt, note=note if is_moved else "", of_day=placed.notes)
+        scorable_rows(measurements, model.setup)
+    note = f"{name or table.source}: these rows fit another pose of instrument and target: {placed.moved}"
+    return as_calibrated(before, doubt=doubt_of(table, placed), note=note if is_moved else "", of_day=placed.notes)
 
 
-def _stands(models: Sequence[CalibratedModel], measurements: Measurements) -> Iterator[_Stand]:
-    """Yield the stations that rows may be of: same sensor, targets and points, and the columns that their effects need."""
+def _anywhere(models: Sequence[CalibratedModel]) -> CalibratedModel:
+    """Return the robot for rows of no station that it was calibrated at: where it has several arms, by what all covered."""
+    first, *others = models
+    if not first.model.chain.robot.links:
+        return first
+    return replace(first, covered=reduce(lambda a, b: a.over(b), (model.covered for model in others), first.covered))
+
+
+def _stands(
+    models: Sequence[CalibratedModel], measurements: Measurements
+) -> Iterator[tuple[float, CalibratedModel, Measurements, Station, np.ndarray]]:
+    """Yield the stations that rows may be of: same sensor, targets and points, and the columns that their effects need.
+
+    With each how far typical rows are off, in units of the noise; then the rows that can be judged, under the calibrated
+    model, and their noise.
+    """
     for model in models:
         chain = model.model.chain
+        if links_of(measurements, chain.robot.path) != (chain.path.start, chain.path.tip):
+            continue
         if len(chain.targets) > 1 and not set(map(str, measurements.target)) <= set(chain.targets):
             continue
         needs = {column for effect in model.model.effects if effect.scope == "station" for column in effect.needs}
@@ -219,22 +222,15 @@ def _stands(models: Sequence[CalibratedModel], measurements: Measurements) -> It
         if kept.any():
             table = measurements if kept.all() else measurements.select(kept)
             station = model.readings(table)
-            yield _Stand(model, table, station, expected_noise(model, station.sensor.blocks, table))
+            sigma = expected_noise(model, station.sensor.blocks, table)
+            off = station.residuals(model.values) / np.repeat(sigma, station.block_sizes)[:, None]
+            yield float(np.median(np.linalg.norm(off, axis=0))), model, table, station, sigma
 
 
 def _refitted(name: str, table: Measurements, placed: Placed) -> Validation:
     model, found, doubt = placed.model, placed.solution.free, doubt_of(table, placed)
     at = table, model, placed.station, found, placed.moved, placed.misfit
     return Validation(name, "refitted", *at, doubt=doubt, of_day=placed.notes)
-
-
-def _where_it_was(name: str, here: _Stand, *, why: str, refit: bool) -> Validation:
-    """Return the judgement of rows that can't tell another place than the calibrated one."""
-    before = here.misfit(np.ones(len(here.table)))
-    errors = next(iter(pose_errors(here.station, here.model.values).values()))
-    if refit and before.is_far():
-        raise BadInputError(f"{why}; as calibrated, they are off by {errors.mean():.4g} mm")
-    return here.validation(name, before)
 
 
 def doubt_of(table: Measurements, placed: Placed) -> str:
@@ -244,7 +240,9 @@ def doubt_of(table: Measurements, placed: Placed) -> str:
     better than none.
     """
     known, station, values = placed.model, placed.station, placed.values
-    used, inside = placed.solution.weights > 0.0, inside_curves(known.model, station.conditions)
+    used, inside = placed.solution.weights > 0.0, np.ones(len(station), bool)
+    for curve in curves_at(known.model, station.conditions):
+        inside &= ~curve.beyond
     sound = used & known.covered.carries(station.conditions.payload)
     for rows, factor in ((sound & inside, 1.0), (sound, _UNSEEN), (used & inside, np.inf)):
         left = placed.misfit_of(rows)
@@ -253,7 +251,7 @@ def doubt_of(table: Measurements, placed: Placed) -> str:
         errors = next(iter(pose_errors(station.select(rows), values).values()))
         off = f"{table.source}: off by {errors.mean():.3g} mm wherever instrument and target stand"
         if left.is_far(factor):
-            mixed = mix_up(table, station, values, options=_options(known))
+            mixed = mix_up(table, station, values, options=known.options(effects=()))
             beyond = f"{off}, {left.ratio:.3g} times what noise and the uncertainty of the calibration allow"
             return f"{beyond}; {mixed}" if mixed else beyond
         if factor != _UNSEEN and (nominal := _as_good(table, placed, left=left, rows=rows)) is not None:
@@ -264,15 +262,9 @@ def doubt_of(table: Measurements, placed: Placed) -> str:
 def _as_good(table: Measurements, placed: Placed, *, left: Misfit, rows: np.ndarray) -> float | None:
     """Return the nominal robot's mean error [m] if it explains rows as well as the calibrated one; else None."""
     known, station = placed.model, placed.station
-    nominal = nominal_displacements(known.model.chain.robot, table, _options(known))[rows]
+    nominal = nominal_displacements(known.model.chain.robot, table, known.options(effects=()))[rows]
     size = station.sensor.blocks[0].size
     allowed = left.allowed * known.sigma[0] * np.sqrt(size) * station.metres_per_reading(placed.values)
     if belongs_to_other_robot(station.displacements(placed.values)[rows], nominal, allowed=float(allowed)):
         return float(np.linalg.norm(nominal, axis=1).mean())
     return None
-
-
-def _options(known: CalibratedModel) -> Options:
-    """Return how the nominal robot is placed beside the calibrated one."""
-    x, y, z = map(float, known.payload_centre)
-    return Options(effects=(), payload_centre=(x, y, z), setup=known.setup)

@@ -40,7 +40,7 @@ _COMMANDS = {
     "update": "pincal.cli.new_rows",
     "simulate": "pincal.cli.simulate",
     "export": "pincal.cli.export",
-    "view": "pincal.cli.view",
+    "view": "pincal.cli.export",
 }
 
 
@@ -140,7 +140,9 @@ def main(arguments: list[str] | None = None) -> None:
         if (error.name or "").startswith("pincal") or os.environ.get("PINCAL_TRACEBACK"):
             raise
         click.echo(
-            f"pincal: {error.name} is not installed; README.md says where each part of pincal installs, and how", err=True
+            f"pincal: {error.name} is not installed; README.md lists what each part of pincal needs, and what to do where "
+            "it can't be installed",
+            err=True,
         )
         sys.exit(Exit.BAD_INPUT)
     except Exception as error:

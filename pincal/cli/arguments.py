@@ -57,6 +57,18 @@ def group(heading: str) -> Any:
     return field(metadata={_HEADING: heading})
 
 
+def pair(text: str, expected: str, *, sign: str = "=") -> tuple[str, str]:
+    """Return the two sides of NAME=VALUE, blanks about them left out.
+
+    Raises:
+        click.BadParameter: if one is missing, with what is expected.
+    """
+    name, found, value = (word.strip() for word in text.partition(sign))
+    if not (name and found and value):
+        raise click.BadParameter(f"{text.strip()!r}; expected {expected}")
+    return name, value
+
+
 class NumberType(click.ParamType[float]):
     """A number in SI units that can be meant: finite, of a size that things of a robot cell have, and within a range."""
 
@@ -204,6 +216,7 @@ def verb(
             callback=run,
             params=[parameter for _, parameter in parameters],
             headings={str(parameter.name): heading for heading, parameter in parameters},
+            context_settings={"help_option_names": ["-h", "--help"]},
             ending=ending,
             help=inspect.getdoc(function),
             epilog=f"\b\n{examples.strip()}\n\nExit codes: {meanings}.",

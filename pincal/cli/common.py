@@ -1,119 +1,31 @@
-"""What several verbs share on the command line: quantities with units, and groups of options."""
+"""Groups of options that several verbs share."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import click
 
-from pincal.cli.arguments import Output, argument, group, option
+from pincal.cli.arguments import Output, argument, group, option, pair
+from pincal.cli.quantities import (
+    ANGLE,
+    COLUMNS,
+    LENGTH,
+    LENGTH_UNITS,
+    NoiseType,
+    QuantityType,
+    columns,
+    resting,
+    station_links,
+    xacro_argument,
+)
 from pincal.measure.fields import TABLE_ENDINGS, TableOptions
-from pincal.units import GRAVITIES, LARGEST, SMALLEST, is_gravity, plain_number, unit_sizes
+from pincal.units import GRAVITIES, is_gravity
 
 Triple = tuple[float, float, float]
-
-_LENGTHS = unit_sizes("um", "mm", "cm", "m")
-ANGLES = unit_sizes("urad", "mrad", "rad", "deg")
-
-
-class QuantityType(click.ParamType[float]):
-    """A positive number with its unit, such as ``0.05mm``; or, where zero makes sense, 0 with or without one.
-
-    A number without a unit counts ``bare`` of the SI unit, where that is given.
-    """
-
-    def __init__(self, units: dict[str, float], name: str, *, zero: bool = False, bare: float | None = None) -> None:
-        self._units, self.name, self._zero, self._bare = units, name, zero, bare
-        self._si = next(unit for unit, factor in units.items() if factor == 1.0)
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        """Return an example of the value, for the help text."""
-        return self.name
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the value in SI units."""
-        if isinstance(value, float):
-            return value
-        text = str(value).strip()
-        for unit in (*sorted(self._units, key=len, reverse=True), ""):
-            if text.endswith(unit):
-                try:
-                    number = plain_number(text.removesuffix(unit))
-                except ValueError:
-                    break
-                if self._zero and number == 0.0:
-                    return 0.0
-                if not unit and self._bare is None:
-                    break
-                si = number * (self._units[unit] if unit else self._bare or 1.0)
-                if not SMALLEST <= si <= LARGEST:
-                    kind = f"a positive number{' of pixels' if unit == 'px' else ''}"
-                    self.fail(f"{text!r} is not {kind} from {SMALLEST:g} to {LARGEST:g} {self._si}", param, ctx)
-                return si
-        self.fail(f"{text!r}; expected a number with a unit, such as {self.name} ({', '.join(self._units)})", param, ctx)
-
-
-class NoiseType(click.ParamType[tuple[float, str]]):
-    """The noise of a reading: a length in metres, or pixels; with the unit, "m" or "px"."""
-
-    name = "0.05mm"
-
-    def __init__(self, *, zero: bool = False) -> None:
-        self._zero = zero
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, str]:
-        """Return the value in SI units, or in pixels, and its unit."""
-        is_image = str(value).strip().endswith("px")
-        units, example = ({"px": 1.0}, "0.1px") if is_image else (_LENGTHS, "0.05mm")
-        number = QuantityType(units, example, zero=self._zero).convert(str(value), param, ctx)
-        return number, "px" if is_image else "m"
-
-
-class Masses(click.ParamType[tuple[float, ...]]):
-    """One or several masses in kg, separated by commas."""
-
-    name = "masses"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        """Return the masses [kg]."""
-        try:
-            loads = tuple(plain_number(part.strip().removesuffix("kg")) for part in str(value).split(","))
-        except ValueError:
-            loads = ()
-        if not loads or not all(0.0 <= load <= LARGEST for load in loads):
-            self.fail(
-                f"{value!r}; expected one or several masses in kg, such as 80 or 0,80, of at most {LARGEST:g}", param, ctx
-            )
-        return loads
-
-
-def xacro_argument(text: str) -> tuple[str, str]:
-    """Return name and value of an argument of a xacro file, as xacro itself takes it."""
-    name, sign, value = text.partition(":=")
-    if not sign or not name:
-        raise click.BadParameter(f"{text!r}; expected NAME:=VALUE, such as ur_type:=ur5e")
-    return name, value
-
-
-_COLUMNS = "'J1=joint_a1 [deg],...'"
-
-
-def columns(text: str) -> dict[str, str]:
-    """Return columns and what they hold, ``NAME=MEANING`` separated by commas, as meanings by name."""
-    found: dict[str, str] = {}
-    for part in text.split(","):
-        name, sign, meaning = (word.strip() for word in part.partition("="))
-        if not (sign and name and meaning) or name in found:
-            raise click.BadParameter(f"{part.strip()!r}; expected NAME=MEANING, each name once, such as {_COLUMNS}")
-        found[name] = meaning
-    return found
-
-
-LENGTH = QuantityType(_LENGTHS, "0.05mm")
-ANGLE = QuantityType(ANGLES, "0.1mrad")
 
 verbose_option = partial(option, "Print all tables and notes, not just the summary.", False)
 max_error_option = partial(option, "Fail (exit code 5) if the mean error exceeds this.", type=LENGTH)
@@ -141,21 +53,21 @@ gravity_option = partial(
 )
 mass_option = partial(
     option,
-    "Mass of the whole robot with its base [kg], as on its data sheet: masses of links are then found from the data.",
+    "Total mass of the robot including its base [kg], from its data sheet: the masses of the links are then estimated.",
     metavar="KG",
     words="those of the URDF, if it has any",
 )
 coupling_option = partial(
     option,
-    "Joint whose controller reports its position less that of another: it is what it reports plus (+) or minus (-) that "
-    "one, or a part such as -1/3*joint_4.",
+    "Coupled joint: its position is the reported one plus (+) or minus (-) that of another joint, or a fraction of it such "
+    "as -1/3*joint_4.",
     (),
     metavar="joint_3=+joint_2",
     name="--coupling",
 )
-sign_option = partial(option, "Joint that counts the other way than the URDF has it.", (), metavar="JOINT", name="--sign")
+sign_option = partial(option, "Joint whose sign is opposite to that of the URDF.", (), metavar="JOINT", name="--sign")
 model_argument = partial(argument, "MODEL.json", "Calibrated model, as written by calibrate or discover.")
-station_option = partial(option, "Take the place of instrument and targets at this station of the model.", metavar="NAME")
+station_option = partial(option, "Use the placement of instrument and targets of this station of the model.", metavar="NAME")
 
 
 def _load_plugins(context: click.Context, parameter: click.Parameter, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -197,15 +109,15 @@ class TableArguments:
     """How tables are to be read."""
 
     columns: dict[str, str] | None = option(
-        "Map columns to the quantities that they hold.", type=columns, metavar=_COLUMNS, words="as they are named"
+        "Map columns to the quantities that they hold.", type=columns, metavar=COLUMNS, words="by their names"
     )
     orientation: Literal["kuka", "fanuc", "abb", "ur", "rpy", "xyzw", "wxyz"] | None = option(
         "Convention of the orientation: A B C, W P R, q1..q4, rx ry rz, roll pitch yaw, or a quaternion in this order.",
         words="from the names of its columns",
     )
     joints: Path | None = option(
-        "Log of the joint positions, if the table lacks them: joined by a column that both have, by time while the pose is "
-        "held still, or by order.",
+        "Log of the joint positions, if the table lacks them: joined by a common column, by time while the pose is held "
+        "still, or by order.",
         metavar="LOG",
     )
     ignore: tuple[str, ...] = option("Ignore this column of the table.", (), metavar="COLUMN")
@@ -213,8 +125,8 @@ class TableArguments:
         "Worksheet of an Excel workbook.", metavar="NAME", words="the first that has columns of joints"
     )
     rows_in_order: bool = option(
-        "Rows are in the order of measurement, or of their times: a joint without a column approach_<joint> arrived from "
-        "its position in the row before.",
+        "Rows are in the order of measurement, or their times give it: the approach direction of a joint without a column "
+        "approach_<joint> follows from the previous row.",
         False,
     )
 
@@ -232,6 +144,33 @@ class TableArguments:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LinkOptions:
+    """Between which links readings are, where these are not base and tip."""
+
+    start: str | None = option(
+        "Link from which readings are seen, such as that of a camera on the robot.",
+        metavar="LINK",
+        name="--from",
+        words="the base; or the column from",
+    )
+    to: str | None = option("Link that readings are about; the same as --tip.", metavar="LINK", words="the column to")
+    stations: tuple[tuple[str, str, str], ...] = option(
+        "Links between which the readings of one station or table are.",
+        (),
+        metavar="NAME:FROM:TO",
+        name="--station",
+        type=station_links,
+    )
+    rest: tuple[tuple[str, float], ...] = option(
+        "Position of a joint that has no column and moves nothing that is read.",
+        (),
+        metavar="JOINT=POSITION",
+        type=resting,
+        words="zero",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class InputOptions:
     """A robot and tables of measurements."""
 
@@ -243,6 +182,7 @@ class InputOptions:
     )
     tip: str | None = tip_option(words="from the joint columns")
     base: str | None = base_option(words="root of the URDF, or where the joints of the table begin")
+    links: LinkOptions = group("Links")
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     mass: float | None = mass_option()
     couplings: tuple[str, ...] = coupling_option()
@@ -252,15 +192,19 @@ class InputOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PlaceOptions:
-    """Where instrument and target stand, if that is not where they were calibrated."""
+    """Where instrument and target are, if not where they were calibrated."""
 
     placement: Path | None = option("Locate instrument and target from these few measured rows.", metavar="FEW.csv")
     station: str | None = station_option(words="the only one")
+    start: str | None = option(
+        "Link of the robot that poses are seen from, without an instrument.", metavar="LINK", name="--from", words="its base"
+    )
+    to: str | None = option("Link whose poses they are, without any target: of any arm of the robot.", metavar="LINK")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelOptions:
-    """The model and the loads that bend it."""
+    """The model and its loads."""
 
     model: Literal["geometric", "elastic"] = option("Geometry alone, or with elasticity of joints and bearings.", "elastic")
     moment_frame: Literal["auto", "paper", "before", "after"] = option(
@@ -302,7 +246,7 @@ class SetupOptions:
         "Known distance between two sockets, anchors or points; a number without a unit is in metres.",
         (),
         metavar="A B LENGTH",
-        type=(str, str, QuantityType(_LENGTHS, "50mm", bare=1.0)),
+        type=(str, str, QuantityType(LENGTH_UNITS, "50mm", bare=1.0)),
         name="--socket-distance",
     )
     distances: Path | None = option("Known distances as a table: columns first, second, distance and optionally sigma.")
@@ -326,9 +270,9 @@ class FitOptions:
     fix: tuple[str, ...] = option(
         "Hold this parameter at nominal: a name such as joint_2.s_x, or a pattern such as '*.s_x'.", (), metavar="NAME"
     )
-    free: tuple[str, ...] = option("Fit this parameter, or those of a pattern, without a prior.", (), metavar="NAME")
+    free: tuple[str, ...] = option("Fit this parameter, or all that match a pattern, without a prior.", (), metavar="NAME")
     prior: tuple[str, ...] = option(
-        "Standard deviation from nominal that is expected of this parameter, or of those of a pattern: '*.theta=2mrad', "
+        "Expected standard deviation from nominal of this parameter, or of all that match a pattern: '*.theta=2mrad', "
         "'joint_3.k_drive=0.2urad/Nm'.",
         (),
         metavar="NAME=SIZE",
@@ -337,29 +281,26 @@ class FitOptions:
     stages: Literal["joint", "paper"] = option("Fit all parameters jointly, or in the paper's four stages.", "joint")
     loss: Literal["screen", "huber", "none"] = option("Outlier handling: reject, down-weight (Huber), or none.", "screen")
     zeros: str | None = option(
-        "Zeros of joints of which nothing is known: unknown for all of them, or unknown:joint_3,joint_5.",
+        "Joints whose zeros are unknown altogether: unknown for all, or unknown:joint_3,joint_5.",
         metavar="unknown[:JOINT,...]",
-        words="within some mrad of the URDF's, unless the data show otherwise",
+        words="within a few mrad of the URDF's, unless the data show otherwise",
     )
     length_bound: float = option("Largest allowed deviation of a length from nominal.", 0.01, type=LENGTH, words="10mm")
 
     @property
     def priors(self) -> dict[str, float | str]:
-        """Priors by name or pattern: those that are told, then what is free, then what is held.
+        """Priors by name or pattern: those that are stated, then what is free, then what is held.
 
         Raises:
             click.UsageError: for one without a size.
         """
-        told = [text.partition("=") for text in self.prior]
-        if missing := [name for name, _, size in told if not size]:
-            raise click.UsageError(f"--prior {missing[0]}: no size; expected NAME=SIZE, such as '*.theta=2mrad'")
-        sizes: dict[str, float | str] = {name.strip(): size.strip() for name, _, size in told}
+        sizes: dict[str, float | str] = dict(pair(text, "NAME=SIZE, such as '*.theta=2mrad'") for text in self.prior)
         return sizes | dict.fromkeys(self.free, float("inf")) | dict.fromkeys(self.fix, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationOptions:
-    """All that says how a table of measurements is fitted."""
+    """All options of how a table of measurements is fitted."""
 
     model: ModelOptions = group("Model")
     setup: SetupOptions = group("Measurement setup")
@@ -372,8 +313,8 @@ class SplitOptions:
 
     test_fraction: float = option("Fraction of rows held out.", 0.25)
     split: Literal["both", "random", "blocked", "station"] = option(
-        "Hold out whole regions of joint space and stretches of consecutive rows, of which the one that is predicted worse "
-        "leads; or rows at random, regions alone (blocked), or each station in turn (predicted by the others).",
+        "Hold out whole regions of joint space and stretches of consecutive rows, and report the worse of the two first; or "
+        "rows at random, regions alone (blocked), or each station in turn (predicted by the others).",
         "both",
     )
     holdout: Path | None = option("Validate on this table instead; all rows of DATA are fitted.")

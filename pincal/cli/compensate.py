@@ -11,9 +11,16 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
-from pincal.cli.common import ANGLE, TABLE, GeneralOptions, PlaceOptions, TableArguments, model_argument
+from pincal.cli.common import (
+    TABLE,
+    GeneralOptions,
+    PlaceOptions,
+    TableArguments,
+    model_argument,
+)
 from pincal.cli.controller_programs import Allowed, ProgramOptions, correct_file, summary_of_program
 from pincal.cli.outputs import columns_of_poses, echo_notes, extrapolation, print_json
+from pincal.cli.quantities import ANGLE
 from pincal.errors import Exit
 from pincal.recorded import RECORDABLE
 from pincal.units import plain_number
@@ -44,8 +51,8 @@ Examples:
   pincal compensate results/model.json weld.src --out corrected/weld.src --tool 'TOOL_DATA[1]=0,0,250,0,0,0'
 
 TARGETS may be a controller's program: KUKA .src and .dat, ABB .mod, .prg and .sys, FANUC .ls, Universal
-Robots .script, Yaskawa .jbi. Nothing but its numbers changes; points that are not understood are named
-and stay as they were. What follows is of tables.
+Robots .script, Yaskawa .jbi. Only its numbers change; points that can't be interpreted are listed and left
+unchanged. The rest applies to tables.
 
 TARGETS.csv has the wanted target position x y z (and orientation qx qy qz qw) in the instrument's
 frame, joint positions to start from, and, where they matter, payload, target, temperature, time and
@@ -57,12 +64,15 @@ nominal robot would reach, in its base frame. Without joint positions, the searc
 FILE.csv has the joint positions to command, the wanted pose, the remaining error predicted by the
 model (error_mm, error_mrad), the uncertainty of the model in this frame (sigma_mm), the largest
 change of a joint from its start (change_max, rad or m; if any is more than --max-change, the column
-large_change is 1 in these rows: look at them before the robot moves) and a status:
+large_change is 1 in these rows: check them before the robot moves) and a status:
+
+\b
   ok           reached
   singular     a small correction would need large joint motions; the joints stay close to their
                start, and position has priority over orientation
   joint_limit  a joint stops at its limit
   unreachable  no joint positions were found
+
 Rows that are not ok hold the closest pose within the limits and are listed on stderr. The exit code
 is 4 if no row is ok or, with --strict, if any row is not.
 """
@@ -73,7 +83,7 @@ class _AtPlace:
     """What both take."""
 
     model: Path = model_argument()
-    place: PlaceOptions = group("Place of instrument and target")
+    place: PlaceOptions = group("Placement of instrument and target")
     table: TableArguments = group("Tables")
     general: GeneralOptions = group("General")
 
@@ -92,8 +102,7 @@ def predict(arguments: PredictArguments) -> Exit:
 
     They are given in the instrument's frame, with their uncertainty.
     """
-    from pincal.cli.inputs import load_table
-    from pincal.cli.placement import find_place, print_doubt
+    from pincal.cli.inputs import find_place, load_table, print_doubt
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
 
@@ -129,7 +138,7 @@ class CompensateArguments(_AtPlace):
     """Arguments of compensate."""
 
     targets: Path = argument(
-        "TARGETS.csv", "Wanted poses with or without seeds, a nominal program, or a controller's program."
+        "TARGETS.csv", "Wanted poses with or without start values, a nominal program, or a controller's program."
     )
     out: Path = option("Table or program to write.", MISSING)
     frame: Literal["instrument", "base"] = option(
@@ -137,7 +146,7 @@ class CompensateArguments(_AtPlace):
     )
     free_orientation: bool = option("Reach the positions x y z in any orientation.", False)
     seed_joints: str | None = option(
-        "Joint positions to start from, for tables without: rad or m, or degrees with 'deg' at the end.",
+        "Joint positions to start from, if the table has none: rad or m, or degrees with 'deg' at the end.",
         metavar='"Q1 Q2 ..."',
         words="middle of the joint ranges",
     )
@@ -152,6 +161,9 @@ class CompensateArguments(_AtPlace):
         words="2deg",
     )
     ignore_limits: bool = option("Ignore the joint limits of the URDF.", False)
+    only_numbers: bool = option(
+        "Write a table of joints with other numbers and no further columns; rows that are not ok keep theirs.", False
+    )
     strict: bool = option("Fail (exit code 4) if any row is not ok; the table is written nevertheless.", False)
     program: ProgramOptions = group("Programs of controllers")
 
@@ -160,12 +172,12 @@ class CompensateArguments(_AtPlace):
 def compensate(arguments: CompensateArguments) -> Exit:
     """Find the joint positions that reach wanted poses.
 
-    Of all that bring the real robot there, the closest to those given are chosen.
+    Of all solutions for the real robot, the one closest to the given joint positions is chosen.
     """
-    from pincal.cli.placement import find_place, print_doubt
+    from pincal.cli.inputs import find_place, print_doubt
     from pincal.cli.progress import end_progress
+    from pincal.compensate.returned_table import write_returned
     from pincal.compensate.targets import read_targets, run_compensation, unreached_turns
-    from pincal.measure.table import write_table
     from pincal.programs.language import language_of
 
     place = find_place(arguments.model, arguments.place, arguments.table.options)
@@ -186,7 +198,13 @@ def compensate(arguments: CompensateArguments) -> Exit:
         any_orientation=arguments.free_orientation,
         limits=not arguments.ignore_limits,
     )
-    write_table(arguments.out, _columns(calibrated, done, arguments))
+    columns = _columns(calibrated, done, arguments)
+    if arguments.only_numbers:
+        if not table.has_joints:
+            raise click.UsageError("--only-numbers is for tables with joint columns, whose numbers it changes; leave it out")
+        kept = np.where(done.found.is_ok[:, None], done.found.q, robot.as_reported(done.seeds.q))
+        columns = dict(zip(robot.joint_names, kept.T, strict=True))
+    write_returned(arguments.out, table.cells, columns, robot.joint_names)
     beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
     result = _result(robot, done, beyond, max_change=arguments.max_change) | place.contents | {"out": str(arguments.out)}
     result["turn"]["unreached"] = unreached_turns(calibrated, done)
@@ -241,6 +259,7 @@ def _seed(robot: Robot, table: Targets | None, text: str | None) -> np.ndarray |
 
 
 def _columns(calibrated: CalibratedModel, done: CompensatedTable, arguments: CompensateArguments) -> dict[str, np.ndarray]:
+    from pincal.compensate.returned_table import false_columns
     from pincal.compensate.robot_frames import false_targets as poses_to_give
 
     rows, found = done.targets.rows, done.found
@@ -261,10 +280,11 @@ def _columns(calibrated: CalibratedModel, done: CompensatedTable, arguments: Com
         columns |= {"large_change": large.astype(int)} if large.any() else {}
     columns["status"] = found.status
     if arguments.false_targets:
-        poses = columns_of_poses(
-            poses_to_give(calibrated, done.commanded, of=arguments.false_targets), with_orientation=True
-        )
-        columns |= {f"false_{name}": column for name, column in poses.items()}
+        poses, targets = poses_to_give(calibrated, done.commanded, of=arguments.false_targets), done.targets
+        has_poses = targets.rows.position is not None and targets.cells.orientation is not None
+        own = false_columns(targets.cells, poses) if has_poses else None
+        named = columns_of_poses(poses, with_orientation=True)
+        columns |= own or {f"false_{name}": column for name, column in named.items()}
     return columns
 
 
@@ -335,8 +355,10 @@ def _failures(result: dict[str, Any]) -> Iterator[str]:
         )
     turn = result["turn"]
     if turn["unreached"]:
+        lacks_places = any(row["status"] == "unreachable" for row in result["not_ok"])
         yield (
-            f"this arm has too few joints to turn the target {turn['unreached']} where it stands: positions are reached, "
+            f"this arm has too few joints to turn the target {turn['unreached']} in place: "
+            f"{'not all positions' if lacks_places else 'positions'} are reached, "
             f"orientations stay off by up to {turn['max_mrad']:.3f} mrad (line {turn['line']})"
         )
     for row in result["not_ok"][:_SHOWN]:

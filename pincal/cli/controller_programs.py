@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from pincal.cli.arguments import option
-from pincal.cli.common import LENGTH
+from pincal.cli.arguments import option, pair
+from pincal.cli.quantities import LENGTH
 
 if TYPE_CHECKING:
     from pincal.calibration.calibrated import CalibratedModel
@@ -26,15 +27,12 @@ _WORLD, _FLANGE = "base", "tool0"
 
 
 def _named(text: str) -> tuple[str, str]:
-    name, sign, value = text.partition("=")
-    if not sign or not name.strip() or not value.strip():
-        raise click.BadParameter(f"{text!r}; expected NAME=X,Y,Z,... as the controller shows them")
-    return name.strip(), value
+    return pair(text, "NAME=X,Y,Z,... as the controller shows them")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProgramOptions:
-    """What a controller's program does not say of its cell."""
+    """What a controller's program does not state of its cell."""
 
     tools: tuple[tuple[str, str], ...] = option(
         "Values of a tool that the program names or numbers.", (), name="--tool", type=_named, metavar="NAME=X,Y,Z,..."
@@ -91,6 +89,12 @@ def correct_file(
             f"--out {out}: a program in {language.name} stays one; expected a name that ends in {path.suffix}"
         )
     files = files_of(path, language)
+    outs = [out.with_suffix(file.suffix) for file in files]
+    if any(target.resolve() == file.resolve() for target, file in zip(outs, files, strict=True)):
+        raise click.UsageError(
+            f"--out {out}: the program itself; expected another name, or the same one in another folder, so that a second "
+            "run does not correct what is corrected already"
+        )
     if options.pulses is not None:
         language = language.with_pulses(options.pulses)
     program = language.read(read_sources([*files, *options.with_files]))
@@ -105,7 +109,9 @@ def correct_file(
     if options.path_error is not None:
         more, others, inserted = follower.inserted(program, legs, options.path_error)
         edits, left = edits + more, left + others
-    outs = [out.with_suffix(file.suffix) for file in files]
+    # A pair keeps its name, hence has to be written into another folder.
+    with contextlib.suppress(OSError):
+        out.parent.mkdir(parents=True, exist_ok=True)
     for target, content in zip(outs, written_program(program, edits), strict=False):
         write_atomic(target, content)
     result = _result(program, list(changes.values()), left, deviations)
@@ -113,6 +119,8 @@ def correct_file(
     links = {
         "world": options.world or (robot.base if np.array_equal(cell.world, np.eye(4)) else _WORLD),
         "flange": options.flange or (robot.tip if np.array_equal(cell.flange, np.eye(4)) else _FLANGE),
+        "axes": options.axes or "the model's joints",
+        "must_be_named": path.name if language.is_pair and out.stem.lower() != path.stem.lower() else "",
     }
     return result | links | {"inserted": inserted, "out": [str(target) for target in outs]}, list(changes.values())
 
@@ -196,7 +204,8 @@ def summary_of_program(result: dict[str, Any], language: str) -> Iterator[str]:
     """Yield what a person wants to know of a corrected program."""
     points, left = result["points"], result["left"]
     yield f"{language}: {len(points)} points corrected, {len(left)} left as they were"
-    yield f"  the controller's world is {result['world']}, its flange {result['flange']} (--world, --flange)"
+    yield f"  the controller's world is {result['world']}, its flange {result['flange']} (--world, --flange), its axes are"
+    yield f"  {result['axes']} (--axes)"
     width = max((len(f"{point['file']} line {point['line']}, {point['name']}") for point in points), default=0)
     for point in points:
         name = f"{point['file']} line {point['line']}, {point['name']}"
@@ -214,3 +223,5 @@ def summary_of_program(result: dict[str, Any], language: str) -> Iterator[str]:
     for one in left:
         yield f"  {one['file']} line {one['line']}, {one['name']}: {one['reason']}"
     yield f"written to {', '.join(result['out'])}"
+    if result["must_be_named"]:
+        yield f"its controller wants the file named as its module: {result['must_be_named']}"

@@ -1,7 +1,8 @@
 """``pincal demo``: the life of the KUKA KR 125/2 of the paper, from calibration to a collision, on simulated measurements.
 
 First the robot of Table I is calibrated. Then one of its gears has an error that the model lacks, and discovery finds it.
-With the model that was found a program is compensated. Last, the robot is hit, and ten poses say what changed and mend it.
+With the model that was found a program is compensated. Last, the robot is hit, and ten poses show what changed; the model is
+re-identified.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _JOINT = "joint_1"
 _HIDDEN_FOLDER = "hidden_effect"
 # The third act: poses of a program.
 _PROGRAM = 200
-# The fourth act: by how much a collision shifts the zero of a joint [rad], which one, and how many poses say so.
+# The fourth act: by how much a collision shifts the zero of a joint [rad], which one, and the number of poses measured then.
 _HIT = 1e-3
 _HIT_JOINT = "joint_3"
 _HIT_ROWS = 10
@@ -69,8 +70,8 @@ def demo(arguments: DemoArguments) -> Exit:
     from pincal.model.effects import ELASTIC, GEOMETRIC
     from pincal.report.plots.found import deviation_figure
     from pincal.robot.robot import Robot
-    from pincal.simulate.hidden import hidden_effect
     from pincal.simulate.paper_machine import PAYLOAD_COM, PaperMachine
+    from pincal.simulate.typical import hidden_effect
 
     robot, out, seed = Robot.from_urdf(kuka_urdf_path()), arguments.out, arguments.seed
     bad = PaperMachine(effects=(hidden_effect("gear_eccentricity", joint=_JOINT, order=2, size=_SIZE),))

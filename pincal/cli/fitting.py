@@ -1,4 +1,4 @@
-"""``pincal calibrate`` and ``pincal discover``: from a URDF and tables to a calibrated model, and to what it misses."""
+"""``pincal calibrate`` and ``pincal discover``: from a URDF and tables to a calibrated model, and to what it lacks."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pincal.calibration.calibration import Calibration
     from pincal.discover.run import Discovery
 
-# The view in three dimensions, beside the report.
+# The view in three dimensions that accompanies the report.
 VIEW = "view3d.html"
 # Stations that have a view of their own: a page is about a megabyte.
 _MOST_VIEWS = 12
@@ -72,10 +72,10 @@ class FitArguments:
     chosen: CalibrationOptions = group("Model")
     split: SplitOptions = group("Validation")
     accept_shift: bool = option(
-        "Exit with 0 though readings shift from some row on, as if instrument or target had been touched.", False
+        "Exit with 0 even if readings shift at some row, as if instrument or target had been moved.", False
     )
     dask: str | None = option(
-        "Run repeated fits, such as those of half of the poses or of all stations but one, on this Dask cluster.",
+        "Run repeated fits, on subsamples or on all stations but one, on this Dask cluster.",
         metavar="ADDRESS",
         words="this machine",
     )
@@ -88,15 +88,15 @@ class DiscoverArguments(FitArguments):
 
     tried: tuple[str, ...] = option(
         "Also try this effect, named as for --add: for a gear of known ratio or an encoder of known line count the cycles "
-        "per revolution, e.g. gear_ripple:joint_2:order=101. A known order shows when it is smaller than one that is "
-        "searched for.",
+        "per revolution, e.g. gear_ripple:joint_2:order=101. An effect of known order is detected at a smaller amplitude "
+        "than one that is searched for.",
         (),
         metavar="EFFECT",
         name="--try",
     )
     stability: int = option(
-        "Number of subsamples, half of the poses each, on which the search is repeated to see how often each name comes up; "
-        "0 for none.",
+        "Number of subsamples of half of the poses on which the search is repeated, to count how often each effect "
+        "is found; 0 for none.",
         20,
         type=click.IntRange(min=0),
         metavar="N",
@@ -117,7 +117,7 @@ def calibrate_verb(arguments: FitArguments) -> Exit:
 
 @verb(DiscoverArguments, examples=_DISCOVER_EXAMPLES, exits=_EXITS, defaults={"model": "geometric", "test_fraction": 0.2})
 def discover(arguments: DiscoverArguments) -> Exit:
-    """Identify the effects that the model misses.
+    """Identify the effects that the model lacks.
 
     Reports where model and data disagree, which effects explain it, and how the error on held-out rows shrinks.
     """

@@ -1,23 +1,36 @@
-"""From files and typed arguments of the command line to the library's objects."""
+"""From files and typed arguments of the command line to the library's objects: tables, options, models at their place."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+import click
 import numpy as np
 
-from pincal.cli.common import CalibrationOptions, InputOptions, SetupOptions
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.calibrated_robot import load_stations
+from pincal.calibration.placing import place_station, without_absent
+from pincal.calibration.validation import doubt_of
+from pincal.cli.common import (
+    CalibrationOptions,
+    InputOptions,
+    LinkOptions,
+    PlaceOptions,
+    SetupOptions,
+)
 from pincal.cli.progress import log_step
 from pincal.errors import BadInputError
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.station import conditions_of
 from pincal.io.camera_file import read_camera
+from pincal.measure.admit import check_table, usable_rows
 from pincal.measure.fields import TableOptions
 from pincal.measure.instruments import InstrumentNoise
 from pincal.measure.measurements import Measurements
+from pincal.measure.reader import links_of_rows
 from pincal.measure.setup import KnownDistance, Setup, read_distances, read_points
 from pincal.measure.table import joint_columns, read_measurements, stations_of
 from pincal.model.catalogue.candidates import find_effect
@@ -28,6 +41,7 @@ from pincal.model.model import Model
 from pincal.robot.arm_of_tree import TreeRequest
 from pincal.robot.mastering import remastered
 from pincal.robot.robot import Robot
+from pincal.robot.tree import MOVING_TYPES, UrdfTree
 from pincal.robot.urdf_file import find_file, read_urdf
 from pincal.units import readable_unit
 
@@ -70,7 +84,7 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     """
     log_step("reading robot and tables")
     robot = load_robot(source)
-    tables = load_tables(robot, source.data, options=source.table.options)
+    tables = load_tables(robot, source.data, options=source.table.options, links=source.links)
     setup = chosen.setup
     given = [path for path in (source.table.joints, setup.points, setup.distances, setup.camera) if path is not None]
     options = options_of(chosen, tables)
@@ -108,34 +122,101 @@ def as_stated(robot: Robot, *, signs: Sequence[str], couplings: Sequence[str]) -
 
 
 def _described(source: InputOptions) -> Robot:
-    """Return the arm as its URDF has it."""
+    """Return the robot as its URDF has it: the joints between the links that the tables are about."""
     tree = read_urdf(find_file(source.robot), xacro_args=dict(source.xacro_args))
-    if source.tip is not None:
-        return Robot.from_tree(tree, TreeRequest(source.tip, base=source.base), mass=source.mass)
     known = {joint.name for joint in tree.joints}
-    joints = joint_columns(source.data[0], known, source.table.options)
-    return Robot.from_tree(tree, TreeRequest(base=source.base, joints=joints or None), mass=source.mass)
+    tip, start = source.tip or source.links.to, source.links.start
+    paths, recorded = list[tuple[str | None, str | None]](), dict[str, None]()
+    given = {name: (start, tip) for name, start, tip in source.links.stations}
+    joints: dict[Path, tuple[str, ...]] = {}
+    for path in source.data:
+        joints[path] = joint_columns(path, known, source.table.options)
+        recorded |= dict.fromkeys(joints[path])
+        pairs = [given[path.stem]] if path.stem in given else links_of_rows(path, source.table.options)
+        # The end of a chain that the columns of the table are of, if nothing says otherwise.
+        ends = [(first or start, last or tip or _tip_of(tree, joints[path])) for first, last in pairs]
+        paths += [pair for pair in ends if pair not in paths]
+    paths += [pair for pair in given.values() if pair not in paths]
+    (start, tip), *others = paths
+    is_plain = not others and start is None
+    if is_plain and not (source.tip or source.links.to):
+        wanted = TreeRequest(base=source.base, joints=joints[source.data[0]] or None)
+        return Robot.from_tree(tree, wanted, mass=source.mass)
+    base = source.base or tree.root
+    further = [(first or base, str(last)) for first, last in others]
+    beyond = [name for name in recorded if any(joint.name == name and joint.kind in MOVING_TYPES for joint in tree.joints)]
+    told = tuple(recorded) if tree.loops else None
+    wanted = TreeRequest(tip, start, source.base, told, paths=further, others=beyond)
+    return Robot.from_tree(tree, wanted, mass=source.mass)
 
 
-def load_tables(robot: Robot, paths: Iterable[Path], *, options: TableOptions | None = None) -> dict[str, Measurements]:
+def _tip_of(tree: UrdfTree, joints: Sequence[str]) -> str:
+    """Return the link at the end of the chain of the joints that a table has, as far as they are one."""
+    return tree.default_tip(joints or None)
+
+
+def load_tables(
+    robot: Robot, paths: Iterable[Path], *, options: TableOptions | None = None, links: LinkOptions | None = None
+) -> dict[str, Measurements]:
     """Return the measurements of each station, named by its file or by a column ``station``.
 
     Raises:
-        BadInputError: for a file that is invalid, or two stations of one name.
+        BadInputError: for a file that is invalid, or two stations of one name; or if a joint on the way between the links
+            of a row has no column.
     """
-    files = tuple(paths)
+    files, links = tuple(paths), links or LinkOptions()
     if options is not None and len(files) > 1:
         options = replace(options, shares_log=True)
-    return stations_of([(path.stem, load_table(robot, path, options=options)) for path in files])
+    tables = [(path.stem, load_table(robot, path, options=options, links=links)) for path in files]
+    return stations_of([(name, _between(table, name, links)) for name, table in tables])
 
 
-def load_table(robot: Robot, path: Path, *, options: TableOptions | None = None, joints_only: bool = False) -> Measurements:
-    """Return the measurements (or the joint positions alone) of a file for this arm."""
+def _between(table: Measurements, name: str, links: LinkOptions) -> Measurements:
+    """Return a table with the links that the command line gives its rows."""
+    names = np.full(len(table), name) if table.station is None else table.station
+    for station, start, tip in links.stations:
+        if (rows := names == station).any():
+            table = _with_links(table, rows, start, tip)
+    return table
+
+
+def _with_links(table: Measurements, rows: np.ndarray, start: str, tip: str) -> Measurements:
+    """Return a table with these links at some rows, shape (N,)."""
+    nothing = np.full(len(table), "", object)
+    first, last = (nothing if of is None else of.astype(object) for of in (table.from_link, table.to_link))
+    return replace(table, from_link=np.where(rows, start, first).astype(str), to_link=np.where(rows, tip, last).astype(str))
+
+
+def load_table(
+    robot: Robot,
+    path: Path,
+    *,
+    options: TableOptions | None = None,
+    joints_only: bool = False,
+    links: LinkOptions | None = None,
+) -> Measurements:
+    """Return the measurements (or the joint positions alone) of a file for this robot.
+
+    Of a robot with several arms a table that names no links is about the first one of whose joints it has all columns.
+    """
     require: Literal["measurement", "joints"] = "joints" if joints_only else "measurement"
-    said = {} if options is None else vars(options)
-    return read_measurements(
-        path, robot.joint_names, **said, require=require, joint_types=robot.joint_types, mimics=robot.mimics
-    )
+    reading, links = options or TableOptions(), links or LinkOptions()
+    given = [(start, tip) for name, start, tip in links.stations if name == path.stem]
+    is_tree = bool(robot.links) or robot.path.start != robot.base
+    pairs, chosen = given or links_of_rows(path, reading) if is_tree else [(None, None)], None
+    if pairs == [(None, None)] and is_tree:
+        there = set(joint_columns(path, robot.joint_names, reading))
+        # What is known of an arm from contacts holds for what an instrument sees of it, too.
+        ends = dict.fromkeys(end for pair in ((robot.path.start, robot.tip), *robot.links) for end in pair)
+        ways = ((None, None), *robot.links, *((robot.base, end) for end in ends if end != robot.base))
+        chosen = next((way for way in ways if there.issuperset(robot.joints_between(*way))), None)
+        pairs = pairs if chosen is None else [chosen]
+    needed = {name for pair in pairs for name in robot.joints_between(*pair)}
+    own = [robot.joint_names[i] for i in robot.own_joints]
+    resting = {name: 0.0 for name in own if name not in needed} | dict(links.rest)
+    table = read_measurements(path, robot, **vars(reading), require=require, resting=resting)
+    is_default = chosen is None or chosen == (None, None)
+    return table if is_default else _with_links(table, np.ones(len(table), bool), *map(str, chosen or ()))
 
 
 def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -> Options:
@@ -214,3 +295,71 @@ def _refuse_unused(setup: SetupOptions, tables: Mapping[str, Measurements]) -> N
         factor, name = readable_unit(block.unit)
         example = f"{block.noise * factor:g}{name}"
         raise BadInputError(f"--noise in {setup.noise[1]}, but {held}; expected a value such as {example}")
+
+
+@dataclass(frozen=True)
+class PlacedModel:
+    """A calibrated model at a place.
+
+    Attributes:
+        model: the model.
+        notes: what the user should know of the place.
+        contents: how the place was found, for programs; empty for one of the calibration.
+        doubt: why it can't be found: the rows are of another robot; empty if they are not.
+    """
+
+    model: CalibratedModel
+    notes: tuple[str, ...] = ()
+    contents: dict[str, Any] = field(default_factory=dict)
+    doubt: str = ""
+
+    def over(self, rows: Measurements) -> PlacedModel:
+        """Return the place for some rows: what they lack columns for and belonged to the calibrated station is left out."""
+        model, notes = without_absent(self.model, rows)
+        return PlacedModel(model, (*self.notes, *notes), self.contents, self.doubt)
+
+
+def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> PlacedModel:
+    """Return the model of a file at the place that the command line asks for.
+
+    Raises:
+        BadInputError: if the station is not in the model, none is chosen of several, or rows do not give a new one.
+    """
+    if chosen.placement is not None and chosen.station is not None:
+        raise click.UsageError("--placement identifies a new pose, --station takes one of the model; give one of them")
+    if (chosen.start or chosen.to) and (chosen.placement or chosen.station):
+        raise click.UsageError("--from and --to are about links, --placement and --station about an instrument; choose one")
+    stations = load_stations(path)
+    first = next(iter(stations.models.values()))
+    if chosen.start or chosen.to:
+        return PlacedModel(stations.robot_model().between(chosen.start, chosen.to))
+    if chosen.placement is not None:
+        return _placed(first, chosen.placement, reading)
+    if chosen.station is not None:
+        return PlacedModel(stations.at(chosen.station))
+    if len(stations.models) > 1:
+        raise BadInputError(
+            f"{path}: calibrated at the stations {', '.join(stations.names)}; expected a choice: --station NAME for one of "
+            "them, --placement FEW.csv with some measured rows for a new place, or links of the robot: --from LINK --to LINK"
+        )
+    return PlacedModel(first)
+
+
+def _placed(model: CalibratedModel, path: Path, reading: TableOptions) -> PlacedModel:
+    robot = model.model.chain.robot
+    table = load_table(robot, path, options=replace(reading, shares_log=True))
+    check_table(robot, table, minimum=1)
+    table = usable_rows(table, model.setup.over(table))
+    found = place_station(model, table)
+    words = f"placed by {len(table)} rows of {path.name}: {found.moved}"
+    contents = {"placement": {"rows": len(table), "ratio": found.misfit.ratio} | found.moved.to_dict()}
+    return PlacedModel(found.model, (words, *found.notes), contents, doubt_of(table, found))
+
+
+def print_doubt(doubt: str, path: Path) -> None:
+    """Say on stderr that rows are not of this robot, or it has changed, and what to do."""
+    click.echo(
+        f"pincal: {doubt}. They belong to another robot, or it has changed since calibration. Check joint columns, units "
+        f"and times; then find out what changed: pincal diagnose {path} DATA.csv --out DIR",
+        err=True,
+    )

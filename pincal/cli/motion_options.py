@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pincal.cli.arguments import NumberType, option
-from pincal.cli.common import ANGLES, QuantityType
+from pincal.cli.quantities import ANGLES, QuantityType
 from pincal.units import UNITS, plain_number, size_of
 
 if TYPE_CHECKING:

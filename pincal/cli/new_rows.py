@@ -1,4 +1,4 @@
-"""``pincal validate``, ``diagnose`` and ``update``: what new rows say of a calibrated robot, and these rows added."""
+"""``pincal validate``, ``diagnose`` and ``update``: what new rows show of a calibrated robot, and these rows added."""
 
 from __future__ import annotations
 
@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pincal.cli.arguments import Output, argument, group, option, verb
-from pincal.cli.common import LENGTH, GeneralOptions, TableArguments, max_error_option, model_argument, station_option
+from pincal.cli.common import (
+    GeneralOptions,
+    TableArguments,
+    max_error_option,
+    model_argument,
+    station_option,
+)
 from pincal.cli.outputs import echo_notes, extrapolation, print_json, provenance, require_accuracy
+from pincal.cli.quantities import LENGTH
 from pincal.errors import Exit, IdentificationError
 from pincal.io.result_folder import output_folder
 
@@ -25,17 +32,17 @@ Examples:
   pincal validate results/model.json new_measurements.csv --max-error 0.1mm
   pincal validate results/model.json monday.csv tuesday.csv
 
-Instrument and target stand as calibrated unless the rows indicate another pose, which is then identified
-from them and reported with the displacement. The errors are those at this pose. If no pose explains the
-rows, they belong to another robot, or it has changed: exit code 6; run pincal diagnose. Of several tables,
-those that the model was not fitted to come first, and --max-error applies to them.
+Instrument and target are taken to be where they were calibrated unless the rows indicate another placement,
+which is then identified from them and reported with the displacement; the errors refer to it. If no placement
+explains the rows, they belong to another robot, or it has changed: exit code 6; run pincal diagnose. Of several
+tables, those that the model was not fitted to come first, and --max-error applies to them.
 """
 _DIAGNOSE_EXAMPLES = """
 Example:
   pincal diagnose results/model.json new.csv --out diagnosis
 
-DIR then holds diagnosis.json, report.html and model.json: the re-identified model, in which only what
-changed was estimated again, or the model as it was where nothing has changed; it predicts at the new station.
+DIR then holds diagnosis.json, report.html and model.json: the model in which only what has changed was
+re-identified, or the unchanged model; it predicts at the new station.
 """
 _UPDATE_EXAMPLES = """
 Examples:
@@ -52,7 +59,7 @@ class ValidateArguments:
     data: tuple[Path, ...] = argument(
         "DATA.csv...", "Measurements that the calibration did not use. Several tables are a station each."
     )
-    station: str | None = station_option(words="the nearest, or a new pose if the rows indicate one")
+    station: str | None = station_option(words="the nearest, or a new placement if the rows indicate one")
     max_error: float | None = max_error_option()
     table: TableArguments = group("Tables")
     general: GeneralOptions = group("General")
@@ -62,12 +69,11 @@ class ValidateArguments:
 def validate(arguments: ValidateArguments) -> Exit:
     """Report how accurate a calibrated model is on new measurements.
 
-    The instrument may stand anywhere: its place is found from the rows.
+    The instrument may be anywhere: its placement is identified from the rows.
     """
     from pincal.calibration.calibrated_robot import load_stations
     from pincal.calibration.validation import validate_rows
-    from pincal.cli.inputs import load_tables
-    from pincal.cli.placement import print_doubt
+    from pincal.cli.inputs import load_tables, print_doubt
     from pincal.measure.admit import check_table
 
     calibrated = load_stations(arguments.model)
@@ -100,7 +106,7 @@ def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
     from pincal.validate.accuracy import error_statistics, pose_error_sizes
     from pincal.validate.misfit import worst
 
-    # Rows that the model was fitted to say nothing of a day that it never saw: where there are others, these count.
+    # Rows that the model was fitted to are no evidence for a day that it never saw: where there are others, these count.
     unseen = [each for each in found if not each.fitted_rows] or found
     error = error_statistics(pose_error_sizes(each.station, each.values) for each in unseen)
     stations = list(map(_station, found))
@@ -109,7 +115,7 @@ def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
         "outside": sum(part["outside"] for part, _ in ranges),
         "curves": [curve for part, _ in ranges for curve in part["curves"]],
     }
-    # Of a single station what it says stands at the top as well.
+    # Entries of a single station are repeated at the top.
     alone = {key: stations[0][key] for key in ("iso9283", "lack_of_fit") if len(found) == 1 and key in stations[0]}
     notes = doubts_first([*(note for each in found for note in each.notes), *(n for _, part in ranges for n in part)])
     contents = {
@@ -160,7 +166,7 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
 
 def _place_words(found: Validation) -> str:
     if found.placed == "as calibrated":
-        return "instrument and target stand as calibrated"
+        return "instrument and target are where they were calibrated"
     return f"instrument and target were located again from these rows: {found.moved}"
 
 
@@ -181,7 +187,7 @@ class DiagnoseArguments(_NewRows):
 
     alpha: float = option("Probability of a false alarm.", 0.01)
     noise: float | None = option(
-        "Noise of one coordinate of the new measurements, if it is more than that of the calibration.",
+        "Noise of one coordinate of the new measurements, if larger than that of the calibration.",
         type=LENGTH,
         words="that of the calibration",
     )
@@ -191,7 +197,7 @@ class DiagnoseArguments(_NewRows):
 def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
     """Find out whether a calibrated robot has changed, and what.
 
-    Ten to sixty poses are enough: what the calibration knows of the robot is taken into account, with its uncertainty.
+    Ten to sixty poses are enough: the calibration, with its uncertainty, serves as prior knowledge.
     """
     from pincal.calibration.calibrated_robot import load_stations
     from pincal.cli.inputs import load_table
@@ -222,7 +228,7 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
 
 
 def write_diagnosis(folder: Path, diagnosis: Diagnosis, origin: dict[str, Any]) -> None:
-    """Write ``diagnosis.json``, the page and the mended model, which says where it comes from."""
+    """Write ``diagnosis.json``, the page and the re-identified model with its origin."""
     from pincal.io.strict_json import write_json
     from pincal.report.diagnosis import diagnosis_page
 
@@ -241,7 +247,7 @@ class UpdateArguments(_NewRows):
         words="as declared for the calibration, else estimated",
     )
     anew: tuple[str, ...] = option(
-        "Estimate this effect of the model again, named as by diagnose; whether anything has changed is then not tested.",
+        "Re-estimate this effect of the model, named as by diagnose; changes are then not tested for.",
         (),
         metavar="EFFECT[:JOINT]",
     )
@@ -251,8 +257,8 @@ class UpdateArguments(_NewRows):
 def update_verb(arguments: UpdateArguments) -> Exit:
     """Add new measurements to a calibrated model permanently.
 
-    The result is that of a calibration with the old and the new rows, without the old ones. Rows of a robot that has changed
-    are refused (exit code 6): see diagnose. With --anew, the named effect is estimated again, all else stays known.
+    The result equals a calibration from old and new rows together, without needing the old ones. Rows of a robot that has
+    changed are refused (exit code 6): see diagnose. With --anew, the named effect is re-estimated, all else is kept.
     """
     from pincal.calibration.calibrated_robot import load_stations
     from pincal.cli.inputs import load_table

@@ -1,4 +1,4 @@
-"""``pincal check`` and ``design``: what a table, or poses that are to be measured, can tell before any fit is trusted."""
+"""``pincal check`` and ``design``: what a table, or poses that are to be measured, can show before any fit is trusted."""
 
 from __future__ import annotations
 
@@ -16,13 +16,10 @@ import numpy as np
 
 from pincal.cli.arguments import argument, as_given, group, option, verb, words_given
 from pincal.cli.common import (
-    ANGLE,
-    LENGTH,
     TABLE,
     CalibrationOptions,
     GeneralOptions,
     InputOptions,
-    Masses,
     ModelOptions,
     Triple,
     base_option,
@@ -33,6 +30,7 @@ from pincal.cli.common import (
     xacro_option,
 )
 from pincal.cli.outputs import print_json
+from pincal.cli.quantities import ANGLE, LENGTH, Masses
 from pincal.errors import Exit, printable
 
 if TYPE_CHECKING:
@@ -60,8 +58,8 @@ Examples:
 To practise:
   pincal simulate robot.urdf --at poses.csv --out tracker.csv
 
-An effect is NAME[:JOINT][:KEY=VALUE,...] of the catalogue that discover uses. Neither the paths from pose
-to pose nor obstacles around the robot are considered: check them before the robot moves.
+An effect is NAME[:JOINT][:KEY=VALUE,...], as in discover. Neither the paths from pose to pose nor obstacles
+around the robot are considered: check them before the robot moves.
 """
 _COUNT = click.IntRange(min=1)
 
@@ -116,7 +114,7 @@ def _problem_report(words: Sequence[str], files: Sequence[Path]) -> Iterator[str
 
     Args:
         words: the command line after ``pincal``.
-        files: files among them; of text tables the names of columns are told, of no file what it holds.
+        files: files among them; of text tables the names of columns are given, but no data.
     """
     from pincal.io.result_folder import file_hash
 
@@ -156,7 +154,11 @@ class ConstraintOptions:
     )
     normal: Triple | None = option("Direction in which the target faces, in the tip frame.", words="visible from all sides")
     cone: float = option(
-        "Largest visible angle off the target's normal.", float(np.deg2rad(30.0)), type=ANGLE, metavar="ANGLE", words="30deg"
+        "Largest angle from the target's normal at which it is visible.",
+        float(np.deg2rad(30.0)),
+        type=ANGLE,
+        metavar="ANGLE",
+        words="30deg",
     )
     box: tuple[float, float, float, float, float, float] | None = option(
         "Smallest, then largest coordinates of the target in the base frame [m].", metavar="X Y Z X Y Z"
@@ -166,7 +168,7 @@ class ConstraintOptions:
     )
     no_floor: bool = option("No floor.", False)
     clearance: float = option(
-        "Smallest distance of the arm from itself, if the URDF has collision geometry.",
+        "Smallest distance between parts of the arm, if the URDF has collision geometry.",
         0.01,
         type=LENGTH,
         metavar="LENGTH",
@@ -183,7 +185,7 @@ class InstrumentOptions:
         "Kind of measurement.", words="position, or socket with --socket"
     )
     sockets: tuple[Triple, ...] = option(
-        "With --check: about where a socket holds the tool point, in the robot's base frame [m].",
+        "With --check: approximate position of a socket for the tool point, in the robot's base frame [m].",
         (),
         metavar="X Y Z",
         name="--socket",
@@ -206,7 +208,7 @@ class CheckOptions:
     notice: float = option("Motion of any point in reach that is to be detected.", 1e-4, type=LENGTH, words="0.1mm")
     power: float = option("Probability of detecting it.", 0.95)
     alpha: float = option("Probability of a false alarm.", 0.01)
-    max_poses: int = option("Number of poses to stop at.", 40, metavar="N", type=_COUNT)
+    max_poses: int = option("Largest number of poses.", 40, metavar="N", type=_COUNT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,7 +225,7 @@ class DesignArguments:
         "Smallest predicted error over the task, or smallest joint uncertainty of all parameters.", "task"
     )
     task: Path | None = option("Joint positions where accuracy matters.", words="anywhere within reach")
-    measured: Path | None = option("Poses measured already; N poses are added to them.")
+    measured: Path | None = option("Poses that have been measured already; N poses are added to them.")
     tell_apart: tuple[str, str] | None = option(
         "Choose poses that distinguish these two effects instead.", metavar="EFFECT EFFECT"
     )
@@ -248,7 +250,7 @@ class DesignArguments:
 def design(arguments: DesignArguments) -> Exit:
     """Choose the most informative poses to measure.
 
-    All are within reach and in view; also reports how many are needed.
+    All are reachable and visible; the number of poses that is needed is reported, too.
     """
     if arguments.health.check:
         return _check(arguments)

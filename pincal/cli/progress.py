@@ -1,7 +1,7 @@
 """Progress of a long run on stderr: one line that is overwritten on a terminal, a few plain lines elsewhere.
 
 The library only logs. Iterations of a fit are transient, findings of a discovery stay on the screen. A record with
-``extra={"done": 2, "of": 5}`` tells how far the run has come, from which the remaining time follows.
+``extra={"done": 2, "of": 5}`` states how far the run has come, from which the remaining time follows.
 """
 
 from __future__ import annotations

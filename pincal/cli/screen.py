@@ -9,21 +9,11 @@ import numpy as np
 from msgspec import UNSET
 from rich.console import Console
 
+from pincal.calibration import result_tables
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.result import Result
-from pincal.calibration.result_tables import (
-    PARTS,
-    error_table,
-    iso9283_table,
-    moved_table,
-    parameter_table,
-    repeated_table,
-    station_changes,
-    station_table,
-)
 from pincal.design.health import HealthCheck
-from pincal.design.observability import SOURCES
-from pincal.design.pose_design import Design
+from pincal.design.pose_design import SOURCES, Design
 from pincal.design.study import RANDOM_DESIGNS
 from pincal.discover.policy import SIGHT
 from pincal.discover.precheck import DataReport, DetectabilityTable
@@ -33,19 +23,7 @@ from pincal.measure.registry import blocks_of
 from pincal.model.effect import Family
 from pincal.model.effect_registry import EFFECTS
 from pincal.notes import Note, doubts_first, doubts_of
-from pincal.report.found_tables import (
-    by_reason,
-    coverage_table,
-    covered_share,
-    detectability_tables,
-    effect_table,
-    expectation_table,
-    location_table,
-    pose_count_table,
-    show_chance,
-    smallest_size,
-    stage_table,
-)
+from pincal.report import found_tables
 from pincal.report.judgement import judged, next_steps
 from pincal.report.words import (
     HINTS,
@@ -73,7 +51,7 @@ _MEAN_DISTANCE = {1: np.sqrt(2.0 / np.pi), 2: np.sqrt(np.pi / 2.0), 3: np.sqrt(8
 def print_brief(
     calibration: Calibration, discovery: Discovery | None, out: Console, *, more: str, notes: Sequence[str] = ()
 ) -> None:
-    """Print what a calibration, or a discovery, comes to; ``notes`` are on its files, ``more`` says where to read on."""
+    """Print the summary of a calibration, or of a discovery; ``notes`` are on its files, ``more`` tells where to read on."""
     result = calibration.result
     print_doubts(result.warnings, out)
     print_left_out(result, out)
@@ -82,7 +60,7 @@ def print_brief(
     for name, model in (("before", "nominal"), ("after", "calibrated")):
         _line(out, name, _errors(result.error[model], name))
     _line(out, "noise", f"{_noise_of(result.noise, calibration.stations[0].train.kind)} ({result.noise['source']})")
-    if result.stations is not UNSET and (moved := station_changes(result.stations)):
+    if result.stations is not UNSET and (moved := result_tables.station_changes(result.stations)):
         _line(out, "moved", moved)
     if discovery is not None:
         _line(out, "found", _found(discovery))
@@ -94,14 +72,14 @@ def print_brief(
 
 
 def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command: str) -> None:
-    """Print what a table can tell of a robot."""
+    """Print what a table can show of a robot."""
     print_doubts(found.warnings, out)
     _line(out, "robot", _arm(robot))
     _line(out, "rows", f"{found.rows} {found.kind} measurements")
     _line(out, "before", f"mean {found.nominal['mean_mm']:.4f} mm, max {found.nominal['max_mm']:.4f} mm: nominal robot, "
           "base and tool fitted")  # fmt: skip
     _line(out, "noise", f"{_noise_of(found.noise, found.kind)} ({found.noise['source']})")
-    shares = {joint.joint: share for joint in found.joints if (share := covered_share(joint)) is not None}
+    shares = {joint.joint: share for joint in found.joints if (share := found_tables.covered_share(joint)) is not None}
     if shares:
         least = min(shares, key=lambda name: shares[name])
         _line(out, "covered", f"each joint's range by at least {100 * shares[least]:.0f} % ({least})")
@@ -123,13 +101,14 @@ def print_first_notes(told: Sequence[Note | str], out: Console) -> None:
 
 
 def _noise_of(noise: Mapping[str, Any], kind: str) -> str:
-    """Return the noise as the mean distance that it makes, beside that of one coordinate.
+    """Return the noise as the mean distance that it makes, and that of one coordinate.
 
     Example:
         >>> _noise_of({"sigma_m": 5e-5}, "position"), _noise_of({"sigma_m": 5e-5}, "distance")
         ('mean 0.0798 mm, 0.0500 mm per coordinate', 'mean 0.0399 mm, 0.0500 mm per coordinate')
     """
-    size = next((block.size for block in blocks_of(kind)), 0)
+    # Of several kinds the first is that of the figure.
+    size = next((block.size for block in blocks_of(kind.partition(" and ")[0])), 0)
     if "sigma_m" not in noise or size not in _MEAN_DISTANCE:
         return noise_words(noise)
     return f"mean {1e3 * noise['sigma_m'] * _MEAN_DISTANCE[size]:.4f} mm, {noise_words(noise)}"
@@ -137,7 +116,8 @@ def _noise_of(noise: Mapping[str, Any], kind: str) -> str:
 
 def _arm(robot: Robot) -> str:
     """Return which arm was taken, and how to take another."""
-    return f"{robot.name}, {robot.n_joints} joints from {robot.base} to {robot.tip} (--tip takes another link)"
+    ways = "; ".join(f"{start} to {tip}" for start, tip in ((robot.path.start, robot.tip), *robot.links))
+    return f"{robot.name}, {robot.n_joints} joints from {ways} (--tip takes another link)"
 
 
 def _errors(by_part: Mapping[str, Mapping[str, float]], name: str) -> str:
@@ -146,10 +126,10 @@ def _errors(by_part: Mapping[str, Mapping[str, float]], name: str) -> str:
     unit = "mm" if "mean_mm" in values else "px"
     words = f"mean {values[f'mean_{unit}']:.4f} {unit}, 95 % {values[f'p95_{unit}']:.4f}, max {values[f'max_{unit}']:.4f}"
     model = "nominal, base and tool fitted" if name == "before" else "calibrated"
-    lead = next((way for way in ("regions", "stretches") if by_part.get(way) == values), part)
-    others = (f"; {PARTS[way]} {by_part[way][f'mean_{unit}']:.4f}" for way in ("regions", "stretches") if way in by_part)
-    beside = "".join(other for other in others if name != "before" and PARTS[lead] not in other)
-    return f"{words}: {model}, {PARTS[lead]}{beside}"
+    ways, named = [way for way in ("regions", "stretches") if way in by_part], result_tables.PARTS
+    lead = next((way for way in ways if by_part[way] == values), part)
+    others = [f"; {named[way]} {by_part[way][f'mean_{unit}']:.4f}" for way in ways if way != lead and name != "before"]
+    return f"{words}: {model}, {named[lead]}{''.join(others)}"
 
 
 def _found(discovery: Discovery) -> str:
@@ -164,7 +144,7 @@ def _found(discovery: Discovery) -> str:
 
 
 def _named(entry: FoundEffect) -> str:
-    chance = f"p {show_chance(entry.p_value)}"
+    chance = f"p {found_tables.show_chance(entry.p_value)}"
     words = chance if entry.stability is None else f"{entry.stability} subsamples, {chance}"
     return f"{'perhaps ' if entry.is_hint else ''}{effect_words(entry)} ({words})"
 
@@ -179,13 +159,15 @@ def print_result(result: Result, out: Console) -> None:
     print_left_out(result, out)
     out.print(_summary(result))
     if result.stations is not UNSET:
-        out.print(station_table(result.stations))
-        for table in (moved_table(result.stations), repeated_table(result.stations)):
+        out.print(result_tables.station_table(result.stations))
+        for table in (result_tables.moved_table(result.stations), result_tables.repeated_table(result.stations)):
             if table is not None:
                 out.print(table)
-    out.print(error_table(result.error))
+    out.print(result_tables.error_table(result.error))
+    if result.improvement is not UNSET:
+        out.print(result_tables.improvement_table(result.improvement))
     print_replicates(result.iso9283, result.lack_of_fit, out)
-    out.print(parameter_table(result.parameters))
+    out.print(result_tables.parameter_table(result.parameters))
     print_notes(result.warnings, out)
 
 
@@ -227,7 +209,7 @@ def held_out_words(result: Result) -> str:
 def print_replicates(iso: Mapping[str, Any] | None, lack: LackOfFit | None, out: Console) -> None:
     """Print what replicated poses show: ``iso9283`` of ``result.json``, and the test of lack of fit."""
     if iso is not None:
-        out.print(iso9283_table(iso))
+        out.print(result_tables.iso9283_table(iso))
         out.print(hanging("cycles:", cycle_words(iso)))
     if lack is not None:
         out.print(hanging("lack of fit:", f"{lack} (by {lack.scatter})"))
@@ -241,8 +223,8 @@ def print_precheck(precheck: DataReport, out: Console) -> None:
     out.print(f"noise {noise_words(precheck.noise)} ({precheck.noise['source']})")
     statuses = (parameter.status for parameter in precheck.parameters)
     out.print(rank_words(statuses, rank=precheck.rank, condition=precheck.condition))
-    out.print(coverage_table(precheck))
-    out.print(expectation_table(precheck))
+    out.print(found_tables.coverage_table(precheck))
+    out.print(found_tables.expectation_table(precheck))
     _print_detectability(precheck, precheck.detectable, out)
     print_notes(precheck.warnings, out)
 
@@ -256,9 +238,9 @@ def _print_detectability(precheck: DataReport, found: DetectabilityTable, out: C
         "parameters is given by its amplitude, transmission_error by the rms of its curve, elastic effects by their largest "
         "rotation in these poses, joint_coupling by the range over the joints that may drive it. -: see below."
     )
-    for table in detectability_tables(precheck):
+    for table in found_tables.detectability_tables(precheck):
         out.print(table)
-    whole = [(e.effect.name, smallest_size([e])) for e in found.effects if e.effect.locus.joint is None]
+    whole = [(e.effect.name, found_tables.smallest_size([e])) for e in found.effects if e.effect.locus.joint is None]
     sizes = [f"{name} {format_small(*size)}" for name, size in whole if isinstance(size, Quantity)]
     if sizes:
         out.print("Whole arm: " + ", ".join(sizes), markup=False)
@@ -266,7 +248,7 @@ def _print_detectability(precheck: DataReport, found: DetectabilityTable, out: C
 
 
 def _print_untestable(entries: Iterable[tuple[str, str | None, str]], n_joints: int, out: Console) -> None:
-    for reason, names in by_reason(entries, n_joints).items():
+    for reason, names in found_tables.by_reason(entries, n_joints).items():
         out.print(hanging("not testable:", f"{names}: {reason}"))
 
 
@@ -277,17 +259,17 @@ def print_discovery(found: Discovery, out: Console) -> None:
     print_left_out(found.calibration.result, out)
     out.print(hanging("Verdict:", f"{findings.verdict}. {judged(found.calibration.result, found).reason}"))
     if findings.where:
-        out.print(location_table(findings.where))
+        out.print(found_tables.location_table(findings.where))
     named, hints = ([e for e in findings.effects if e.is_hint == is_hint] for is_hint in (False, True))
     if named or not hints:
-        out.print(effect_table(named) if named else "These data show no missing effect.")
+        out.print(found_tables.effect_table(named) if named else "These data show no missing effect.")
     if hints:
-        out.print(effect_table(hints, HINTS))
+        out.print(found_tables.effect_table(hints, HINTS))
     if findings.bootstrap:
         out.print(one_line(bootstrap_words(findings.bootstrap)), markup=False)
     if findings.only_in_halves:
         out.print(one_line(subsample_only_words(findings)), markup=False)
-    out.print(stage_table(findings.noise_floor_mm, found.gaps))
+    out.print(found_tables.stage_table(findings.noise_floor_mm, found.gaps))
     for entry in findings.effects:
         if words := line_words(entry):
             out.print(hanging(effect_words(entry), words))
@@ -320,12 +302,12 @@ def _print_design(found: Design, out: Console) -> None:
     for mark, text in _design_facts(found):
         out.print(hanging(f"{mark + ':':13s}", text))
     if found.curve:
-        out.print(pose_count_table(found))
+        out.print(found_tables.pose_count_table(found))
     print_notes(found.notes, out)
 
 
 def print_check(found: HealthCheck, out: Console) -> None:
-    """Print what a health check takes, what it notices and what not, and what simulation says of that."""
+    """Print what a health check takes, what it detects and what not, and the rates found by simulation."""
     out.print(one_line(found.summary()), markup=False)
     if not found.is_met:
         text = f"this many poses do not detect {1e3 * found.notice:.3g} mm; calibrate from more poses, or reduce the noise"
@@ -353,7 +335,7 @@ def print_check(found: HealthCheck, out: Console) -> None:
 
 
 def _design_facts(found: Design) -> Iterator[tuple[str, str]]:
-    """Yield how the poses were chosen, and what they promise beside random ones."""
+    """Yield how the poses were chosen, and what they promise compared with random ones."""
     designed, random = found.found.designed, found.found.random
     yield "candidates", found.drawn.in_words()
     path = f"{found.path_length:.1f} joint ranges from first to last pose, {found.path_length_unordered:.1f} before ordering"

@@ -6,9 +6,10 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import fields
+from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_origin, get_type_hints
 
 import click
 import numpy as np
@@ -21,10 +22,9 @@ from pincal.errors import BadInputError, Exit, OutputError, nearest_first
 
 if TYPE_CHECKING:
     from pincal.robot.robot import Robot
-    from pincal.simulate.campaign import Campaign
     from pincal.simulate.effect import HiddenEffect
     from pincal.simulate.machine import TrueMachine
-    from pincal.simulate.setup import SensorSetup
+    from pincal.simulate.setup import Campaign, SensorSetup
 
 # Poses of a path in which effects are judged for the truth.
 _LOOKED_AT = 500
@@ -65,7 +65,17 @@ def simulate(arguments: SimulateArguments) -> Exit:
 
     arguments.check()
     given = arguments.machine
-    robot = Robot.from_urdf(arguments.robot, tip=given.tip, base=given.base, xacro_args=dict(given.xacro_args))
+    load = partial(
+        Robot.from_urdf,
+        arguments.robot,
+        tip=given.tip,
+        base=given.base,
+        start=given.start,
+        xacro_args=dict(given.xacro_args),
+    )
+    robot = load()
+    if given.also:
+        robot = load(paths=[(robot.base, link) for link in given.also])
     machine = _machine(robot, arguments)
     if arguments.motion.path is not None:
         return _drive(robot, machine, arguments)
@@ -73,17 +83,23 @@ def simulate(arguments: SimulateArguments) -> Exit:
     campaign = _campaign(robot, machine, arguments)
     log_step("measuring them")
     table = campaign.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
-    names = {"robot": robot.name, "base": robot.base, "tip": robot.tip}
+    table = {name: table[name] for name in (robot.joint_names[i] for i in robot.own_joints)} | table
+    start, rows = robot.path.start, len(table[machine.names[0]])
+    if start != robot.base or robot.links:
+        table |= {"from": np.repeat(start, rows), "to": np.repeat(robot.tip, rows)}
+    names = {"robot": robot.name, "base": start, "tip": robot.tip}
     seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
-    found = names | seeds | campaign.truth(machine, tip=robot.tip) | _weights(robot, machine)
+    found = names | seeds | campaign.truth(machine, tip=robot.tip)
+    found |= _drawn_masses(robot, machine)
     origin, beside = {"made_by": provenance([Path(robot.source)])}, arguments.sensor
+    named = campaign.setup.points
+    points = {"point": np.array(list(named)), **dict(zip("xyz", np.array([*named.values()], float).T, strict=False))}
     _write_files({
         "--out": (arguments.out, lambda path: write_table(path, table)),
         "--truth": (arguments.truth, lambda path: _write_json(path, contents=found | origin)),
-        "--points-out": (beside.points_out, lambda path: write_table(path, _point_columns(campaign.setup))),
+        "--points-out": (beside.points_out, lambda path: write_table(path, points)),
         "--camera-out": (beside.camera_out, lambda path: _write_json(path, contents=found["camera"])),
     })  # fmt: skip
-    rows = len(table[machine.names[0]])
     end_progress()
     if arguments.general.as_json:
         print_json({"rows": rows, "columns": list(table), "out": str(arguments.out)} | found)
@@ -96,12 +112,11 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
     """Write what joints, IMU and tracker log of a path that the machine drives."""
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
-    from pincal.simulate.campaign import Campaign
     from pincal.simulate.instrument import Instrument
     from pincal.simulate.moving import conditions_along
-    from pincal.simulate.request import Stream
-    from pincal.simulate.sensors import draw_setup
+    from pincal.simulate.request import Stream, draw_setup
     from pincal.simulate.session import draw_session
+    from pincal.simulate.setup import Campaign
 
     log_step("planning a path")
     rng = Stream.LAYOUT.generator(arguments.setup_seed)
@@ -120,7 +135,7 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
     seen = Campaign(q=session.path.at(time), conditions=along, setup=session.tracker or Instrument(), hidden=())  # type: ignore[arg-type]
     seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
     found = {"robot": robot.name, "base": robot.base, "tip": robot.tip} | seeds | seen.truth(machine, tip=robot.tip)
-    found |= session.truth(machine.nominal) | _weights(robot, machine)
+    found |= session.truth(machine.nominal) | _drawn_masses(robot, machine)
     files: dict[str, tuple[Path | None, Callable[[Path], None]]] = {
         f"--out {name}": (arguments.out / f"{name}.csv", lambda path, table=table: write_table(path, table))  # type: ignore[misc]
         for name, table in tables.items()
@@ -146,6 +161,14 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
     return Exit.DONE
 
 
+def _drawn_masses(robot: Robot, machine: TrueMachine) -> dict[str, Any]:
+    """Return the masses of links to which the URDF gives none, as for JSON."""
+    masses = {
+        joint: float(mass) for joint, mass in zip(machine.names, machine.arm.masses, strict=True) if joint in robot.unweighed
+    }
+    return {"drawn_masses_kg": masses} if masses else {}
+
+
 def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(exist_ok=True)
@@ -159,15 +182,20 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
     from pincal.simulate.request import draw_machine
 
     given = arguments.machine
-    nominal = TrueMachine.from_urdf(
-        arm_text(robot.urdf, robot.joint_names, robot.source),
-        tip=robot.tip,
+    made = partial(
+        TrueMachine.from_urdf,
+        arm_text(robot.urdf, robot.joint_names, robot.source, loops=True),
         base=robot.base,
+        joints=_in_one_order(robot),
+        passive=robot.passive,
         moment_frame=given.moment_frame,
         gravity=given.gravity or tuple(robot.gravity.tolist()),
     )
-    return draw_machine(
-        nominal,
+    # Errors are in proportion to an arm: of a tree always the same one, wherever it is seen from.
+    measured = made(tip=robot.tip, start=robot.path.start).nominal
+    ends = {robot.tip, *(tip for _, tip in robot.links)}
+    machine = draw_machine(
+        made(tip=min(ends)),
         seed=arguments.campaign.seed,
         errors=given.errors,
         elastic=given.elastic,
@@ -175,27 +203,33 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
         effects=[parse_effect(text, robot.joint_names) for text in given.effects],
         unweighed=robot.unweighed,
     )
+    return replace(machine, nominal=replace(measured, masses=machine.nominal.masses, centres=machine.nominal.centres))
 
 
-def _weights(robot: Robot, machine: TrueMachine) -> dict[str, Any]:
-    """Return the masses that were drawn because the URDF has none, as for JSON."""
-    drawn = [joint for joint in machine.names if joint in robot.unweighed]
-    found = {joint: float(machine.arm.masses[machine.names.index(joint)]) for joint in drawn}
-    return {"drawn_masses_kg": found} if found else {}
+def _in_one_order(robot: Robot) -> tuple[str, ...]:
+    """Return the joints, of a tree in an order that does not depend on the path, so that seeds mean the same machine."""
+    if not robot.links:
+        return robot.joint_names
+    depth = list[int]()
+    for parent in robot.parents:
+        depth.append(depth[parent] + 1 if parent >= 0 else 0)
+    return tuple(name for _, name in sorted(zip(depth, robot.joint_names, strict=True)))
 
 
 def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> Campaign:
-    from pincal.cli.inputs import load_table
-    from pincal.simulate.campaign import Campaign
-    from pincal.simulate.request import Repetition, Stream, poses_of_table, repeat_poses
-    from pincal.simulate.sensors import draw_setup
+    from pincal.simulate.request import Repetition, Stream, draw_setup, poses_of_table, repeat_poses
+    from pincal.simulate.setup import Campaign
 
     given = arguments.campaign
     conditions: dict[str, np.ndarray] = {}
     rng = Stream.LAYOUT.generator(arguments.setup_seed)
     setup = draw_setup(arguments.kind, machine.nominal, rng=rng, options=arguments.setup_options())
     if given.at is not None:
+        from pincal.cli.inputs import load_table
+
         q, conditions = poses_of_table(load_table(robot, given.at, joints_only=True))
+        order = [robot.joint_names.index(name) for name in machine.names]
+        q, conditions = q[:, order], conditions | {k: v[:, order] for k, v in conditions.items() if v.ndim == 2}
     else:
         rng = Stream.POSES.generator(arguments.pose_seed)
         try:
@@ -267,12 +301,6 @@ def _noise(setup: SensorSetup) -> str:
     return f"{setup.sigma:g}px" if setup.kind == "camera_pixel" else f"{setup.sigma * 1e3:g}mm"
 
 
-def _point_columns(setup: SensorSetup) -> dict[str, np.ndarray]:
-    """Return the named points as a table with columns ``point x y z``."""
-    places = np.array([*setup.points.values()], float)
-    return {"point": np.array(list(setup.points)), **dict(zip("xyz", places.T, strict=True))}
-
-
 def _write_files(files: dict[str, tuple[Path | None, Callable[[Path], None]]]) -> None:
     """Write several files, all of them or none, each by its function; they are given by the options that name them."""
     wanted = {option: (path, write) for option, (path, write) in files.items() if path is not None}
@@ -300,8 +328,7 @@ def _write_json(path: Path, *, contents: dict[str, Any]) -> None:
 
 def effect_help() -> str:
     """Return the effects with their keys and units as lines of help."""
-    from pincal.simulate.effect import Scope
-    from pincal.simulate.hidden import HIDDEN_EFFECTS
+    from pincal.simulate.effect import HIDDEN_EFFECTS, Scope
 
     lines = []
     for name, kind in HIDDEN_EFFECTS.items():
@@ -329,7 +356,7 @@ def parse_effect(text: str, joints: tuple[str, ...]) -> tuple[str, dict[str, Any
         ('axis_wobble', {'joint': 'j2', 'size': 0.0001, 'order': 1, 'frame': 'after'})
     """
     from pincal.model.catalogue.candidates import effect_parts
-    from pincal.simulate.hidden import HIDDEN_EFFECTS
+    from pincal.simulate.effect import HIDDEN_EFFECTS
 
     name, pairs = effect_parts(text)
     if name not in HIDDEN_EFFECTS:
@@ -348,37 +375,23 @@ def parse_effect(text: str, joints: tuple[str, ...]) -> tuple[str, dict[str, Any
 
 
 def _read(text: str, kind: type[HiddenEffect], key: str, word: str) -> Any:
-    """Return the value of a key of an effect."""
+    """Return the value of a key of an effect, read as the type of its field."""
+    import msgspec
+
     from pincal.simulate.elastic import MOMENT_FRAMES
 
     choices = {"frame": ("before", "after"), "moment_frame": MOMENT_FRAMES}
     if key in choices and word not in choices[key]:
         raise BadInputError(f"effect {text!r}: {key}={word}; expected one of {', '.join(choices[key])}")
-    types = {field.name: str(field.type).removesuffix(" | None") for field in fields(kind)}
-    read, words = _READERS[types.get(key, "str")]
+    of = get_type_hints(kind)[key]
     try:
-        return read(word)
-    except (KeyError, ValueError):
-        raise BadInputError(f"effect {text!r}: {key}={word}; expected {words}") from None
+        found = msgspec.convert(word.split("/") if get_origin(of) is tuple else word, of, strict=False)
+    except msgspec.ValidationError:
+        found = math.nan
+    if isinstance(found, float | tuple) and not np.isfinite(found).all():
+        expected = _EXPECTED.get(of, "three numbers, as 1/0/0")
+        raise BadInputError(f"effect {text!r}: {key}={word}; expected {expected}")
+    return found
 
 
-def _number(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(text)
-    return value
-
-
-def _vector(text: str) -> tuple[float, ...]:
-    x, y, z = map(_number, text.split("/"))
-    return x, y, z
-
-
-# How the value of a field of a type is read, and what is expected.
-_READERS: dict[str, tuple[Callable[[str], Any], str]] = {
-    "float": (_number, "a number"),
-    "int": (int, "a whole number"),
-    "str": (str, "a name"),
-    "bool": ({"true": True, "false": False}.__getitem__, "true or false"),
-    "tuple[float, float, float]": (_vector, "three numbers, as 1/0/0"),
-}
+_EXPECTED = {float: "a number", int: "a whole number", bool: "true or false"}

@@ -12,12 +12,7 @@ import click
 
 from pincal.cli.arguments import NumberType, Output, group, option
 from pincal.cli.common import (
-    ANGLES,
-    LENGTH,
     GeneralOptions,
-    Masses,
-    NoiseType,
-    QuantityType,
     Triple,
     base_option,
     gravity_option,
@@ -26,11 +21,12 @@ from pincal.cli.common import (
     xacro_option,
 )
 from pincal.cli.motion_options import MotionArguments
+from pincal.cli.quantities import ANGLES, LENGTH, Masses, NoiseType, QuantityType
 from pincal.errors import BadInputError, OutputError
 from pincal.measure.fields import TABLE_ENDINGS
 
 if TYPE_CHECKING:
-    from pincal.simulate.sensors import SetupOptions
+    from pincal.simulate.request import SetupOptions
     from pincal.simulate.session import SessionOptions
 
 
@@ -63,26 +59,22 @@ class _LensType(click.ParamType[dict[str, float]]):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, float]:
         """Return values by name; a key or value that is invalid is bad input, which a plain function's would not be."""
-        return _lens(str(value))
+        from pincal.simulate.lens import Lens
 
-
-def _lens(text: str) -> dict[str, float]:
-    from pincal.simulate.lens import Lens
-
-    known, found = tuple(Lens().intrinsics), dict[str, float]()
-    for pair in text.split(","):
-        key, _, word = (part.strip() for part in pair.partition("="))
-        if key not in known:
-            raise BadInputError(f"lens {text!r}: no key {key!r}; expected of {', '.join(known)}, as key=value")
-        least = 1.0 if key in ("fx", "fy", "width", "height") else -math.inf
-        try:
-            found[key] = float(word)
-        except ValueError:
-            raise BadInputError(f"lens {text!r}: {key}={word}; expected a number") from None
-        if not math.isfinite(found[key]) or found[key] < least:
-            wanted = "finite number" if least < 1.0 else "number of at least 1"
-            raise BadInputError(f"lens {text!r}: {key}={word}; expected a {wanted}")
-    return found
+        known, found = tuple(Lens().intrinsics), dict[str, float]()
+        for pair in str(value).split(","):
+            key, _, word = (part.strip() for part in pair.partition("="))
+            if key not in known:
+                raise BadInputError(f"lens {value!r}: no key {key!r}; expected of {', '.join(known)}, as key=value")
+            least = 1.0 if key in ("fx", "fy", "width", "height") else -math.inf
+            try:
+                found[key] = float(word)
+            except ValueError:
+                found[key] = math.nan
+            if not math.isfinite(found[key]) or found[key] < least:
+                wanted = "finite number" if least < 1.0 else "number of at least 1"
+                raise BadInputError(f"lens {value!r}: {key}={word}; expected a {wanted}")
+        return found
 
 
 _SCALE, _COUNT = NumberType(0.0), click.IntRange(1, 100)
@@ -95,6 +87,14 @@ class MachineArguments:
 
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
+    start: str | None = option(
+        "Link from which the tip is seen, such as the other hand.", metavar="LINK", name="--from", words="the base"
+    )
+    also: tuple[str, ...] = option(
+        "Further link whose joints belong to the machine: simulations with the same tips and seed are of the same machine.",
+        (),
+        metavar="LINK",
+    )
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     errors: float = option("Size of the geometric errors: 1 is typical, 0 none.", 1.0, metavar="SCALE", type=_SCALE)
     elastic: float = option(
@@ -139,12 +139,12 @@ class CampaignArguments:
     payload_com: Triple = option("Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0))
     recorded: tuple[_Recorded, ...] = option("Record this column even if no effect needs it.", (), name="--with")
     hide: tuple[Literal["temperature", "time", "approach", "payload", "read"], ...] = option(
-        "Do not record this column; it has its effect nevertheless.", ()
+        "Omit this column; the condition still has its effect.", ()
     )
     seed: int = option("Random seed of the machine, the set-up and everything else.", 0)
     pose_seed: int | None = option("Random seed of poses, conditions and noise.", words="the value of --seed")
     setup_seed: int | None = option(
-        "Random seed of the set-up: another one moves instrument and target, the machine stays the same.",
+        "Random seed of the set-up: a different one moves instrument and target but leaves the machine unchanged.",
         words="the value of --seed",
     )
 
@@ -178,7 +178,7 @@ class SensorArguments:
         "Place of the instrument: random, or the robot's base frame.", words="drawn"
     )
     sockets: int | None = option(
-        "Number of sockets for the tool point; they share --poses.", metavar="K", type=_COUNT, words="4"
+        "Number of sockets for the tool point, among which the poses are divided.", metavar="K", type=_COUNT, words="4"
     )
     socket_spacing: float | None = option(
         "Distance of the two sockets of a pair.", metavar="LENGTH", type=LENGTH, words="50mm"
@@ -187,13 +187,13 @@ class SensorArguments:
         "Number of fixed points from which distances are measured.", metavar="K", type=_COUNT, words="one without a name"
     )
     ball_bar: float | None = option(
-        "Length of a bar that holds the tool point on a sphere about each anchor; they share --poses.",
+        "Length of a bar that holds the tool point on a sphere about each anchor; the poses are divided among them.",
         metavar="LENGTH",
         type=LENGTH,
     )
     object: Literal["paper", "grid"] | None = option(
-        "Calibration object: two sides with three fields of 25 points each, which share --poses (12 by default), or a plane "
-        "grid of 63 points.",
+        "Calibration object: two sides with three fields of 25 points each, among which the poses (12 by default) are "
+        "divided, or a plane grid of 63 points.",
         words="paper",
     )
     lens: dict[str, float] | None = option(
@@ -214,7 +214,7 @@ class SimulateArguments:
 
     robot: str = robot_argument()
     out: Path = option("Table to write, with --path a folder.", MISSING, type=Output(*TABLE_ENDINGS, ""))
-    truth: Path | None = option("Write what was put in: errors, effects, noise, seeds.", metavar="FILE.json")
+    truth: Path | None = option("Write the true errors, effects, noise and seeds.", metavar="FILE.json")
     campaign: CampaignArguments = group("Poses and conditions")
     sensor: SensorArguments = group("Sensor")
     motion: MotionArguments = group("Motion")
@@ -311,7 +311,7 @@ class SimulateArguments:
         Raises:
             UsageError: If the noise is not in the sensor's unit.
         """
-        from pincal.simulate.sensors import SetupOptions
+        from pincal.simulate.request import SetupOptions
 
         given = {field.name: getattr(self.sensor, field.name, None) for field in fields(SetupOptions)}
         wanted = SetupOptions(

@@ -65,7 +65,7 @@ class IkProblem:
     includes the change of the static moments, is therefore the derivative by the joint positions except for effects that
     depend on the position itself (gear errors, about 1e-4 of it): each Newton step gains three digits.
 
-    Unknown are the positions of the n joints that mimic none; the others follow them.
+    Unknown are the positions of the n joints that have their own; the others follow them.
 
     Attributes:
         model: the model, with a joint offset of value zero as its last effect.
@@ -86,9 +86,9 @@ class IkProblem:
         cls, model: Model, values: np.ndarray, *, conditions: Conditions, wanted: np.ndarray, with_orientation: bool
     ) -> IkProblem:
         """Return the problem for a model and its values, shape (P,)."""
-        n = model.chain.robot.n_joints
         movable = model.with_effects((*model.effects, JointOffset()))
-        return cls(movable, np.concatenate([values, np.zeros(n)]), conditions, wanted, with_orientation)
+        offsets = np.zeros(movable.n_parameters - model.n_parameters)
+        return cls(movable, np.concatenate([values, offsets]), conditions, wanted, with_orientation)
 
     def __len__(self) -> int:
         return len(self.wanted)
@@ -127,8 +127,12 @@ class IkProblem:
     def linearise(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return residuals, shape (N, n_equations), and how the joints reduce them, shape (N, n_equations, n)."""
         robot = self.model.chain.robot
-        free = np.arange(len(self.values)) >= len(self.values) - robot.n_joints
-        poses, J = self.model.linearise(self.values, self._at(q), free=free, rows=self.n_equations)
+        offsets = self.model.spans[-1]
+        free = np.zeros(len(self.values), bool)
+        free[offsets] = True
+        poses, offset_J = self.model.linearise(self.values, self._at(q), free=free, rows=self.n_equations)
+        J = np.zeros((*offset_J.shape[:2], robot.n_joints))
+        J[..., [robot.joint_names.index(p.element) for p in self.model.parameters[offsets]]] = offset_J
         J = np.ascontiguousarray(robot.gathered(J))
         J[:, :3] /= self.length
         return self._residuals(poses), J

@@ -49,14 +49,15 @@ def newton(problem: IkProblem, start: np.ndarray, *, seed: np.ndarray) -> tuple[
     """
     q, reached = np.array(start, float), np.zeros(len(problem), bool)
     rows, part = np.arange(len(problem)), problem
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(_NEWTON_STEPS + 1):
         residuals, J = part.linearise(q[rows])
         is_redundant = problem.n_spare > 0
         step = _step_near(seed[rows] - q[rows] if is_redundant else None, residuals, J=J)
         is_short = np.abs(step).max(axis=1) < _SETTLED
-        done = part.is_reached(residuals) & (is_short | (not is_redundant))
-        reached[rows[done]] = True
-        # The last step of a row leads from what counts as reached to rounding, so that any order of operations ends there.
+        arrived = part.is_reached(residuals) & (is_short | (not is_redundant))
+        # Two steps lead from what counts as reached to rounding, so that any order of operations ends there.
+        done = arrived & reached[rows]
+        reached[rows[arrived]] = True
         q[rows] += np.where((done & ~is_short)[:, None], 0.0, step)
         if done.any():
             rows = rows[~done]

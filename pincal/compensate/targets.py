@@ -13,10 +13,10 @@ from pincal.compensate.compensation import Compensation, KeptOrientation, compen
 from pincal.compensate.ik_problem import IkProblem
 from pincal.compensate.robot_frames import PoseFrame, base_in_instrument, in_base_frame, program_poses
 from pincal.errors import MeasurementError
-from pincal.measure.admit import check_joint_values
+from pincal.measure.admit import check_joints_of
 from pincal.measure.fields import CONDITIONS, Schema, TableOptions
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.reader import read_table
+from pincal.measure.reader import Cells, read_table
 from pincal.measure.registry import known_fields
 from pincal.model.effects import Conditions
 from pincal.robot.robot import Robot
@@ -48,10 +48,12 @@ class Targets:
         rows: wanted positions or poses (kind "none" for a program), and the conditions of each row; joint positions are 0 if
             the table has none.
         has_joints: whether the table has joint positions.
+        cells: the table.
     """
 
     rows: Measurements
     has_joints: bool
+    cells: Cells
 
 
 @dataclass(frozen=True)
@@ -101,12 +103,9 @@ def read_targets(path: str | os.PathLike[str], robot: Robot, *, options: TableOp
     path, options = Path(path), options or TableOptions()
     schema = Schema(
         _FIELDS,
-        joint_names=robot.joint_names,
-        joint_types=robot.joint_types,
-        mimics=robot.mimics,
         may_lack_joints=True,
         options=replace(options, ignore=(*_WRITTEN, *options.ignore)),
-    )
+    ).of_robot(robot)
     cells = read_table(path, schema)
     has_joints = "q" in cells.arrays
     if not has_joints and "position" not in cells.arrays:
@@ -116,8 +115,8 @@ def read_targets(path: str | os.PathLike[str], robot: Robot, *, options: TableOp
     arrays = {"q": np.zeros((len(cells.rows), robot.n_joints))} | cells.arrays
     rows = measurements_from_arrays(robot.joint_names, **arrays, rows=cells.rows, source=path.name, units=cells.units)
     if has_joints:
-        check_joint_values(rows.of_joints(robot), robot.lower, robot.upper, robot.joint_types)
-    return Targets(rows, has_joints)
+        check_joints_of(robot, rows)
+    return Targets(rows, has_joints, cells)
 
 
 def run_compensation(

@@ -1,9 +1,9 @@
-r"""What a measurement at any pose would tell of the parameters, before it is made.
+r"""The information of a measurement at any pose on the parameters, before it is made.
 
 A design works on the Jacobian of a :class:`~pincal.identify.problem.Problem`, whatever the sensor is. It is taken at the
 nominal arm, in units of the noise and of the priors that a fit has (by physical group, see
 :func:`pincal.identify.calibrate.priors_of`), so that the information of the priors is the identity. Base and tool, which a
-fit leaves without a prior, get one so wide that it says nothing: it only keeps the covariance finite where poses are few.
+fit leaves without a prior, get one so wide that it carries no information: it keeps the covariance finite for few poses.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from pincal.robot.robot import Robot
 _LEAST_NOISE = 1e-7
 # Width of what stands for no prior, in units of the noise: 1 m for 0.05 mm.
 _WIDE = 2e4
-# Width of the prior of an effect that is to be told from another, in sizes that are typical of it.
+# Width of the prior of an effect that is to be distinguished from another, in sizes that are typical of it.
 RIVAL = 10.0
 
 
@@ -48,7 +48,7 @@ class DesignModel:
         sizes: shape (F,), standard deviations of the priors; inf for base and tool.
         sigma: shape (blocks,), noise of one component of each block of readings [m, rad].
         rig: with what and from where poses are measured.
-        rivals: for each of the effects to be told apart, its places among the F parameters.
+        rivals: for each of the effects to be distinguished, its places among the F parameters.
         core: shape (F,), the parameters of the model as it is fitted, without rivals that were added to it.
     """
 
@@ -79,7 +79,7 @@ class DesignModel:
             conditions: N poses, by which priors are scaled as a fit scales them by its rows.
             options: as for the calibration; default of ``sigma``: that of a good laser tracker.
             rig: with what and from where poses are measured.
-            rivals: effects beside the model that are to be told apart.
+            rivals: effects in addition to the model that are to be distinguished.
             targets: names of the targets; all sit where the rig has its target.
 
         Raises:
@@ -139,7 +139,7 @@ class DesignModel:
         return np.asarray(self._jacobian(problem)[:, : problem.sensor.blocks[0].size] * self.units)
 
     def posterior(self, H: np.ndarray) -> Posterior:
-        """Return what information in units of noise and priors tells, shape (F, F), with the priors left out of it."""
+        """Return the posterior of information in units of noise and priors, shape (F, F), with the priors left out of it."""
         return posterior(Form.of(H / np.outer(self.units, self.units)), self.sizes)
 
     def _jacobian(self, problem: Station) -> np.ndarray:
@@ -150,7 +150,7 @@ class DesignModel:
 def predicted_station(model: Model, values: np.ndarray, rig: SensorSetup, conditions: Conditions) -> Station:
     """Return the station that reads what a model predicts; of the values, shape (P,), the model's come first."""
     poses = model.predict(model.own(values), conditions)
-    return Station(model, conditions, simulatable()[rig.sensor].foreseen(poses, rig.places), np.ones(len(conditions)))
+    return Station(model, conditions, simulatable()[rig.sensor].simulated(poses, rig.places), np.ones(len(conditions)))
 
 
 def frame_effects(chain: Chain, rig: SensorSetup, conditions: Conditions) -> tuple[Effect, ...]:
@@ -215,7 +215,7 @@ def check_rig(rig: SensorSetup) -> None:
 
 
 def weights(rivals: tuple[np.ndarray, ...], n_free: int) -> np.ndarray:
-    """Return W of the criterion tr(W C) that tells rivals apart, shape (F, F).
+    """Return W of the criterion tr(W C) that distinguishes rivals, shape (F, F).
 
     It is the sum of the variances of both rivals' parameters, in units of their typical sizes, with everything refitted:
     the A-criterion for a subset (A_s; Atkinson, Donev and Tobias 2007, sec. 10.3). Of an effect with one parameter the

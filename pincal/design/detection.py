@@ -22,9 +22,8 @@ from pincal.design.design_model import check_rig, frame_effects, nominal_values,
 from pincal.design.exchange import covariance
 from pincal.design.reach import SensorSetup
 from pincal.diagnosis.change_search import limit_for
-from pincal.diagnosis.changes import PossibleChange
 from pincal.diagnosis.excluded import detected_noncentrality
-from pincal.diagnosis.lineup import ChangeHypotheses
+from pincal.diagnosis.lineup import ChangeHypotheses, PossibleChange
 from pincal.diagnosis.row_evidence import Known, prior_root, rows_in_noise
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
@@ -121,7 +120,7 @@ def _without_frames(poses: np.ndarray, motion: np.ndarray) -> np.ndarray:
 def watch_of(
     lineup: ChangeHypotheses, guarded: list[DetectableChange], *, alpha: float, power: float, degrees: float
 ) -> DetectionDesign:
-    """Return what the candidates tell of the changes that are to be noticed."""
+    """Return the information of the candidates on the changes that are to be detected."""
     station = lineup.station
     A, _ = rows_in_noise(station, lineup.start, lineup.robot.sigma)
     m = sum(block.size for block in station.sensor.blocks)
@@ -141,7 +140,7 @@ def watch_of(
 
 @dataclass(frozen=True)
 class DetectionDesign:
-    """Candidate poses, and what each would tell of the changes that are to be noticed.
+    """Candidate poses, and the information of each on the changes that are to be detected.
 
     Attributes:
         N: shape (M, m, K), rows of what is uncertain or free.
@@ -149,7 +148,7 @@ class DetectionDesign:
         H: shape (K, K), what is known before any row.
         ranks: shape (Q,), number of directions that the test of each change counts.
         limit: p-value below which one change is an alarm.
-        degrees: of freedom by which the noise is known beside the rows; less those that the rows spend on frames.
+        degrees: of freedom by which the noise is known apart from the rows; less those that the rows spend on frames.
         power: chance with which a change is to be noticed.
     """
 
@@ -196,7 +195,7 @@ class DetectionDesign:
     def fewest_of(self, most: int, groups: np.ndarray) -> list[int]:
         """Return the best found from nothing and from two candidates of each group, shape (M,).
 
-        A first pose in a place that is not known tells nothing, so that one by one no place but the first would be taken.
+        A first pose in an unknown place carries no information, so that one by one no place but the first would be taken.
         """
         pairs = [int(j) for group in np.unique(groups) for j in np.flatnonzero(groups == group)[:2]]
         found = [self.fewest(most), self.fewest(most, pairs)] if len(pairs) > 2 else [self.fewest(most)]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pincal.design.bodies import Bodies
+from pincal.design.collisions import Bodies
 from pincal.errors import BadInputError
 from pincal.robot.kinematics import Kinematics, joint_axis
 from pincal.robot.robot import Robot
@@ -210,6 +210,7 @@ class Reach:
             # About as many as are still needed, by what has come out so far.
             wanted = (n - len(found)) * (drawn + 1) / (len(found) + 1) if drawn else 1.25 * n
             q = self.robot.following(rng.uniform(lower, upper, (int(np.clip(wanted, 64, _BATCH)), len(lower))))
+            q = q if self.robot.linkage is None else q[self.robot.linkage.can_take(q)]
             placed = self._place(self._brought(q, rng) if measured and self.rig.held_at else q)
             drawn += len(placed.q)
             left = np.ones(len(placed.q), bool)
@@ -231,7 +232,7 @@ class Reach:
             placed = self._place(q)
             joints = np.concatenate([first, placed.frames[:, 1:-1]], axis=1) @ self._kinematics.before
             axes, arms = joints[..., :3, 2], placed.targets[:, None] - joints[..., :3, 3]
-            J = self.robot.gathered(np.where(turns[:, None], np.cross(axes, arms), axes).transpose(0, 2, 1))
+            J = self.robot.gathered(np.where(turns[:, None], np.cross(axes, arms), axes).transpose(0, 2, 1), q)
             damped = J @ J.transpose(0, 2, 1) + (_DAMPING * self.robot.reach) ** 2 * np.eye(3)
             step = (J.transpose(0, 2, 1) @ np.linalg.solve(damped, (goals - placed.targets)[..., None]))[..., 0]
             q = self.robot.spread(q[:, self.robot.own_joints] + step)

@@ -59,9 +59,27 @@ class DesignRequest:
         """Refuse what can't be designed."""
         if self.payloads is not None:
             object.__setattr__(self, "payloads", tuple(float(load) for load in self.payloads))
-        self._check_numbers()
-        self._check_criterion()
-        self._check_tables()
+        if self.poses is None and self.accuracy is None:
+            raise BadInputError("neither a number of poses nor an accuracy is given; expected one of them")
+        if self.poses is not None and self.poses < 1:
+            raise BadInputError(f"{self.poses} poses; expected 1 or more")
+        if self.accuracy is not None and not self.accuracy > 0.0:
+            raise BadInputError(f"accuracy {self.accuracy:g} m; expected more than 0")
+        if self.n_candidates < self.fewest:
+            raise BadInputError(
+                f"{self.n_candidates} candidates for {self.poses or 1} poses; expected at least as many, better 1000"
+            )
+        if self.criterion not in ("task", "determinant"):
+            raise BadInputError(f"criterion {self.criterion!r}; expected task or determinant")
+        if self.accuracy is not None and (self.tell_apart or self.criterion != "task"):
+            raise BadInputError("an accuracy goes with the criterion task alone; leave it out")
+        loads = self.payloads
+        if loads is not None and (not loads or not all(0.0 <= load < np.inf for load in loads)):
+            listed = ", ".join(f"{load:g}" for load in loads)
+            raise BadInputError(f"payloads {listed or 'none'}; expected masses of 0 kg or more")
+        for what, table in (("task", self.task), ("measured poses", self.measured)):
+            if table is not None and len(table) == 0:
+                raise BadInputError(f"{what}: {table.source} has no rows; expected joint positions")
 
     @property
     def n_candidates(self) -> int:
@@ -76,33 +94,6 @@ class DesignRequest:
     def has_approach(self, robot: Robot) -> bool:
         """Return whether the direction from which joints arrive is part of the design."""
         return any(needs_column(text, "approach", robot) for text in self.tell_apart or ())
-
-    def _check_numbers(self) -> None:
-        if self.poses is None and self.accuracy is None:
-            raise BadInputError("neither a number of poses nor an accuracy is given; expected one of them")
-        if self.poses is not None and self.poses < 1:
-            raise BadInputError(f"{self.poses} poses; expected 1 or more")
-        if self.accuracy is not None and not self.accuracy > 0.0:
-            raise BadInputError(f"accuracy {self.accuracy:g} m; expected more than 0")
-        if self.n_candidates < self.fewest:
-            raise BadInputError(
-                f"{self.n_candidates} candidates for {self.poses or 1} poses; expected at least as many, better 1000"
-            )
-
-    def _check_criterion(self) -> None:
-        if self.criterion not in ("task", "determinant"):
-            raise BadInputError(f"criterion {self.criterion!r}; expected task or determinant")
-        if self.accuracy is not None and (self.tell_apart or self.criterion != "task"):
-            raise BadInputError("an accuracy goes with the criterion task alone; leave it out")
-
-    def _check_tables(self) -> None:
-        loads = self.payloads
-        if loads is not None and (not loads or not all(0.0 <= load < np.inf for load in loads)):
-            listed = ", ".join(f"{load:g}" for load in loads)
-            raise BadInputError(f"payloads {listed or 'none'}; expected masses of 0 kg or more")
-        for what, table in (("task", self.task), ("measured poses", self.measured)):
-            if table is not None and len(table) == 0:
-                raise BadInputError(f"{what}: {table.source} has no rows; expected joint positions")
 
 
 @dataclass(frozen=True)

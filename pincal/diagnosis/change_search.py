@@ -11,28 +11,15 @@ from scipy.special import chdtrc, fdtrc
 
 from pincal.diagnosis.lineup import ChangeHypotheses
 from pincal.diagnosis.row_evidence import RowEvidence
+from pincal.identify.criteria import CHANGES
 from pincal.identify.selection import Scored, select_stepwise
 
-# Parts of the chance of a false alarm: for any one change, and for a misfit that none explains.
-_FOR_CHANGES, _FOR_MISFIT = 0.8, 0.2
-# Two changes can't be told apart unless one is this many times as likely: -2 log odds.
-EQUIVALENT = 2.0 * np.log(100.0)
-# How much likelier the usual is than anything else, before any row is seen: -2 log odds.
-_USUAL = 2.0 * np.log(10.0)
-# Chance that a sound row is taken for a wrong reading.
-_WRONG_ROW = 0.001
 # Changes that are tried by a fit, where squares to first order are not enough.
 _MOST_TRIED = 16
 # Shift of the target from which on a first-order test is not enough [m].
 _LINEAR = 1e-3
 # Changes and wrong rows that are looked for at most, one after the other; beside them each curve of a drive.
 _MOST = 6
-# Part of what a calibration took for noise that an effect which it left may have been.
-_MOST_OF_NOISE = 0.95
-# Part of the rows from which on those that stand apart are no exceptions, as when a robot is calibrated.
-_TOO_MANY = 0.25
-# Rows of which none is thought wrong: too few to tell.
-_FEWEST_ROWS = 8
 
 
 @dataclass(frozen=True)
@@ -71,7 +58,7 @@ class NamedChange:
 
 def limit_for(alpha: float, n_tested: int) -> float:
     """Return the p-value below which one of so many changes is an alarm."""
-    return alpha * _FOR_CHANGES / max(n_tested, 1)
+    return alpha * CHANGES.for_changes / max(n_tested, 1)
 
 
 def search(lineup: ChangeHypotheses, *, alpha: float, degrees: float, apart: np.ndarray | None = None) -> ChangeVerdict:
@@ -84,10 +71,15 @@ def search(lineup: ChangeHypotheses, *, alpha: float, degrees: float, apart: np.
         apart: places of rows that stand apart from all others wherever instrument and target are; default: none do.
     """
     state = _begun(lineup, alpha, degrees)
-    if apart is not None and len(apart) > 1 and state.are_rather(apart, state.best()):
-        if len(apart) >= _TOO_MANY * len(state.rows):
-            return replace(state, wrong_rows=tuple(apart.tolist()), is_undecided=True)
-        state = state.without(apart)
+    if apart is not None and len(apart) > 1:
+        # Wrong readings of some rows may explain more for what they cost than a change, or than nothing.
+        best, rest = state.best(), state.without(apart)
+        readings = sum(block.size for block in lineup.station.sensor.blocks)
+        cost = len(apart) * readings * state.price - (state.evidence.form.square - rest.evidence.form.square)
+        if cost < (0.0 if best is None else min(best.score.cost, 0.0)):
+            if len(apart) >= CHANGES.too_many * len(state.rows):
+                return replace(state, wrong_rows=tuple(apart.tolist()), is_undecided=True)
+            state = rest
     most = _MOST + sum(change.belief is not None for change in lineup.changes)
     return select_stepwise(state, ChangeVerdict.offers, ChangeVerdict.after, most=most)
 
@@ -147,7 +139,7 @@ class ChangeVerdict:
     @property
     def is_unexplained(self) -> bool:
         """Whether the rest is more than noise."""
-        return not self.is_undecided and self.misfit_p_value < self.alpha * _FOR_MISFIT
+        return not self.is_undecided and self.misfit_p_value < self.alpha * CHANGES.for_misfit
 
     @property
     def limit(self) -> float:
@@ -170,12 +162,14 @@ class ChangeVerdict:
 
     def offers(self) -> Iterator[Scored[NamedChange | int]]:
         """Yield the best change, and the row that is wrong if one is."""
-        best, row = self.best(), self.wrong_row()
-        if best is not None:
+        if (best := self.best()) is not None:
             yield Scored(best, best.score.cost)
-        if row is not None:
-            gain, rank = self.evidence.rows[row]
-            yield Scored(row, float(rank * self._price - gain))
+        rows = self.evidence.rows
+        chances = chdtrc(np.maximum(rows[:, 1], 1.0), rows[:, 0])
+        worst = int(np.argmin(chances))
+        if chances[worst] < CHANGES.wrong_row / len(rows) and len(rows) > CHANGES.fewest_rows:
+            gain, rank = rows[worst]
+            yield Scored(worst, float(rank * self.price - gain))
 
     @cached_property
     def scores(self) -> list[ChangeScore]:
@@ -195,10 +189,11 @@ class ChangeVerdict:
         change = self.lineup.changes[i]
         if change.belief is not None:
             return ChangeScore(i, gain, rank, p_value, self.evidence.odds(self.lineup.places[i], change.belief))
-        return ChangeScore(i, gain, rank, p_value, rank * self._price - gain - _USUAL * change.is_usual)
+        return ChangeScore(i, gain, rank, p_value, rank * self.price - gain - CHANGES.usual * change.is_usual)
 
     @cached_property
-    def _price(self) -> float:
+    def price(self) -> float:
+        """What a parameter costs (Schwarz's criterion)."""
         return float(np.log(len(self.lineup.station) * sum(block.size for block in self.lineup.station.sensor.blocks)))
 
     @cached_property
@@ -212,7 +207,7 @@ class ChangeVerdict:
     def p_further(self) -> float:
         """Chance of any alarm as strong on a robot that has not changed further."""
         least = min((score.p_value for score in self.scores), default=1.0) * len(self.scores)
-        return min(1.0, least / _FOR_CHANGES, self.misfit_p_value / _FOR_MISFIT)
+        return min(1.0, least / CHANGES.for_changes, self.misfit_p_value / CHANGES.for_misfit)
 
     def best(self) -> NamedChange | None:
         """Return the change that explains most for what it costs, if it is more than chance; equivalents with it."""
@@ -220,20 +215,17 @@ class ChangeVerdict:
         if not any(score.p_value < limit for score in self.scores):
             return None
         near = self.scores
-        if self._is_far(near[0]):
+        places = self.lineup.places[near[0].change]
+        step = self.evidence.estimate(places, self.lineup.changes[near[0].change].belief)
+        shift = self.lineup.motion(self.values)[:, :, places] @ step
+        if np.linalg.norm(shift, axis=1).max() > _LINEAR:
+            # So far that squares to first order are not enough.
             near = sorted((self._tried(score) for score in near[:_MOST_TRIED]), key=lambda score: score.cost)
         chosen = next((score for score in near if score.p_value < limit), None)
         if chosen is None:
             return None
-        likes = (score for score in near if score is not chosen and score.cost < chosen.cost + EQUIVALENT)
-        return NamedChange(chosen, min(1.0, chosen.p_value * len(self.scores) / _FOR_CHANGES), tuple(likes))
-
-    def _is_far(self, score: ChangeScore) -> bool:
-        """Return whether a change is so large that squares to first order are not enough."""
-        places = self.lineup.places[score.change]
-        step = self.evidence.estimate(places, self.lineup.changes[score.change].belief)
-        shift = self.lineup.motion(self.values)[:, :, places] @ step
-        return bool(np.linalg.norm(shift, axis=1).max() > _LINEAR)
+        likes = (score for score in near if score is not chosen and score.cost < chosen.cost + CHANGES.equivalent)
+        return NamedChange(chosen, min(1.0, chosen.p_value * len(self.scores) / CHANGES.for_changes), tuple(likes))
 
     def _tried(self, score: ChangeScore) -> ChangeScore:
         if self.lineup.changes[score.change].belief is not None:
@@ -262,23 +254,9 @@ class ChangeVerdict:
         """
         n = max(self.evidence.form.degrees - score.rank, 1)
         left, part = self.evidence.form.square - score.gain, (score.gain - score.rank) / n
-        if not 0.0 < part < _MOST_OF_NOISE:
+        if not 0.0 < part < CHANGES.part_of_noise:
             return False
         return bool(left / (1.0 - part) + n * np.log(1.0 - part) < left)
-
-    def wrong_row(self) -> int | None:
-        """Return the row that contradicts all others, if one does."""
-        rows = self.evidence.rows
-        chances = chdtrc(np.maximum(rows[:, 1], 1.0), rows[:, 0])
-        worst = int(np.argmin(chances))
-        return worst if chances[worst] < _WRONG_ROW / len(rows) and len(rows) > _FEWEST_ROWS else None
-
-    def are_rather(self, rows: np.ndarray, step: NamedChange | None) -> bool:
-        """Return whether wrong readings of some rows explain more for what they cost than a change, or than nothing."""
-        readings = sum(block.size for block in self.lineup.station.sensor.blocks)
-        rest = self.without(rows).evidence
-        cost = len(rows) * readings * self._price - (self.evidence.form.square - rest.form.square)
-        return bool(cost < (0.0 if step is None else min(step.score.cost, 0.0)))
 
     def without(self, row: int | np.ndarray) -> ChangeVerdict:
         """Return the search without a row, or without some."""

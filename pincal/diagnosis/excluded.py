@@ -10,15 +10,13 @@ import numpy as np
 from scipy.special import fdtri, ncfdtr
 
 from pincal.diagnosis.change_search import ChangeVerdict, NamedChange
-from pincal.diagnosis.changes import PossibleChange
-from pincal.identify.quadratic import Quadratic
+from pincal.diagnosis.lineup import PossibleChange
+from pincal.identify.criteria import CHANGES
 from pincal.identify.station import Station
 from pincal.io.diagnosis_file import ExcludedEntry
 
 # Chance with which a change of the size that is given would have been noticed.
-DETECTED = 0.9
-# Non-centrality at which two changes are told apart: 5.5 standard deviations of one parameter.
-_TOLD_APART = 30.0
+DETECTED = CHANGES.detected
 # Numbers of further poses that may tell changes apart, random poses among which they are chosen, and those shown.
 _MORE, _TRIED, _SHOWN = (3, 6, 12, 25, 50), 200, 2
 # Poses whose targets are closer than this [m] are one to any instrument: the best laser trackers resolve a tenth of it, and
@@ -31,9 +29,7 @@ _SEEN = 1e-6
 def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[ExcludedEntry]:
     """Yield what would have been noticed beside what was found: each parameter, each effect, from which size on.
 
-    Args:
-        verdict: what was found, perhaps nothing as the rows can't tell.
-        searched: what the search came to.
+    What was found may be nothing, as the rows can't tell.
     """
     lineup, found = verdict.lineup, searched.evidence.form
     taken = {lineup.changes[i].heading for i in verdict.happened}
@@ -44,13 +40,15 @@ def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[Exclud
         key = (*change.heading, change.parameters if change.effect is None else None)
         if change.parts or change.heading in taken or len(units) > 1 or key in listed:
             continue
-        worst = _weakest(found, places)
-        if worst is None:
+        # The direction in which a change shows least.
+        rank = found.gain(places)[1]
+        strengths, directions = np.linalg.eigh(found.H[np.ix_(places, places)])
+        if rank < len(places) or strengths[0] <= _SEEN * strengths[-1]:
             continue
-        rank, strength, direction = worst
-        smallest = float(np.sqrt(detected_noncentrality(rank, verdict.degrees + found.degrees, searched.limit) / strength))
+        detected = detected_noncentrality(rank, verdict.degrees + found.degrees, searched.limit)
+        smallest = float(np.sqrt(detected / strengths[0]))
         listed.add(key)
-        shift = np.linalg.norm(motion[:, :, places] @ direction, axis=1).max()
+        shift = np.linalg.norm(motion[:, :, places] @ directions[:, 0], axis=1).max()
         yield ExcludedEntry(
             effect=change.name,
             joint=change.joint,
@@ -60,15 +58,6 @@ def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[Exclud
             unit=units.pop(),
             tip_mm=float(1e3 * smallest * shift),
         )
-
-
-def _weakest(found: Quadratic, places: np.ndarray) -> tuple[int, float, np.ndarray] | None:
-    """Return rank, non-centrality of a change of size 1 in the direction that shows least, and this direction."""
-    rank = found.gain(places)[1]
-    strengths, directions = np.linalg.eigh(found.H[np.ix_(places, places)])
-    if rank < len(places) or strengths[0] <= _SEEN * strengths[-1]:
-        return None
-    return rank, float(strengths[0]), directions[:, 0]
 
 
 @lru_cache(maxsize=256)
@@ -93,7 +82,7 @@ def tell_apart(verdict: ChangeVerdict, step: NamedChange) -> str:
     there, apart = most_different_poses(verdict, change, rival)
     most = f"{1e3 * apart[0]:.2g} mm"
     for n in _MORE if apart[0] > _TELLABLE else ():
-        if separation(verdict, there.select(np.arange(n)), change, rival) > _TOLD_APART:
+        if separation(verdict, there.select(np.arange(n)), change, rival) > CHANGES.told_apart:
             shown = ", then ".join(_pose_words(verdict, there, i) for i in range(min(n, _SHOWN)))
             like = " and poses like these" if n > _SHOWN else ""
             return f"measure {n} more poses in which the two differ most, by {most} at the target: {shown}{like}"

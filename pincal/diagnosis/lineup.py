@@ -1,22 +1,153 @@
-"""All changes side by side: the rows of a station under a model that has every effect that is asked for."""
+"""What may have happened to a calibrated robot, and all of it side by side: the rows of a station under one wide model.
+
+Parameters may have moved, alone or together, and effects may be new.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.diagnosis.changes import PossibleChange, additional_changes, changes_of
-from pincal.diagnosis.row_evidence import Known, ReestimatedCurves, RowEvidence, rows_in_noise, weighted_rows
+from pincal.diagnosis.row_evidence import Known, RowEvidence, prior_root, rows_in_noise
 from pincal.discover.levers import compliances_of
-from pincal.identify.quadratic import ROUNDING, root_of_inverse
+from pincal.identify.criteria import CHANGES
+from pincal.identify.quadratic import ROUNDING, SEEN, Quadratic, root_of_inverse
 from pincal.identify.station import Station
+from pincal.model.catalogue.candidates import elasticity, testable
 from pincal.model.conditions import Conditions, PoseSet, varies
+from pincal.model.effect import Curve, Effect, Family
+from pincal.model.effects import Compliance
+from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
-from pincal.parameters import estimate_of
+from pincal.parameters import Parameter, estimate_of
+
+
+@dataclass(frozen=True)
+class PossibleChange:
+    """One thing that may have happened.
+
+    Attributes:
+        name: of the effect.
+        joint: on which it acts; None for the whole arm.
+        parameters: names of the parameters that it moves.
+        effect: the effect that the robot would have now; None where parameters of the model moved.
+        source: the joint that drives this one, where an effect has one.
+        is_usual: whether it is what happens first: a drive that lost its zero.
+        parts: whether other changes together are the same one, so that it is not counted among what is excluded.
+        belief: shape (K, K), information about how far its K parameters change, where they are known to hang together, as
+            the pieces of a smooth curve do; None where each changes by itself.
+    """
+
+    name: str
+    joint: str | None
+    parameters: tuple[str, ...]
+    effect: Effect | None = None
+    source: str | None = None
+    parts: bool = False
+    is_usual: bool = False
+    belief: np.ndarray | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def heading(self) -> tuple[str, str | None, str | None]:
+        """What a report calls it."""
+        return self.name, self.joint, self.source
+
+    def describe(self) -> dict[str, str | None]:
+        """Return what tells it from its likes in the terms of ``diagnosis.json``."""
+        return {"effect": self.name, "joint": self.joint} | ({} if self.source is None else {"source": self.source})
+
+
+def changes_of(model: Model, situation: PoseSet) -> tuple[tuple[PossibleChange, ...], tuple[Effect, ...]]:
+    """Return all that may have happened to a calibrated robot, as far as these poses could show it; the usual first.
+
+    Returns:
+        The changes, and what new rows may show without any: effects of the station, and those that the whole arm has at its
+        temperature or as it warms up.
+    """
+    changes, beside = list(_of_parameters(model)), []
+    for effect in _catalogue(model, situation):
+        if effect.scope == "station" or (effect.locus.joint is None and effect.locus.follows in ("temperature", "time")):
+            beside.append(effect)
+        else:
+            name, joint, source = effect.heading
+            parameters = tuple(parameter.name for parameter in effect.parameters(model.chain))
+            changes.append(PossibleChange(name, joint, parameters, effect, source))
+    return tuple(changes), tuple(beside)
+
+
+def _catalogue(model: Model, situation: PoseSet) -> Iterator[Effect]:
+    """Yield the effects that these poses could show, and the compliances of single joints that the model does not have."""
+    known, present = {parameter.name for parameter in model.parameters}, {effect.identity for effect in model.effects}
+    kinds = [type(effect) for effect in elasticity(situation) if isinstance(effect, Compliance)]
+    for kind in kinds:
+        for joint in situation.revolute:
+            effect = kind(joints=(joint,))
+            if known.isdisjoint(p.name for p in effect.parameters(model.chain)):
+                yield effect
+    for candidate in testable(situation):
+        for form in candidate.forms:
+            size = form.resolution if isinstance(form, Curve) else 1
+            if form.identity not in present and size * CHANGES.rows_each <= len(situation.conditions):
+                yield form
+
+
+def _of_parameters(model: Model) -> Iterator[PossibleChange]:
+    """Yield each parameter of the robot alone, and those that change together: an effect's on a joint, a bent link's."""
+    for effect in model.effects:
+        # Links don't lose weight, and bearings stay in their places.
+        if effect.scope == "station" or effect.bodies(model.chain) or effect.locus.acts_on == "place":
+            continue
+        single = effect.family in (Family.GEOMETRY, Family.ELASTICITY)
+        by_element: dict[str, list[Parameter]] = {}
+        for parameter in effect.parameters(model.chain):
+            by_element.setdefault(parameter.element, []).append(parameter)
+        for element, members in by_element.items():
+            joint = element if element in model.chain.robot.joint_names else effect.locus.joint
+            source = effect.heading[2]
+            names = tuple(parameter.name for parameter in members)
+            if single:
+                usual = effect.locus.acts_on == "drive"
+                yield from (PossibleChange(effect.name, joint, (name,), source=source, is_usual=usual) for name in names)
+            if len(names) > 1 or not single:
+                yield PossibleChange(
+                    effect.name, joint, names, source=source, parts=single, belief=belief_of(effect, members)
+                )
+    yield from _bent_links(model)
+
+
+def belief_of(effect: Effect, members: Sequence[Parameter]) -> np.ndarray | None:
+    """Return what is believed of a new curve in the place of one whose roughness is known: it is as rough."""
+    smooth = effect.smoothness()
+    if smooth is None or len(smooth) != len(members):
+        return None
+    return smooth + np.diag([parameter.size**-2.0 for parameter in members])
+
+
+def _bent_links(model: Model) -> Iterator[PossibleChange]:
+    """Yield, for each link between two joints, all constants of the geometry between the motion of the one and the other."""
+    chain, geometry = model.chain, [e for e in model.effects if e.family is Family.GEOMETRY]
+    if not geometry:
+        return
+    name = next((effect.name for effect in geometry if effect.locus.acts_on == "link"), geometry[0].name)
+    nothing = Conditions.at(np.zeros((0, chain.robot.n_joints)))
+    places = [
+        (effect.parameters(chain)[term.parameter].name, term.coordinate)
+        for effect in geometry
+        for term in effect.terms(chain, nothing, None)
+    ]
+    for i, joint in enumerate(chain.robot.joint_names):
+        if (following := chain.robot.next_joint(i)) is None:
+            continue
+        # What turns about or slides along the axis of a joint may stand before or behind its own motion.
+        here = {chain.joint(i, symbol) for symbol in ("theta", "d", "a", "alpha")}
+        there = {chain.joint(following, symbol) for symbol in ("s_x", "s_y", "theta", "d")}
+        members = tuple(name for name, coordinate in places if coordinate in here | there)
+        yield PossibleChange(name, joint, members, parts=True)
+
 
 # Gauss-Newton steps at most, and halvings of one that made things worse.
 _MOST_STEPS, _HALVINGS = 30, 6
@@ -76,15 +207,24 @@ class ChangeHypotheses:
         model = station.model
         of_model, of_sensor = station.split(robot.values)
         compliances = tuple(compliances_of(model, of_model).tolist())
-        situation = PoseSet(model.chain, _loaded_and_not(station.conditions), compliances)
-        changes, others = changes_of(model, situation), additional_changes(model, situation)
+        conditions = station.conditions
+        if conditions.payload.any() and not varies(conditions.payload):
+            # The load varies if there is any: the calibration knows the robot without it.
+            twice = conditions.select(np.repeat(np.arange(len(conditions)), 2))
+            conditions = replace(twice, payload=np.where(np.arange(len(twice)) % 2, twice.payload, 0.0))
+        situation = PoseSet(model.chain, conditions, compliances)
+        changes, others = changes_of(model, situation)
         added = [change.effect for change in changes if change.effect is not None]
         masses = [] if known.masses is None else [known.masses]
         wide = model.with_effects([*model.effects, *masses, *known.left, *others, *added])
         n = len(model.effects) + len(masses) + len(known.left)
         beside = np.concatenate([np.zeros(0, int), *map(_span, wide.spans[n : n + len(others)])])
         spans = iter(wide.spans[n + len(others) :])
-        places = [_places(change, model.names) if change.effect is None else _span(next(spans)) for change in changes]
+        index = {name: i for i, name in enumerate(model.names)}
+        places = [
+            np.array([index[name] for name in change.parameters], int) if change.effect is None else _span(next(spans))
+            for change in changes
+        ]
         own = np.flatnonzero(station.split(station.is_own)[0])
         own = np.append(own, wide.n_parameters + np.flatnonzero(~station.sensor.fixed))
         nothing = np.zeros(wide.n_parameters - model.n_parameters)
@@ -127,7 +267,7 @@ class ChangeHypotheses:
         whole[np.ix_(found.places, found.places)] = found.covariance
         station = self.station.with_model(model.with_effects([*model.effects, *(effect for effect, _ in added)]))
         estimate = estimate_of(station.parameters, found.values[places], whole[np.ix_(places, places)])
-        return replace(self.robot, model=station.model, estimate=estimate, left=None)
+        return replace(self.robot, model=station.model, estimate=estimate, left_by=None)
 
     def _refitted(self, happened: Sequence[int], start: np.ndarray, known: np.ndarray, root: np.ndarray) -> Refitted:
         """Return the most probable values: those that changed anywhere, those known, shape (K,), by a root of covariance.
@@ -174,20 +314,40 @@ class ChangeHypotheses:
         return Refitted(values, places, spread @ spread.T, unknown[n:], np.linalg.norm(uncertain[n:], axis=1))
 
     def weigh(self, values: np.ndarray, happened: Sequence[int]) -> RowEvidence:
-        """Return what the rows say of everything else, once some changes have happened."""
-        redrawn = [
-            ReestimatedCurves(places, belief, (values - self.start)[places]) for places, belief in self._redrawn(happened)
-        ]
-        others = [i for i in happened if self.changes[i].belief is None]
-        return weighted_rows(
-            self.station,
-            values,
-            self.known,
-            self.free(others),
-            beside=self.beside,
-            sigma=self.robot.sigma,
-            redrawn=redrawn,
+        """Return what the rows say of everything else, once some changes have happened.
+
+        Args:
+            values: shape (P,), where it is linearised: the robot's parameters as they are known, but for what happened.
+            happened: the changes, whose parameters are anything, or uncertain where something is believed of them.
+        """
+        A, r = rows_in_noise(self.station, values, self.robot.sigma)
+        F = A[self.free([i for i in happened if self.changes[i].belief is None])]
+        uncertain = [prior_root(self.station, self.known, self.beside) @ A]
+        for places, belief in self._redrawn(happened):
+            uncertain.append(root_of_inverse(belief, np.diag(belief), ROUNDING).T @ A[places])
+            r = r + (values - self.start)[places] @ A[places]
+        nuisance = np.vstack([*uncertain, F])
+        H = nuisance @ nuisance.T
+        H.flat[: (len(H) + 1) * (len(H) - len(F)) : len(H) + 1] += 1.0
+        # Rows of Q are what is projected out, so that V^-1 = 1 - Q^T Q.
+        Q = root_of_inverse(H, np.diag(H), ROUNDING).T @ nuisance
+        rank = root_of_inverse(F @ F.T, np.sum(F**2, axis=1), ROUNDING).shape[1]
+        across, along = A @ Q.T, Q @ r
+        left = r - Q.T @ along
+        form = Quadratic(
+            names=tuple(parameter.name for parameter in self.station.parameters),
+            H=A @ A.T - across @ across.T,
+            g=A @ r - across @ along,
+            square=float(r @ left),
+            degrees=len(r) - rank,
+            whole=np.sum(A**2, axis=1),
         )
+        m, rows = len(left) // len(self.station), np.zeros((len(self.station), 2))
+        for i in range(len(rows)):
+            here = slice(m * i, m * i + m)
+            own = left[here] @ root_of_inverse(np.eye(m) - Q[:, here].T @ Q[:, here], np.ones(m), SEEN)
+            rows[i] = own @ own, len(own)
+        return RowEvidence(form, rows)
 
     def _redrawn(self, happened: Sequence[int]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield the places of parameters that changed together, and what is believed of them."""
@@ -208,17 +368,5 @@ class ChangeHypotheses:
         return np.array([parameter.size for parameter in self.station.parameters]) / largest
 
 
-def _places(change: PossibleChange, names: tuple[str, ...]) -> np.ndarray:
-    return np.array([names.index(name) for name in change.parameters], int)
-
-
 def _span(span: slice) -> np.ndarray:
     return np.arange(span.start, span.stop)
-
-
-def _loaded_and_not(conditions: Conditions) -> Conditions:
-    """Return conditions in which the load varies if there is any: the calibration knows the robot without it."""
-    if not conditions.payload.any() or varies(conditions.payload):
-        return conditions
-    twice = conditions.select(np.repeat(np.arange(len(conditions)), 2))
-    return replace(twice, payload=np.where(np.arange(len(twice)) % 2, twice.payload, 0.0))

@@ -8,14 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
-from pincal.calibration.covered import with_means
 from pincal.calibration.placing import Placed
-from pincal.diagnosis.changes import belief_of
+from pincal.diagnosis.lineup import belief_of
 from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, changes_since, doubts_about, relocated
 from pincal.errors import BadInputError, ChangedRobotError, IdentificationError, nearest_first
 from pincal.identify.calibrate import fit_tables
-from pincal.identify.fingerprints import together
-from pincal.identify.options import Options
+from pincal.identify.station import together
 from pincal.measure.measurements import Measurements
 from pincal.measure.registry import blocks_of
 from pincal.model.effect import Effect
@@ -100,23 +98,20 @@ def _taken_in(
 ) -> CalibratedModel:
     """Return the robot at the station of new rows, found from them and from what is known of it as it was."""
     arm = model.model
-    x, y, z = map(float, model.payload_centre)
     gx, gy, gz = map(float, arm.chain.gravity)
     declared = model.sigma if model.is_noise_declared and model.sensor_kind == measurements.kind else ()
     units = [block.unit for block in blocks_of(model.sensor_kind)]
     angles = [float(size) for size, unit in zip(declared, units, strict=False) if unit == "rad"]
-    options = Options(
+    options = model.options(
         effects=tuple(effect for effect in arm.effects if effect.scope == "robot"),
         sigma=float(next(iter(declared))) if sigma is None and len(declared) else sigma,
         sigma_orientation=angles[0] if angles else None,
         moment_frame=arm.chain.moment_frame,
         equilibrium=arm.equilibrium,
         gravity=(gx, gy, gz),
-        payload_centre=(x, y, z),
         setup=replace(model.setup, points={}),
         earlier=earlier,
     )
-    rows = with_means(measurements, arm, model.covered.days)
-    found = CalibratedModel.of(fit_tables(arm.chain.robot, rows, options))
+    found = CalibratedModel.of(fit_tables(arm.chain.robot, model.of_its_day(measurements), options))
     covered, marks = model.covered.over(found.covered), together(model.rows, found.rows)
     return replace(found, covered=covered, rows=marks, provenance=model.provenance)

@@ -11,24 +11,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from pincal.calibration.placing import Placed
-from pincal.diagnosis.changes import belief_of
+from pincal.diagnosis.lineup import belief_of
 from pincal.diagnosis.row_evidence import rows_in_noise
+from pincal.identify.criteria import CHANGES
 from pincal.identify.quadratic import Factor
 from pincal.identify.split import row_groups
 from pincal.io.diagnosis_file import CurveEntry, CurvesEntry
 from pincal.measure.measurements import Measurements
 from pincal.model.conditions import recorded_variable
 from pincal.model.effect import Curve
-
-# Rows from which on there is something to leave out.
-_FEWEST = 24
-# Blocks that are left out in turn, each of a few regions of joint space.
-_BLOCKS = 8
-# A curve was seen where its standard deviation, its mean apart, is at most this part of what was believed of it before: a
-# quarter of the variance. In gaps of 25 degrees of a UR10's table it is .6 and more of that, beside its rows .1.
-_SEEN = 0.5
 
 
 @dataclass(frozen=True)
@@ -40,8 +34,7 @@ class _Rows:
         b: shape (B, P), its gradient.
         A: shape (P, N, m), the Jacobian of the first readings in metres.
         off: shape (N, m), what is left of them as calibrated [m].
-        block: shape (N,), of each row.
-        kept: shape (N,), which rows count.
+        block: shape (N,), of each row that counts, -1 for others.
     """
 
     G: np.ndarray
@@ -49,15 +42,11 @@ class _Rows:
     A: np.ndarray
     off: np.ndarray
     block: np.ndarray
-    kept: np.ndarray
 
     def found(self, free: np.ndarray, belief: np.ndarray, *, without: int | None = None) -> np.ndarray:
         """Return how far some parameters move, shape (F,), a block left out."""
-        at = np.ix_(free, free)
-        H, b = self.whole[0][at] + belief, self.whole[1][free]
-        if without is not None:
-            H, b = H - self.G[without][at], b - self.b[without][free]
-        return Factor.of(H).solve(b)
+        G, b = self.whole if without is None else (self.whole[0] - self.G[without], self.whole[1] - self.b[without])
+        return Factor.of(G[np.ix_(free, free)] + belief).solve(b[free])
 
     @cached_property
     def whole(self) -> tuple[np.ndarray, np.ndarray]:
@@ -67,44 +56,31 @@ class _Rows:
     def error(self, free: np.ndarray, belief: np.ndarray) -> float:
         """Return the mean error of rows by what the other blocks make of some parameters [m]."""
         errors = []
-        for k in np.unique(self.block[self.kept]):
-            here = self.kept & (self.block == k)
-            step = self.found(free, belief, without=int(k))
-            left = self.off[here] - np.einsum("p,pnm->nm", step, self.A[np.ix_(free, np.flatnonzero(here))])
+        for k in range(len(self.G)):
+            here, step = np.flatnonzero(self.block == k), self.found(free, belief, without=k)
+            left = self.off[here] - np.einsum("p,pnm->nm", step, self.A[np.ix_(free, here)])
             errors.append(np.linalg.norm(left, axis=1))
         return float(np.concatenate(errors).mean())
 
 
 def redrawn_curves(placed: Placed, table: Measurements, *, kept: np.ndarray, session: str) -> CurvesEntry | None:
-    """Return what each curve of a model contributes to the error on another day; None if it has none, or rows are few.
-
-    Args:
-        placed: the robot as it was calibrated, at the place of the rows.
-        table: the rows.
-        kept: shape (N,), which of them count.
-        session: what they are called.
-    """
+    """Return what each curve of a model contributes to the error on another day; None if it has none, or rows are few."""
     model = placed.station.model
     curves = [
         (effect, span, belief)
         for effect, span in zip(model.effects, model.spans, strict=True)
         if isinstance(effect, Curve) and (belief := belief_of(effect, effect.parameters(model.chain))) is not None
     ]
-    if not curves or kept.sum() < _FEWEST:
+    if not curves or kept.sum() < CHANGES.curve_rows:
         return None
     own = np.flatnonzero(placed.solution.free)
     places = [np.arange(span.start, span.stop) for _, span, _ in curves]
     free = np.unique(np.concatenate([own, *places]))
-    rows = _rows(placed, free, block=row_groups(table, split="blocked", seed=0) % _BLOCKS, kept=kept)
+    rows = _rows(placed, free, block=row_groups(table, split="blocked", seed=0) % CHANGES.curve_blocks, kept=kept)
 
     def reestimated(some: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         at = np.searchsorted(free, np.concatenate([own, *(places[i] for i in some)]))
-        belief, start = np.zeros((len(at),) * 2), len(own)
-        for i in some:
-            end = start + len(places[i])
-            belief[start:end, start:end] = curves[i][2]
-            start = end
-        return at, belief
+        return at, block_diag(np.zeros((len(own),) * 2), *(curves[i][2] for i in some))
 
     entries = []
     for i, (effect, span, belief) in enumerate(curves):
@@ -131,8 +107,7 @@ def _rows(placed: Placed, free: np.ndarray, *, block: np.ndarray, kept: np.ndarr
         b=np.array([part @ r[rows].ravel() for part, rows in zip(parts, of, strict=True)]),
         A=A[:, :, :first] * metres,
         off=r[:, :first] * metres,
-        block=np.searchsorted(names, block),
-        kept=kept,
+        block=np.where(kept, np.searchsorted(names, block), -1),
     )
 
 
@@ -156,5 +131,5 @@ def _entry(
         correlation=float(old @ new) / both if both else None,
         rms=float(np.sqrt(np.mean(difference**2))),
         unit=chain.robot.joint_units[i],
-        seen=float(np.mean(known <= _SEEN**2 * np.maximum(believed, 1e-300))),
+        seen=float(np.mean(known <= CHANGES.curve_seen**2 * np.maximum(believed, 1e-300))),
     )

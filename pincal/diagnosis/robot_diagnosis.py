@@ -19,12 +19,12 @@ from pincal.diagnosis.lineup import ChangeHypotheses, Refitted
 from pincal.diagnosis.redrawn_curves import redrawn_curves
 from pincal.diagnosis.row_evidence import Known
 from pincal.errors import BadInputError, MeasurementError
-from pincal.identify.fingerprints import count, fingerprints, known_rows, together
+from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import Priors
 from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
 from pincal.identify.solve import solve
-from pincal.identify.station import Station
+from pincal.identify.station import Station, count, fingerprints, known_rows, together
 from pincal.io.diagnosis_file import (
     ChangedParameter,
     ChangeEntry,
@@ -39,21 +39,10 @@ from pincal.measure.measurements import Measurements
 from pincal.model.conditions import recorded_variable
 from pincal.model.effect import Curve
 from pincal.notes import Note, Severity, doubts_first
-from pincal.validate.accuracy import error_summary
+from pincal.validate.accuracy import error_summary, pose_error_sizes
 
 # Chance of a false alarm.
-FALSE_ALARM = 0.01
-# What is left after all changes, relative to the reach, beyond which the rows are not of this robot; and what is left before
-# any, beyond which it is not worth while to look for them: a drive that is off by 0.2 rad leaves half as much.
-_HOPELESS, _STRANGE = 0.01, 0.1
-# Degrees of freedom by which a calibration is taken to know its noise, where nobody knows how many rows it had.
-_DEGREES = 200.0
-# Changes from which on another robot of the same type is likelier than one to which so much has happened.
-_MANY = 4
-# Part of an error, and of the rows, below which a curve of a drive is worth a word.
-_BRINGS = 0.9
-# Rows with the fingerprint of another that is met by chance.
-_SAME_BY_CHANCE = 1
+FALSE_ALARM = CHANGES.false_alarm
 
 
 @dataclass(frozen=True, repr=False)
@@ -143,23 +132,36 @@ def diagnose(
         verdict = verdict.none()
     lineup, happened = verdict.lineup, verdict.happened
     posterior = lineup.reidentify(happened, lineup.release(happened, verdict.values))
-    reidentified = _reidentified(model, verdict, posterior)
+    reidentified = lineup.robot
+    if happened:
+        # With what changed found and nothing else released.
+        rows = together(model.rows, fingerprints(lineup.station))
+        reidentified = replace(lineup.reidentified(happened, posterior), rows=rows)
     station = reidentified.readings(measurements)
     after = error_summary(station, reidentified.values)
-    _refuse_strange(model, measurements, after["rms_mm"], _HOPELESS)
+    _refuse_strange(model, measurements, after["rms_mm"], CHANGES.hopeless)
     session, kept = Path(measurements.source).stem, np.ones(len(measurements), bool)
     kept[list(verdict.wrong_rows)] = False
     curves = redrawn_curves(placed, measurements, kept=kept, session=session)
+    changes = list(_entries(verdict, posterior, session))
+    if curves is not None:
+        # Those of curves among themselves in the order of what they bring on the new rows.
+        order = [entry.joint for entry in curves.joints]
+        ranked = iter(sorted((c for c in changes if c.curve_rms is not None), key=lambda c: order.index(str(c.joint))))
+        changes = [change if change.curve_rms is None else next(ranked) for change in changes]
+    # Of several stations the nearest.
+    ways = [moved(before, reidentified) for before in calibrated.models.values()]
+    way = min(ways, key=lambda way: np.inf if way.instrument is None else way.instrument)
     found = DiagnosisFile(
         changed=verdict.changed,
         p_value=verdict.p_value,
         alpha=alpha,
-        changes=_ranked(tuple(_entries(verdict, posterior, session)), curves),
+        changes=tuple(changes),
         excluded=tuple(excluded(verdict, searched)),
         gap={"before": error_summary(placed.station, placed.values), "after": after},
-        station=_moved(calibrated, reidentified),
+        station=MovedEntry(**way.to_dict()),
         rows=len(measurements),
-        warnings=doubts_first([*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, measurements)]),
+        warnings=doubts_first([*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, placed, measurements)]),
         curves=curves,
         is_judged=not doubts,
     )
@@ -200,7 +202,7 @@ def doubts_about(verdict: ChangeVerdict, placed: Placed, measurements: Measureme
 def known_degrees(model: CalibratedModel, station: Station) -> float:
     """Return the degrees of freedom by which a calibration knows the noise of readings like a station's."""
     rows, sizes = count(model.rows), [block.size for block in station.sensor.blocks]
-    return max(rows * sum(sizes) - float(model.estimate.free.sum()), 1.0) if rows else _DEGREES
+    return max(rows * sum(sizes) - float(model.estimate.free.sum()), 1.0) if rows else CHANGES.degrees
 
 
 def relocated(model: CalibratedModel, measurements: Measurements, *, sigma: float | None = None) -> Placed:
@@ -217,12 +219,12 @@ def relocated(model: CalibratedModel, measurements: Measurements, *, sigma: floa
         measurements = replace(measurements, sigma=np.full(len(measurements), sigma))
     placed = place_station(model, measurements)
     known = int(np.sum(known_rows(model.rows, placed.station)))
-    if known > _SAME_BY_CHANCE:
+    if known > CHANGES.same_by_chance:
         raise MeasurementError(
             f"{measurements.source}: the model was fitted to {known} of these {len(measurements)} rows, so they can't show "
             "whether the robot has changed since; expected rows measured later"
         )
-    _refuse_strange(model, measurements, error_summary(placed.station, placed.values)["rms_mm"], _STRANGE)
+    _refuse_strange(model, measurements, error_summary(placed.station, placed.values)["rms_mm"], CHANGES.strange)
     return placed
 
 
@@ -235,21 +237,12 @@ def _refuse_strange(model: CalibratedModel, measurements: Measurements, rms_mm: 
         )
 
 
-def _reidentified(model: CalibratedModel, verdict: ChangeVerdict, posterior: Refitted) -> CalibratedModel:
-    """Return the robot at the new station, with what changed found and nothing else released."""
-    lineup, happened = verdict.lineup, verdict.happened
-    if not happened:
-        return lineup.robot
-    rows = together(model.rows, fingerprints(lineup.station))
-    return replace(lineup.reidentified(happened, posterior), rows=rows)
-
-
 def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
     """Yield what is to be said where most of the error goes with a curve that the calibration had not seen everywhere."""
     if curves is None:
         return
     best = curves.joints[0]
-    if best.error_mm < _BRINGS * curves.as_it_was_mm and best.seen < _BRINGS:
+    if best.error_mm < CHANGES.worth_a_word * curves.as_it_was_mm and best.seen < CHANGES.worth_a_word:
         yield (
             f"the mean error falls from {curves.as_it_was_mm:.3g} to {best.error_mm:.3g} mm with a re-estimated "
             f"curve of {best.joint}, which the calibration had determined in {100 * best.seen:.0f} % of these rows: "
@@ -257,29 +250,31 @@ def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
         )
 
 
-def _ranked(changes: tuple[ChangeEntry, ...], curves: CurvesEntry | None) -> tuple[ChangeEntry, ...]:
-    """Return changes with those of curves among themselves in the order of what they bring on the new rows."""
-    if curves is None:
-        return changes
-    order = [entry.joint for entry in curves.joints]
-    brings = iter(sorted((c for c in changes if c.curve_rms is not None), key=lambda c: order.index(str(c.joint))))
-    return tuple(change if change.curve_rms is None else next(brings) for change in changes)
-
-
 def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Iterator[ChangeEntry]:
-    changes = verdict.lineup.changes
+    lineup, changes = verdict.lineup, verdict.lineup.changes
+    model, free = lineup.station.model, lineup.free(verdict.happened)
     for step in verdict.steps:
-        change = changes[step.score.change]
+        change, places = changes[step.score.change], lineup.places[step.score.change]
+        parameters, curve_rms, at = {}, None, np.searchsorted(free, places)
+        for place, moved_by, sigma in zip(places, posterior.changes[at], posterior.sigma[at], strict=True):
+            parameter = lineup.station.parameters[place]
+            before = parameter.nominal + float(lineup.start[place])
+            parameters[parameter.name] = ChangedParameter(before, before + float(moved_by), float(sigma), parameter.unit)
+        curve = next((e for e, span in zip(model.effects, model.spans, strict=True) if span.start == places[0]), None)
+        if change.belief is not None and isinstance(curve, Curve):
+            # By how much it is another one over the rows, its mean apart.
+            q = recorded_variable(model.chain, lineup.station.conditions, str(curve.locus.joint), span=curve.locus.span)
+            curve_rms = float(np.std(posterior.changes[at] @ curve.basis(q)))
         likes = (ChangeName(effect=c.name, joint=c.joint, source=c.source) for c in rival_names(changes, step))
         yield ChangeEntry(
             effect=change.name,
             joint=change.joint,
             source=change.source,
-            parameters=dict(_parameters(verdict, step.score.change, posterior)),
+            parameters=parameters,
             p_value=step.p_value,
             equivalent=tuple(likes),
             tell_apart=tell_apart(verdict, step),
-            curve_rms=_curve_rms(verdict, step.score.change, posterior),
+            curve_rms=curve_rms,
             session=session,
         )
     if verdict.is_unexplained:
@@ -293,37 +288,7 @@ def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Itera
         )
 
 
-def _curve_rms(verdict: ChangeVerdict, change: int, posterior: Refitted) -> float | None:
-    """Return by how much a curve of the model is another one over the rows, its mean apart; None for what is no curve."""
-    lineup = verdict.lineup
-    if lineup.changes[change].belief is None:
-        return None
-    model, places = lineup.station.model, lineup.places[change]
-    curve = next(e for e, span in zip(model.effects, model.spans, strict=True) if span.start == places[0])
-    if not isinstance(curve, Curve):
-        return None
-    at = np.searchsorted(lineup.free(verdict.happened), places)
-    q = recorded_variable(model.chain, lineup.station.conditions, str(curve.locus.joint), span=curve.locus.span)
-    return float(np.std(posterior.changes[at] @ curve.basis(q)))
-
-
-def _parameters(verdict: ChangeVerdict, change: int, posterior: Refitted) -> Iterator[tuple[str, ChangedParameter]]:
-    lineup = verdict.lineup
-    at = {int(place): k for k, place in enumerate(lineup.free(verdict.happened))}
-    for place in lineup.places[change]:
-        parameter, k = lineup.station.parameters[place], at[int(place)]
-        before = parameter.nominal + float(lineup.start[place])
-        moved_by = float(posterior.changes[k])
-        yield parameter.name, ChangedParameter(before, before + moved_by, float(posterior.sigma[k]), parameter.unit)
-
-
-def _moved(calibrated: Calibrated, after: CalibratedModel) -> MovedEntry:
-    """Return how far instrument and target are from where they stood: of several stations, from the nearest."""
-    ways = [moved(before, after) for before in calibrated.models.values()]
-    return MovedEntry(**min(ways, key=lambda way: np.inf if way.instrument is None else way.instrument).to_dict())
-
-
-def _notes(verdict: ChangeVerdict, measurements: Measurements) -> Iterator[Note | str]:
+def _notes(verdict: ChangeVerdict, placed: Placed, measurements: Measurements) -> Iterator[Note | str]:
     for i in verdict.beside:
         change = verdict.lineup.changes[i]
         where = "" if change.joint is None else f" of {change.joint}"
@@ -331,7 +296,7 @@ def _notes(verdict: ChangeVerdict, measurements: Measurements) -> Iterator[Note 
             f"{change.name}{where} is in these rows, but by its size it was present at the calibration and is not modelled, "
             "so it is not a change; discover identifies missing effects"
         )
-    if len(verdict.steps) >= _MANY:
+    if len(verdict.steps) >= CHANGES.many:
         yield Note(
             Severity.DOUBT,
             f"{len(verdict.steps)} changes at once are rare: make sure that the rows are of this robot, not of another one "
@@ -339,4 +304,10 @@ def _notes(verdict: ChangeVerdict, measurements: Measurements) -> Iterator[Note 
         )
     if verdict.wrong_rows:
         lines = ", ".join(str(measurements.rows[i]) for i in verdict.wrong_rows)
-        yield f"excluded because they contradict all other rows: lines {lines}"
+        unit, errors = next(iter(pose_error_sizes(placed.station, placed.values).items()))
+        others = np.delete(errors, verdict.wrong_rows)
+        yield Note(
+            Severity.DOUBT,
+            f"{len(verdict.wrong_rows)} of {len(measurements)} rows are excluded because they contradict all others, which "
+            f"are off by {others.mean():.4f} {unit} on average; wrong readings or joints: lines {lines}",
+        )

@@ -18,17 +18,14 @@ the calibration are gone, so that part is computed in poses spread over the rang
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.unmodelled import Unmodelled
 from pincal.discover.levers import MassError
 from pincal.identify.normal import belief_rows, block_rows
-from pincal.identify.quadratic import ROUNDING, SEEN, Quadratic, root_of_inverse
+from pincal.identify.quadratic import ROUNDING, Quadratic, root_of_inverse
 from pincal.identify.station import Station
 from pincal.model.effect import Effect
 from pincal.model.sizes import largest_basis
@@ -69,22 +66,18 @@ class Known:
         masses = MassError.of(calibrated.model, calibrated.model_values)
         taken_up = np.zeros((len(names), 0)) if masses is None else _taken_up(calibrated, names, masses)
         known = cls(names, estimate.values, root_of(estimate.dense_covariance()), masses, taken_up)
-        return known if calibrated.left is None else known._beside(calibrated.left)
-
-    def _beside(self, left: Unmodelled) -> Known:
-        """Return the same with what a model left, which its parameters have taken up as far as they could."""
-        index = {name: i for i, name in enumerate(self.names)}
-        taken = np.zeros((len(self.names), len(left.values)))
-        for name, row in zip(left.names, left.taken_up, strict=True):
-            taken[index[name]] = row
-        root = root_of(left.covariance)
+        if (left := calibrated.left) is None:
+            return known
+        # The parameters have taken up as much of it as they could.
+        taken, root = np.zeros((len(names), len(left.values))), root_of(left.covariance)
+        taken[[names.index(name) for name in left.names]] = left.taken_up
         E = len(root)
-        return replace(
-            self,
-            names=(*self.names, *left.parameter_names),
-            values=np.concatenate([self.values - taken @ left.values, left.values]),
-            root=np.block([[self.root, -taken @ root], [np.zeros((E, self.root.shape[1])), root]]),
-            taken_up=np.vstack([self.taken_up, np.zeros((E, self.taken_up.shape[1]))]),
+        return cls(
+            names=(*names, *left.parameter_names),
+            values=np.concatenate([known.values - taken @ left.values, left.values]),
+            root=np.block([[known.root, -taken @ root], [np.zeros((E, known.root.shape[1])), root]]),
+            masses=masses,
+            taken_up=np.vstack([taken_up, np.zeros((E, taken_up.shape[1]))]),
             left=left.effects,
         )
 
@@ -161,70 +154,11 @@ class RowEvidence:
         return np.asarray(root @ (root.T @ self.form.g[j]))
 
 
-class ReestimatedCurves(NamedTuple):
-    """Parameters that have changed together.
-
-    Attributes:
-        places: shape (K,), of the parameters.
-        belief: shape (K, K), information about how far they change.
-        change: shape (K,), by how much they stand elsewhere than they were.
-    """
-
-    places: np.ndarray
-    belief: np.ndarray
-    change: np.ndarray
-
-
-def weighted_rows(
-    station: Station,
-    values: np.ndarray,
-    known: Known,
-    free: np.ndarray,
-    *,
-    beside: np.ndarray,
-    sigma: np.ndarray,
-    redrawn: Sequence[ReestimatedCurves] = (),
-) -> RowEvidence:
-    """Return what the rows of a station say.
-
-    Args:
-        station: the rows under a model of the robot with masses and all effects that are asked for.
-        values: shape (P,), where it is linearised: the robot's parameters as they are known, but for those that are free.
-        known: what is known of the robot.
-        free: places of parameters that are anything: the station's own, and those of the robot that have changed.
-        beside: places of parameters that are known to about their size: of what follows instrument and weather.
-        sigma: shape (blocks,), noise of one component of each block of readings.
-        redrawn: changes of parameters of which something is believed; none of them is among those that are free.
-    """
-    A, r = rows_in_noise(station, values, sigma)
-    F, uncertain = A[free], [prior_root(station, known, beside) @ A]
-    for places, belief, change in redrawn:
-        uncertain.append(root_of_inverse(belief, np.diag(belief), ROUNDING).T @ A[places])
-        r = r + change @ A[places]
-    nuisance = np.vstack([*uncertain, F])
-    H = nuisance @ nuisance.T
-    H.flat[: (len(H) + 1) * (len(H) - len(F)) : len(H) + 1] += 1.0
-    # Rows of Q are what is projected out, so that V^-1 = 1 - Q^T Q.
-    Q = root_of_inverse(H, np.diag(H), ROUNDING).T @ nuisance
-    rank = root_of_inverse(F @ F.T, np.sum(F**2, axis=1), ROUNDING).shape[1]
-    across, along = A @ Q.T, Q @ r
-    left = r - Q.T @ along
-    form = Quadratic(
-        names=tuple(parameter.name for parameter in station.parameters),
-        H=A @ A.T - across @ across.T,
-        g=A @ r - across @ along,
-        square=float(r @ left),
-        degrees=len(r) - rank,
-        whole=np.sum(A**2, axis=1),
-    )
-    return RowEvidence(form, _rows_alone(left, Q, len(station)))
-
-
 def prior_root(station: Station, known: Known, beside: np.ndarray) -> np.ndarray:
     """Return how uncertain the parameters of a station are before its rows, shape (n, P): the root of their covariance.
 
     Args:
-        station: as in :func:`weighted_rows`.
+        station: the rows under a model of the robot with masses and all effects that are asked for.
         known: what is known of the robot.
         beside: places of parameters that are known to about their size.
     """
@@ -261,15 +195,3 @@ def rows_in_noise(
     J, r = belief_rows(station, values, free)
     A = np.hstack([*columns, J])
     return A if places is None else A[np.searchsorted(np.flatnonzero(free), places)], np.concatenate([*readings, r])
-
-
-def _rows_alone(left: np.ndarray, Q: np.ndarray, n: int) -> np.ndarray:
-    """Return what each row takes off the square if its reading is wrong, and the rank of that, shape (N, 2)."""
-    m = len(left) // n
-    out = np.zeros((n, 2))
-    for i in range(n):
-        here = slice(m * i, m * i + m)
-        root = root_of_inverse(np.eye(m) - Q[:, here].T @ Q[:, here], np.ones(m), SEEN)
-        along = left[here] @ root
-        out[i] = along @ along, len(along)
-    return out

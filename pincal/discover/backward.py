@@ -13,7 +13,15 @@ from functools import cache, partial, reduce
 
 import numpy as np
 
-from pincal.discover.candidate_tests import Search, addable, explanation, spare_compliances, table_of, unnamed_given
+from pincal.discover.candidate_tests import (
+    Search,
+    addable,
+    explanation,
+    spare_compliances,
+    table_of,
+    unnamed_given,
+    variants,
+)
 from pincal.discover.decisions import (
     CandidateTable,
     Decision,
@@ -24,14 +32,12 @@ from pincal.discover.decisions import (
     each_heading_once,
     enough_errors,
     is_own_curve,
-    rivals_of,
     standard_errors,
 )
-from pincal.discover.drive_curves import curves_over
 from pincal.discover.elastic import with_features
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_from, situation_of
-from pincal.discover.policy import CURVES, TESTING, WAVES, Policy
+from pincal.discover.policy import CURVES, TESTING, WAVES
 from pincal.discover.products import Information
 from pincal.discover.score_tests import BesideNuisances, score_test_given_nuisances
 from pincal.discover.steps import SearchState, SearchStep, decided, worded
@@ -63,7 +69,8 @@ def name_again(state: SearchState, search: Search) -> SearchState:
             state = state.with_replaced(step, replace(step, equivalent=told, together=decision.together))
             continue
         new = decided(rest, decision, search)
-        if _predicts_better(effect, new.effect, rest, search):
+        tests = score_test_given_nuisances(rest, [effect, new.effect], search.groups)
+        if standard_errors(tests.gains_by_block([0]) - tests.gains_by_block([1])) > TESTING.predicts:
             continue
         if _is_close(effect, new.effect):
             state, beside = state.tuned(step, new), None
@@ -81,12 +88,6 @@ def _is_close(effect: Effect, other: Effect) -> bool:
     return abs((effect.locus.order or 0.0) - (other.locus.order or 0.0)) < WAVES.close
 
 
-def _predicts_better(effect: Effect, other: Effect, fit: ModelFit, search: Search) -> bool:
-    """Return whether an effect predicts blocks of poses left out better than another, by more than chance."""
-    tests = score_test_given_nuisances(fit, [effect, other], search.groups)
-    return standard_errors(tests.gains_by_block([0]) - tests.gains_by_block([1])) > TESTING.predicts
-
-
 def drop_needless(state: SearchState, search: Search) -> SearchState:
     """Take out again, one by one, what does not predict blocks of poses left out better beside all the others.
 
@@ -95,19 +96,26 @@ def drop_needless(state: SearchState, search: Search) -> SearchState:
     several that fail it goes last, the others the least missed first. What is needed only once another has left could as
     well be that other.
     """
+    gone, failed = tuple[Effect, ...](), list[SearchStep]()
     while state.steps:
-        worth, without_it = _worths(state, search), cache(partial(_refitted_without, state.fit))
+        worth = _worths(state, search)
+        for step in [step for step in failed if worth[step] > TESTING.predicts]:
+            by = replace(step, equivalent=each_heading_once([*gone[:1], *step.equivalent], step.effect, search.policy))
+            state, worth[by] = state.with_replaced(step, by), worth[step]
+        without_it = cache(partial(_refitted_without, state.fit))
         failed = [step for step in state.steps if _fails(state, step, worth[step], search, without_it)]
         if not failed:
             break
         least = min(failed, key=lambda step: (step.is_elastic, worth[step]))
         log.info("dropped %s: the others predict held-out blocks as well without it", worded(least.effects))
         state = state.changed(without_it(least), state.without_step(least).steps, (), least.effects)
-        state = _with_rivals(state, least, [step for step in failed if step is not least], search)
-    for step in state.steps:
-        told = tuple(missing_from(state.fit, step.equivalent))
-        state = state.with_replaced(step, replace(step, equivalent=told))
-    return state
+        gone, failed = least.effects, [step for step in failed if step is not least]
+    steps = (replace(step, equivalent=tuple(missing_from(state.fit, step.equivalent))) for step in state.steps)
+    return replace(state, steps=tuple(steps))
+
+
+def _refitted_without(fit: ModelFit, step: SearchStep) -> ModelFit:
+    return refit(fit, reduce(without, with_features(fit, step.effects), fit).options.effects)
 
 
 def _fails(
@@ -121,17 +129,22 @@ def _fails(
     fit, policy, own = state.fit, search.policy, with_features(state.fit, step.effects)
     least = 0.0 if step.is_elastic else max(map(enough_errors, step.effects))
     is_one_of_many, is_rest = len(state.steps) > 1, _may_be_left_over(state, step)
-    if worth > least and not (is_rest or (is_one_of_many and _is_doubtful(fit, step, policy))):
-        return False
+    if worth > least and not is_rest:
+        # Wald's test of a step that predicts: far from zero it is not asked further.
+        found = fit.estimate.take(fit.names_of(step.effects))
+        values = found.values[found.free]
+        wald = values @ np.linalg.pinv(found.covariance.dense(), hermitian=True) @ values
+        if not is_one_of_many or wald > policy.sure * len(values):
+            return False
     rest = without_it(step)
     question: Question = "elastic" if step.is_elastic else "stay"
-    wider = 1.0 if step.is_elastic else TESTING.wider
-    tests = score_test_given_nuisances(rest, own, search.groups, wider=wider)
+    tests = score_test_given_nuisances(rest, own, search.groups, wider=1.0 if step.is_elastic else TESTING.wider)
     every = range(len(own))
     said = Unfitted(standard_errors(tests.gains_by_block(every)))
     score = replace(tests.score(every, 1), p_value=tests.p_value_of_any(every) if is_one_of_many else 0.0)
     looks = len({effect.identity for effect in addable(fit, search)}) if is_rest else 1
-    return not accepted(Row(step.effect, score, score.ebic, question, looks, left_out=lambda: said, enough=least), policy)
+    row = Row(step.effect, score, score.ebic, every, question, looks, left_out=lambda: said, enough=least)
+    return not accepted(row, policy)
 
 
 def _may_be_left_over(state: SearchState, step: SearchStep) -> bool:
@@ -140,14 +153,6 @@ def _may_be_left_over(state: SearchState, step: SearchStep) -> bool:
         return False
     others = (other for other in state.steps if other.score.gain > step.score.gain and not other.is_elastic)
     return any(effect.is_nameless for other in others for effect in (*other.effects, *other.equivalent))
-
-
-def _is_doubtful(fit: ModelFit, step: SearchStep, policy: Policy) -> bool:
-    """Return whether Wald's test leaves any doubt in a step."""
-    found = fit.estimate.take(fit.names_of(step.effects))
-    values = found.values[found.free]
-    wald = values @ np.linalg.pinv(found.covariance.dense(), hermitian=True) @ values
-    return bool(wald <= policy.sure * len(values))
 
 
 def _worths(state: SearchState, search: Search) -> dict[SearchStep, float]:
@@ -164,20 +169,6 @@ def _worths(state: SearchState, search: Search) -> dict[SearchStep, float]:
         losses = tests.losses_by_block(set(state.fit.names_of(own)) - set(still), still)
         found[step] = standard_errors(losses)
     return found
-
-
-def _with_rivals(state: SearchState, gone: SearchStep, failed: list[SearchStep], search: Search) -> SearchState:
-    """Return the state in which those are told to be perhaps what has left that are needed since it left."""
-    worth = _worths(state, search) if failed else {}
-    for step in failed:
-        if worth[step] > TESTING.predicts:
-            rivals = each_heading_once([*gone.effects[:1], *step.equivalent], step.effect, search.policy)
-            state = state.with_replaced(step, replace(step, equivalent=rivals))
-    return state
-
-
-def _refitted_without(fit: ModelFit, step: SearchStep) -> ModelFit:
-    return refit(fit, reduce(without, with_features(fit, step.effects), fit).options.effects)
 
 
 def named_given(fit: ModelFit, effects: Sequence[Effect], search: Search) -> Iterator[tuple[ModelFit, Decision | None]]:
@@ -231,68 +222,64 @@ class _Shared:
 
     def without(self, gone: Effect, effects: Sequence[Effect], groups: np.ndarray | None = None) -> ScoreTests:
         """Return the tests of candidates against the fit without one of its effects."""
-        found = self._tested(effects, groups)
-        if found is None:
+        keys, has_blocks = [key_of(effect) for effect in effects], groups is not None
+        if not any(blocks == has_blocks and number.keys() >= set(keys) for blocks, number, _ in self.passes):
             self.test(effects, groups)
-            found = self._tested(effects, groups)
-            assert found is not None
-        which, tests = found
+        tested = (of for of in self.passes if of[0] == has_blocks and of[1].keys() >= set(keys))
+        _, number, tests = next(tested)
         key = id(tests.model), id(gone)
-        rest = tests.among(which, self.beside.fit.names_of([gone]), self.known.get(key))
+        rest = tests.among([number[k] for k in keys], self.beside.fit.names_of([gone]), self.known.get(key))
         self.known[key] = rest.model
         return rest
 
-    def _tested(self, effects: Sequence[Effect], groups: np.ndarray | None) -> tuple[list[int], ScoreTests] | None:
-        """Return a pass in which all of some candidates were tested, and their numbers there."""
-        for has_blocks, number, tests in self.passes:
-            which = [number.get(key_of(effect), -1) for effect in effects]
-            if has_blocks == (groups is not None) and min(which, default=0) >= 0:
-                return which, tests
-        return None
 
+def judge_remainders(state: SearchState, search: Search) -> SearchState:
+    """Ask of each name that follows a joint's position what it leaves of this position where it acts.
 
-def add_remainders(state: SearchState, search: Search) -> SearchState:
-    """Add, beside each name that follows a joint's position, the wave or curve of this position that it leaves there.
-
-    What a name leaves of its own variable in its own place is one of a few smooth functions, so that far less of it is more
-    than chance than in a search among all dependences. It has to predict blocks left out, too. Where there is but a hint of
-    it, it is told as what the name may be part of.
+    That is one of a few smooth functions, so that far less of it is more than chance than in a search among all dependences.
+    It has to predict blocks left out, too. The whole curve of a joint's drive takes the place of a simple one that leaves
+    some of it; what acts beside a name is added. Where there is but a hint of either, or where two simple curves of one
+    joint may be one irregular one, it is told as what the name may be part of.
     """
-    for step in state.steps:
-        smooth = _smooth_beside(step.effect, state.fit, search) if len(step.effects) == 1 else ()
-        rest = _most_left(smooth, state.fit, search)
-        if rest is None:
-            continue
-        if accepted(rest.row, search.policy):
-            log.info("%s leaves %s", worded(step.effects), worded([rest.effect]))
-            state = state.with_step(decided(state.fit, rest, search))
-        elif rest.row.score.p_value * len(smooth) < search.policy.hint:
-            others = each_heading_once([*step.equivalent, rest.effect, *rest.equivalent], step.effect, search.policy)
-            state = state.with_replaced(step, replace(step, equivalent=others))
+    simple = [step.effect.locus.joint for step in state.steps if is_own_curve(step.effect)]
+    for step in [step for step in state.steps if len(step.effects) == 1]:
+        curves, hinted = _whole_curves(step.effect, state.fit), list[Effect]()
+        coarse, finer = curves[: CURVES.forms], curves[CURVES.forms :]
+        for smooth in (coarse, finer, _smooth_beside(step.effect, state.fit, search)):
+            rest = _most_left(smooth, state.fit, search)
+            if rest is None:
+                continue
+            if smooth is finer or not accepted(rest.row, search.policy):
+                is_hint = rest.row.score.p_value * len(smooth) < search.policy.hint
+                hinted += [rest.effect, *rest.equivalent] if is_hint else []
+            elif smooth is coarse:
+                state = _with_whole(state, step, rest, search)
+                break
+            else:
+                log.info("%s leaves %s", worded(step.effects), worded([rest.effect]))
+                state = state.with_step(decided(state.fit, rest, search))
+        else:
+            several = curves[:1] if simple.count(step.effect.locus.joint) > 1 else []
+            told = each_heading_once([*several, *step.equivalent, *hinted], step.effect, search.policy)
+            state = state.with_replaced(step, replace(step, equivalent=told))
     return state
 
 
-def take_whole_curves(state: SearchState, search: Search) -> SearchState:
-    """Take the whole curve of a joint's drive in the place of a simple one that leaves some of it.
+def _with_whole(state: SearchState, step: SearchStep, whole: Decision, search: Search) -> SearchState:
+    """Return the state with the whole curve of a drive in the place of a simple one."""
+    rest = without(state.fit, step.effect)
+    score = score_test_given_nuisances(rest, [whole.effect]).score([0], int(whole.row.among))
+    new = decided(rest, replace(whole, row=replace(whole.row, score=score)), search)
+    log.info("%s is part of %s", worded(step.effects), worded(new.effects))
+    others = each_heading_once([step.effect, *step.equivalent], new.effect, search.policy)
+    by = replace(new, equivalent=others, before=step.before, after=step.after)
+    return state.changed(new.after, state.with_replaced(step, by).steps, new.effects, step.effects)
 
-    Where both explain the data the simple one was chosen, and the curve stands beside it as equivalent.
-    """
-    for step in state.steps:
-        curve = next((effect for effect in step.equivalent if isinstance(effect, Curve)), None)
-        if curve is None or len(step.effects) > 1 or not is_own_curve(step.effect):
-            continue
-        sizes = [round(curve.resolution * finer) for finer in CURVES.finer]
-        decision = _most_left(curves_over(state.fit, curve, sizes), state.fit, search)
-        if decision is None or not accepted(decision.row, search.policy):
-            continue
-        rest = without(state.fit, step.effect)
-        score = score_test_given_nuisances(rest, [decision.effect]).score([0], len(sizes))
-        new = decided(rest, replace(decision, row=replace(decision.row, score=score)), search)
-        log.info("%s is part of %s", worded(step.effects), worded(new.effects))
-        others = each_heading_once([step.effect, *step.equivalent], new.effect, search.policy)
-        whole = replace(new, equivalent=others, before=step.before, after=step.after)
-        state = state.changed(new.after, state.with_replaced(step, whole).steps, new.effects, step.effects)
-    return state
+
+def _whole_curves(effect: Effect, fit: ModelFit) -> list[Effect]:
+    """Return the curves of a joint's drive, the coarsest first, of which a simple one may be a part."""
+    own = variants(fit, ("drive",)) if is_own_curve(effect) else ()
+    return missing_from(fit, (e for e in own if isinstance(e, Curve) and e.locus.joint == effect.locus.joint))
 
 
 def _most_left(smooth: Sequence[Effect], fit: ModelFit, search: Search) -> Decision | None:
@@ -306,15 +293,11 @@ def _most_left(smooth: Sequence[Effect], fit: ModelFit, search: Search) -> Decis
     tests, count = score_test_given_nuisances(fit, smooth), len(smooth)
     scores = [tests.score([i], count) for i in range(count)]
     rows = [
-        Row(effect, score, score.ebic, "rest", count, left_out=partial(left_out, effect), enough=0.0)
-        for effect, score in zip(smooth, scores, strict=True)
+        Row(effect, score, score.ebic, (i,), "rest", count, left_out=partial(left_out, effect), enough=0.0)
+        for i, (effect, score) in enumerate(zip(smooth, scores, strict=True))
     ]
     best = int(np.argmin([score.p_value for score in scores]))
-
-    def left_given(i: int, given: int) -> float:
-        return tests.score_given([i], [given]).p_value
-
-    others = rivals_of(rows, best, left_given, search.policy)
+    others = CandidateTable(rows, tests).rivals(best, search.policy)
     return Decision(rows[best], each_heading_once(others, smooth[best], search.policy))
 
 

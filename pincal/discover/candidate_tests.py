@@ -32,13 +32,9 @@ from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.catalogue.candidates import testable
 from pincal.model.catalogue.unnamed import nameless_candidates
 from pincal.model.chain import MomentFrame
-from pincal.model.conditions import Conditions, PoseSet
+from pincal.model.conditions import PoseSet, part_of
 from pincal.model.effect import Candidate, Effect, ExponentialDrift, Family, Harmonic
 from pincal.model.effects import Compliance
-from pincal.model.latest import Latest
-
-# Some of the rows of tables: their conditions by the table's.
-_SAMPLES = Latest[Conditions](16)
 
 
 @dataclass(frozen=True)
@@ -88,7 +84,7 @@ def _about_itself(effect: ExponentialDrift, test: Tester) -> ExponentialDrift:
 
     About another constant it leaves what a curve of the time describes, which would pass for better where many rows tell.
     """
-    for _ in range(TESTING.expansions_tested):
+    for _ in range(TESTING.expansions):
         about = effect.about(test([effect]).estimate([0]))
         if about == effect:
             break
@@ -113,22 +109,17 @@ def explanation(
     return _with_neighbours(decision, fit, search, test)
 
 
-def hidden_wave(fit: ModelFit, search: Search) -> tuple[Decision, np.ndarray] | None:
-    """Return the wave that chance does not explain among all names, judged as in any other step, and its estimate.
+def hidden_wave(fit: ModelFit, search: Search) -> Decision | None:
+    """Return the wave that chance does not explain among all names, judged as in any other step.
 
     Coarser curves leave more than noise, which hides waves that blocks left out tell only by little.
     """
-    test, every = BesideNuisances(fit), addable(fit, search)
-    waves: list[Effect] = [effect for effect in every if isinstance(effect, Harmonic)]
+    every = addable(fit, search)
+    waves, among = [effect for effect in every if isinstance(effect, Harmonic)], len({effect.identity for effect in every})
     if not waves:
         return None
-    tests, names = test(waves), len({effect.identity for effect in every})
-    least, scores = _least(fit, tests, search.policy), [tests.score([i], names) for i in range(len(waves))]
-    pairs = zip(waves, scores, strict=True)
-    sure = [wave for wave, s in pairs if is_more_than_chance(Row(wave, s, s.ebic, among=names, least=least), search.policy)]
-    table = table_of(fit, search, test, sure) if sure else None
-    found = None if table is None else decide(table, lambda _: table, search.policy)
-    return None if found is None else (found, tests.estimate([waves.index(found.effect)]))
+    table = table_of(fit, search, BesideNuisances(fit), waves, among=among)
+    return decide(table, lambda _: table, search.policy)
 
 
 def _with_neighbours(decision: Decision, fit: ModelFit, search: Search, test: Tester) -> Decision:
@@ -156,6 +147,7 @@ def table_of(
     costs: Mapping[int, float] | None = None,
     *,
     predicting: Effect | None = None,
+    among: int | None = None,
 ) -> CandidateTable:
     """Return the table of candidates, named and nameless ones; each kind shares the chance of a false name.
 
@@ -166,6 +158,7 @@ def table_of(
         effects: the candidates.
         costs: of candidates, by their identity, that are known already.
         predicting: what is taken to predict rows left out, without being asked.
+        among: of how many they were chosen; default: as many as there are of a kind.
     """
     policy, costs = search.policy, costs or {}
 
@@ -174,20 +167,23 @@ def table_of(
         tests = test([effect], search.groups)
         return Unfitted(standard_errors(tests.gains_by_block([0])), partial(p_value_of_uneven_noise, fit, tests))
 
-    is_small = is_small_table(fit, policy)
-    spare = spare_compliances(fit, effects, policy)
-    tests = test([*effects, *spare])
-    least, known = _least(fit, tests, policy), {predicting.identity} if predicting else set()
+    is_small, spare = is_small_table(fit, policy), spare_compliances(fit, effects, policy)
+    tests, known = test([*effects, *spare]), {predicting.identity} if predicting else set()
+    least = policy.least_gain(tests.squares, declared=fit.is_declared)
     count = {kind: len({e.identity for e in effects if e.is_nameless == kind}) for kind in (False, True)}
     rows = []
     for i, effect in enumerate(effects):
-        n = count[effect.is_nameless]
+        n = among or count[effect.is_nameless]
         given = range(len(effects), len(effects) + len(spare)) if effect.is_of_loads else range(0)
         score = tests.score_given([i], given, n) if given else tests.score([i], n)
+        # By how much an effect without a name has to be better than one of the catalogue.
+        across = 0.0 if effect.locus.acts_on == "drive" else policy.across
+        surcharge = policy.without_name + across if effect.is_nameless else 0.0
         row = Row(
             effect,
             score,
-            costs.get(id(effect), score.ebic + _surcharge(effect, policy)),
+            costs.get(id(effect), score.ebic + surcharge),
+            (i,),
             among=n,
             least=least,
             left_out=None if effect.identity in known else partial(left_out, effect),
@@ -198,16 +194,7 @@ def table_of(
             evidence = tests.log_evidence([i, *given]) - tests.log_evidence(given) if given else tests.log_evidence([i])
             row = replace(row, evidence=evidence)
         rows.append(row)
-    return CandidateTable(
-        rows,
-        left_given=lambda i, given: tests.score_given([i], [given]).p_value,
-        cost_together=lambda i, other: tests.score([i, other], len(effects)).ebic,
-        left_beside=lambda which, given: tests.score_given(which, given).p_value,
-    )
-
-
-def _least(fit: ModelFit, tests: ScoreTests, policy: Policy) -> float:
-    return policy.least_gain(tests.squares, declared=fit.is_declared)
+    return CandidateTable(rows, tests)
 
 
 def spare_compliances(fit: ModelFit, effects: Sequence[Effect], policy: Policy) -> list[Effect]:
@@ -225,13 +212,6 @@ def spare_compliances(fit: ModelFit, effects: Sequence[Effect], policy: Policy) 
 def is_small_table(fit: ModelFit, policy: Policy) -> bool:
     """Return whether a table has so few rows for the parameters that they determine that priors decide."""
     return len(fit.problem) < policy.rows_each * fit.solution.effective
-
-
-def _surcharge(effect: Effect, policy: Policy) -> float:
-    """Return by how much an effect has to be better than a name of the catalogue."""
-    if not effect.is_nameless:
-        return 0.0
-    return policy.without_name if effect.locus.acts_on == "drive" else policy.without_name + policy.across
 
 
 def addable(fit: ModelFit, search: Search) -> list[Effect]:
@@ -267,7 +247,7 @@ def _of_stations(fit: ModelFit) -> Iterator[Effect]:
     yield from everywhere
     for k, station in enumerate(stations):
         yield from (own for own in own_effects(tested[k], station.name) if own.effect not in everywhere)
-        yield from changed_effects(fit.problem.effects, situations[k], station.name) if k else ()
+        yield from changed_effects(fit.problem.effects, situations[k], tested[k], station.name) if k else ()
 
 
 def has_compliance(effects: Sequence[Effect]) -> bool:
@@ -295,10 +275,9 @@ def unnamed_given(fit: ModelFit, names: Sequence[Effect], search: Search) -> lis
     if search.nameless is not None and not search.nameless:
         return []
     chain, conditions = fit.problem.chain, fit.problem.conditions
-    joints = chain.robot.joint_names
+    joints = chain.robot.measured_joints
     likeliest = names[0].locus.joint if names else None
-    at = joints.index(likeliest) if likeliest in joints else None
-    near = joints if at is None else joints[max(at - 1, 0) : at + 2]
+    near = tuple(j for j in joints if chain.robot.are_neighbours(j, likeliest)) if likeliest in joints else joints
     likes = {_place(effect) for effect in names if effect.locus.joint in joints and effect.locus.joint not in near}
     beyond = nameless_candidates(chain, conditions, [joint for joint in joints if joint in {of for of, *_ in likes}])
     further = (effect for effect in beyond if _place(effect) in likes)
@@ -318,34 +297,22 @@ def sampled(fit: ModelFit, policy: Policy) -> tuple[ModelFit, np.ndarray]:
     n, most = len(fit.problem), policy.enough_readings // max(sizes)
     if n <= most:
         return fit, np.arange(n)
-    rows = np.linspace(0, n - 1, most).astype(int)
-    few = fit_of_rows(fit, rows)
-    triples = zip(fit.problem.stations, few.problem.stations, fit.problem.rows, strict=True)
-    # The same objects whenever they are asked for again: what was evaluated at these poses is then known.
-    stations = tuple(
-        replace(part, conditions=_SAMPLES.of(whole.conditions).setdefault((n, most, span.start), part.conditions))
-        for whole, part, span in triples
-    )
-    return replace(few, problem=replace(few.problem, stations=stations)), rows
-
-
-def fit_of_rows(fit: ModelFit, rows: np.ndarray) -> ModelFit:
-    """Return a fit as it is, of some of its rows."""
+    rows, few = np.linspace(0, n - 1, most).astype(int), list[Station]()
+    for whole, span in zip(fit.problem.stations, fit.problem.rows, strict=True):
+        own = rows[(rows >= span.start) & (rows < span.stop)] - span.start
+        # The same objects whenever they are asked for again: what was evaluated at these poses is then known.
+        few.append(replace(whole.select(own), conditions=part_of(whole.conditions, own, (n, most, span.start))))
     solution = replace(fit.solution, weights=fit.solution.weights[rows])
-    return replace(fit, problem=fit.problem.select(rows), solution=solution)
+    return replace(fit, problem=replace(fit.problem, stations=tuple(few)), solution=solution), rows
 
 
 def over_rows_of(fit: ModelFit, whole: ModelFit) -> ModelFit:
     """Return a fit of some rows as it is, over all the rows of another one, with their weights."""
+    stations = []
+    for of, part in zip(whole.problem.stations, fit.problem.stations, strict=True):
+        # What is known of noise along the rows is that of the part.
+        serial, known = of.serial, part.serial
+        serial = None if serial is None or known is None else replace(serial, phi=known.phi, share=known.share)
+        stations.append(replace(of, model=part.model, serial=serial))
     solution = replace(fit.solution, weights=whole.solution.weights)
-    pairs = zip(whole.problem.stations, fit.problem.stations, strict=True)
-    rows = replace(whole.problem, stations=tuple(_with_noise(of, part) for of, part in pairs))
-    return replace(fit, problem=rows, solution=solution)
-
-
-def _with_noise(station: Station, part: Station) -> Station:
-    """Return a station under the model of a part of its rows, with what is known there of noise along them."""
-    serial = station.serial
-    if serial is not None:
-        serial = None if part.serial is None else replace(serial, phi=part.serial.phi, share=part.serial.share)
-    return replace(station, model=part.model, serial=serial)
+    return replace(fit, problem=replace(whole.problem, stations=tuple(stations)), solution=solution)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -41,6 +41,7 @@ class Row:
         score: its test.
         cost: what it costs to believe it: the extended Bayesian information criterion, and a surcharge without a name;
             negative is better than nothing.
+        which: the effects that it is made of, by their places among those that were tested.
         question: what is asked of it.
         among: of how many candidates it was chosen, which share the chance of a false name.
         least: what it has to take off the squares to matter to anybody.
@@ -52,6 +53,7 @@ class Row:
     effect: Effect
     score: ScoreResult
     cost: float
+    which: Sequence[int] = ()
     question: Question = "enter"
     among: float = 1.0
     least: float = 0.0
@@ -92,21 +94,24 @@ def accepted(row: Row, policy: Policy) -> bool:
     return said.errors > row.enough and (said.p_value is None or said.p_value() < limit)
 
 
+class Tests(Protocol):
+    """Tests of several candidates against one fit; see :class:`ScoreTests`."""
+
+    def score_given(self, which: Sequence[int], given: Sequence[int], /) -> ScoreResult:
+        """Return the test of what some candidates still explain once others are in the model."""
+
+
 @dataclass(frozen=True)
 class CandidateTable:
-    """Candidates against one fit, and what can be asked of the data beyond their rows, by the places of these.
-
-    Attributes:
-        rows: the candidates.
-        left_given: the p-value of what one candidate still explains once another is in the model.
-        cost_together: the information criterion of two candidates taken as one.
-        left_beside: as ``left_given``, of some candidates taken as one, once some others are in the model.
-    """
+    """Candidates against one fit, and their tests."""
 
     rows: Sequence[Row]
-    left_given: Callable[[int, int], float]
-    cost_together: Callable[[int, int], float]
-    left_beside: Callable[[Sequence[int], Sequence[int]], float]
+    tests: Tests
+
+    def left(self, rows: Sequence[int], given: Sequence[int]) -> float:
+        """Return the p-value of what some candidates taken as one still explain once others are in the model."""
+        which, beside = ([k for i in of for k in self.rows[i].which] for of in (rows, given))
+        return self.tests.score_given(which, beside).p_value
 
     def cheapest(self) -> list[int]:
         """Return all candidates, the cheapest first."""
@@ -118,14 +123,14 @@ class CandidateTable:
 
     def rivals(self, best: int, policy: Policy) -> list[Effect]:
         """Return the candidates that explain the data as well: little is left for the best once one of them is in."""
-        return rivals_of(self.rows, best, self.left_given, policy)
-
-    def competing_curves(self, effect: Effect) -> list[int]:
-        """Return the drive curves of the joint on which a simple curve of its position acts; none of another effect."""
-        if not is_own_curve(effect):
-            return []
-        joint = effect.locus.joint
-        return [i for i, row in enumerate(self.rows) if isinstance(row.effect, Curve) and row.effect.locus.joint == joint]
+        found = []
+        for i in self.cheapest():
+            row, worse = self.rows[i], self.rows[i].cost - self.rows[best].cost
+            if i == best or not row.score.rank or worse >= policy.near_tie:
+                continue
+            if self.left([best], [i]) > (policy.told_apart if worse < policy.tie else policy.adds_nothing):
+                found.append(row.effect)
+        return found
 
     def parts(self, whole: int, policy: Policy) -> list[int]:
         """Return the plainer simple curves of the joint's position that together do what a simple curve does; else none.
@@ -140,39 +145,37 @@ class CandidateTable:
             for i, row in enumerate(self.rows)
             if is_own_curve(row.effect) and row.effect.locus.joint == effect.locus.joint and 0 < row.score.rank < rank
         ]
-        return found if len(found) > 1 and self.left_beside([whole], found) > policy.told_apart else []
-
-
-def rivals_of(rows: Sequence[Row], best: int, left_given: Callable[[int, int], float], policy: Policy) -> list[Effect]:
-    """Return the candidates that explain the data as well as the best, the cheapest first; see :class:`CandidateTable`."""
-    found = []
-    for i in sorted(range(len(rows)), key=lambda i: rows[i].cost):
-        worse = rows[i].cost - rows[best].cost
-        if i == best or not rows[i].score.rank or worse >= policy.near_tie:
-            continue
-        if left_given(best, i) > (policy.told_apart if worse < policy.tie else policy.adds_nothing):
-            found.append(rows[i].effect)
-    return found
+        return found if len(found) > 1 and self.left([whole], found) > policy.told_apart else []
 
 
 @dataclass(frozen=True)
 class Decision:
-    """The candidate that explains most for what it costs, and effects that the data can't distinguish from it.
+    """What explains most for what it costs, and effects that the data can't distinguish from it.
 
     Attributes:
-        row: the candidate.
+        row: the candidate; of several effects as one, the first of them.
         equivalent: the effects, one of which it could also be.
         together: effects that together explain the data as well, and are among them.
+        effects: what enters; default: the candidate.
     """
 
     row: Row
-    equivalent: tuple[Effect, ...]
+    equivalent: tuple[Effect, ...] = ()
     together: tuple[Effect, ...] = ()
+    effects: tuple[Effect, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "effects", self.effects or (self.row.effect,))
 
     @property
     def effect(self) -> Effect:
-        """The effect."""
+        """The candidate."""
         return self.row.effect
+
+    @property
+    def is_single(self) -> bool:
+        """Whether it is one effect of one joint: of compliances, whether one drive or bearing is all that is compliant."""
+        return len(self.effects) == 1 and self.effect.locus.joint is not None
 
 
 def decide(names: CandidateTable, contest_of: Callable[[Sequence[Row]], CandidateTable], policy: Policy) -> Decision | None:
@@ -190,25 +193,22 @@ def decide(names: CandidateTable, contest_of: Callable[[Sequence[Row]], Candidat
     contest = contest_of([names.rows[i] for i in close])
     nameless = _better_without_name(contest, None if best is None else names.rows[best].effect, policy)
     if nameless is not None:
-        whole = [names.rows[i].effect for i in names.competing_curves(contest.rows[nameless].effect)[:1]]
-        more = [] if best is None else _larger_curves(names, best, policy)
-        return _decision(contest, nameless, [*whole, *more], policy)
+        effect = contest.rows[nameless].effect
+        curves = (row.effect for row in names.rows if isinstance(row.effect, Curve) and is_own_curve(effect))
+        whole = [curve for curve in curves if curve.locus.joint == effect.locus.joint][:1]
+        return _decision(contest, nameless, whole, policy)
     if best is None:
         return None
-    curve = _promoted(names, best, policy)
-    if curve is not None:
-        return _decision(names, curve, [], policy)
     same = next(i for i, row in enumerate(contest.rows) if row.effect is names.rows[best].effect)
     others = [effect for effect in contest.rivals(same, policy) if effect.is_nameless]
     together = tuple(names.rows[i].effect for i in names.parts(best, policy))
-    decision = _decision(names, best, [*together, *others, *_larger_curves(names, best, policy)], policy)
-    return replace(decision, together=together)
+    return replace(_decision(names, best, [*together, *others], policy), together=together)
 
 
 def _without_equivalents(names: CandidateTable, best: int, policy: Policy) -> int:
     """Return the likeliest of plainer effects that together explain more than the best does; the best if they don't."""
     parts = names.parts(best, policy)
-    if not parts or names.left_beside(parts, [best]) > policy.adds_nothing:
+    if not parts or names.left(parts, [best]) > policy.adds_nothing:
         return best
     return next((i for i in names.cheapest() if i in parts and accepted(names.rows[i], policy)), best)
 
@@ -250,37 +250,6 @@ def is_own_curve(effect: Effect) -> bool:
     at = effect.locus
     is_about_axis = at.acts_on in ("drive", "gamma_z")
     return is_about_axis and at.joint is not None and at.follows == at.joint and not isinstance(effect, Curve | Harmonic)
-
-
-def _beyond(names: CandidateTable, best: int, policy: Policy) -> tuple[float, int]:
-    """Return the chance that some simple curve of the joint's position is all of the curve, and the drive curve."""
-    rows, effect = names.rows, names.rows[best].effect
-    curves = names.competing_curves(effect)
-    simple = [
-        i
-        for i, row in enumerate(rows)
-        if is_own_curve(row.effect)
-        and row.effect.locus.joint == effect.locus.joint
-        and (i == best or row.cost < rows[best].cost + policy.near_tie)
-    ]
-    chances = [(max(names.left_given(i, j) for j in simple) * len(curves), i) for i in curves]
-    return min(chances, default=(1.0, -1))
-
-
-def _promoted(names: CandidateTable, best: int, policy: Policy) -> int | None:
-    """Return the drive curve of which the simple names are only a part, unless a second name explains the rest as well."""
-    chance, curve = _beyond(names, best, policy)
-    if chance > policy.adds_nothing:
-        return None
-    others = [i for i, row in enumerate(names.rows) if i != best and not isinstance(row.effect, Curve)]
-    pairs = [names.cost_together(best, i) for i in others]
-    return curve if names.rows[curve].cost < min(pairs, default=np.inf) else None
-
-
-def _larger_curves(names: CandidateTable, best: int, policy: Policy) -> list[Effect]:
-    """Return the drive curve that leaves something to a simple curve of the joint's position, if there is a hint of one."""
-    chance, curve = _beyond(names, best, policy)
-    return [names.rows[curve].effect] if chance < policy.hint else []
 
 
 def standard_errors(gains: np.ndarray) -> float:

@@ -1,10 +1,9 @@
 r"""How fine and how rough drive curves are: what rows and distinct positions carry.
 
-How fine is judged by blocks of poses left out (:func:`resolved`); how rough by the likelihood of the data whatever the
-heights (empirical Bayes, :func:`smoothed`). With G, g the normal equations of everything, the curves as fine as the poses
-carry them, L the information of all priors and :math:`R_j / w_j^2` that of the roughness of curve j, the heights x and
-their covariance C are those of :math:`C = (G + L + \sum_j R_j / w_j^2)^{-1}`, and the likelihood integrated over x is
-largest where
+How rough is what makes the data likeliest whatever the heights (empirical Bayes). With G, g the normal equations of
+everything, the curves as fine as the poses carry them, L the information of all priors and :math:`R_j / w_j^2` that of the
+roughness of curve j, the heights x and their covariance C are those of
+:math:`C = (G + L + \sum_j R_j / w_j^2)^{-1}`, and the likelihood integrated over x is largest where
 
 .. math:: w_j^2 = \frac{x_j^T R_j x_j}{\operatorname{tr} R_j (P_j^{-1} - C_j)} w_j^2, \qquad P_j = D_j^{-2} + R_j / w_j^2,
 
@@ -26,7 +25,7 @@ from pincal.discover.policy import CURVES
 from pincal.discover.score_tests import BesideNuisances
 from pincal.identify.beliefs import priors_of
 from pincal.identify.equations import Linearised
-from pincal.identify.fit import ModelFit, carried
+from pincal.identify.fit import Ending, ModelFit, carried
 from pincal.identify.quadratic import ROUNDING, Factor, Form
 from pincal.model.catalogue.transmission import most_pieces
 from pincal.model.conditions import distinct_values
@@ -35,21 +34,24 @@ from pincal.robot.robot import Robot
 
 
 def smoothed(fit: ModelFit, curves: Sequence[Curve]) -> tuple[dict[Curve, tuple[Curve, np.ndarray]], ModelFit]:
-    """Return the curves of a fit as fine as the poses carry them and as rough as the data call for, with their heights.
+    """Return curves, of a fit or new to it, as fine as the poses carry them and as rough as the data say, with heights.
 
-    Beside them the other parameters move; the fit is returned with these where they are to first order.
+    The other parameters move with them; the fit is returned with these where they are to first order.
     """
     situation, sigma = situation_of(fit), fit.solution.estimated
     finer, smooth = ({curve: curve.smooth(situation, w) for curve in curves} for w in (None, 1.0))
+    present = fit.options.effects
+    every = [*present, *(curve for curve in curves if curve not in present)]
     problem, alike = (
-        fit.problem.with_effects([by.get(e, e) if isinstance(e, Curve) else e for e in fit.options.effects])
-        for by in (finer, smooth)
+        fit.problem.with_effects([by.get(e, e) if isinstance(e, Curve) else e for e in every]) for by in (finer, smooth)
     )
     start = carried(fit.solution, fit.problem, problem)
     places = [problem.places_at(curve) for curve in finer.values()]
     sizes = priors_of(alike, fit.options).sizes
     for curve, at in zip(curves, places, strict=True):
-        start.values[at] = _drawn_again(curve, fit.values[fit.problem.places_at(curve)], finer[curve])
+        # One that the fit does not have begins at nothing.
+        heights = fit.values[fit.problem.places_at(curve)] if curve in present else np.zeros(curve.resolution)
+        start.values[at] = _drawn_again(curve, heights, finer[curve])
         start.free[at] = True
     here = Linearised(problem, start.values, start.free, start.weights, sizes)
     found = here.equations(sigma)
@@ -201,60 +203,19 @@ def notes_on_repeats(robot: Robot, q: np.ndarray) -> Iterator[str]:
             )
 
 
-def curves_over(fit: ModelFit, curve: Curve, sizes: Sequence[int]) -> list[Curve]:
-    """Return a drive curve in several resolutions, as fine as the poses and their distinct positions allow."""
-    situation = situation_of(fit)
-    most = most_pieces(situation.positions(str(curve.locus.follows)))
-    return [curve.resized(situation, size) for size in sizes if size <= most]
-
-
 def resolved(fit: ModelFit, effect: Effect, groups: np.ndarray) -> tuple[Effect, np.ndarray, np.ndarray]:
-    """Return an effect in the resolution that predicts blocks of poses left out best; itself if it has none.
+    """Return an effect that a fit does not have yet as fine as the rows tell; itself if it has no resolution.
 
-    Every other resolution is tried first, then those on either side of the best. Its parameters and those of the effect as
-    it was given are returned as well, to first order.
+    A curve is as smooth as the likelihood of the data says; of others the resolution is taken that predicts blocks of poses
+    left out best. Its parameters and those of the effect as it was given are returned as well, to first order.
     """
-    forms, test = _forms_of(fit, effect), BesideNuisances(fit)
+    test = BesideNuisances(fit)
+    estimate = test([effect]).estimate([0])
+    if isinstance(effect, Curve) and fit.solution.exit is not Ending.EXACT:
+        return *smoothed(fit, [effect])[0][effect], estimate
+    forms = effect.resolutions(situation_of(fit)) if isinstance(effect, Resolvable) else ()
     if not forms:
-        estimate = test([effect]).estimate([0])
         return effect, estimate, estimate
-    tried = dict(zip(range(0, len(forms), 2), _tested(test, forms[::2], groups), strict=True))
-    best = max(tried, key=lambda k: tried[k][1])
-    beside = [k for k in (best - 1, best + 1) if 0 <= k < len(forms)]
-    *closer, (estimate, _) = _tested(test, [*(forms[k] for k in beside), effect], groups)
-    tried |= zip(beside, closer, strict=True)
-    best = max(tried, key=lambda k: tried[k][1])
-    return forms[best], tried[best][0], estimate
-
-
-def _forms_of(fit: ModelFit, effect: Effect) -> list[Effect]:
-    if isinstance(effect, Resolvable):
-        return list(effect.resolutions(situation_of(fit)))
-    return list(curves_over(fit, effect, CURVES.sizes)) if isinstance(effect, Curve) else []
-
-
-def _tested(test: BesideNuisances, curves: Sequence[Effect], groups: np.ndarray) -> list[tuple[np.ndarray, float]]:
-    """Return, of each curve, its parameters to first order and by how much it lowers the squared error on blocks left out.
-
-    They are tested a few at a time, as nothing is asked of two together and the memory grows with the square of all.
-    """
-    found = list[tuple[np.ndarray, float]]()
-    for some in _few_at_once(test.fit, curves):
-        tests = test(some, groups)
-        found += [(tests.estimate([i]), float(tests.gains_by_block([i]).sum())) for i in range(len(some))]
-        # Before the next tests are made, and not after it.
-        del tests
-    return found
-
-
-def _few_at_once(fit: ModelFit, curves: Sequence[Effect]) -> Iterator[list[Effect]]:
-    """Yield curves in their order, several together as long as they have few parameters."""
-    some, total = list[Effect](), 0
-    for curve in curves:
-        size = len(curve.parameters(fit.problem.chain))
-        if some and total + size > CURVES.at_once:
-            yield some
-            some, total = [], 0
-        some.append(curve)
-        total += size
-    yield some
+    tests = test(forms, groups)
+    best = int(np.argmax([tests.gains_by_block([i]).sum() for i in range(len(forms))]))
+    return forms[best], tests.estimate([best]), estimate

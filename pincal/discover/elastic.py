@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -11,8 +11,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from pincal.discover.candidate_tests import is_small_table, sampled
-from pincal.discover.decisions import Row, accepted, each_heading_once, rivals_of
-from pincal.discover.first_order import ScoreResult, ScoreTests
+from pincal.discover.decisions import CandidateTable, Decision, Row, accepted, each_heading_once
+from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_compliances
 from pincal.discover.policy import POLICY, SIGHT, TESTING, Policy
 from pincal.discover.score_tests import score_test, score_test_given_nuisances
@@ -23,39 +23,14 @@ from pincal.identify.fit import ModelFit, carried
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Factor
 from pincal.model.catalogue.bearing_features import bearing_features
-from pincal.model.chain import MomentFrame
+from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family
 from pincal.model.effects import Compliance
-from pincal.model.latest import Latest
 from pincal.parameters import Estimate
-from pincal.robot.robot import Robot
-
-# The runs that could be made instead of the latest poses, by what they are.
-_DESIGNS = Latest[dict[str, Conditions]](16)
 
 
-@dataclass(frozen=True)
-class ElasticWay:
-    """Compliances that enter a model together.
-
-    Attributes:
-        effects: the compliances.
-        score: their test.
-        equivalent: other single ones that explain as much, where a single one enters.
-    """
-
-    effects: tuple[Compliance, ...]
-    score: ScoreResult
-    equivalent: tuple[Effect, ...] = ()
-
-    @property
-    def is_single(self) -> bool:
-        """Whether one drive or one bearing is all that is compliant."""
-        return len(self.effects) == 1 and self.effects[0].locus.joint is not None
-
-
-def elastic_way(fit: ModelFit, policy: Policy) -> ElasticWay | None:
+def elastic_way(fit: ModelFit, policy: Policy) -> Decision | None:
     """Return how an arm is compliant beyond a fit; None if that is no more than chance.
 
     Where one drive or one bearing leaves nothing but chance to the others, it enters alone: among twenty parameters that
@@ -78,34 +53,37 @@ def elastic_way(fit: ModelFit, policy: Policy) -> ElasticWay | None:
         ways = [*zip(zip(parts, strict=True), singles, strict=True), *zip(zip(block, strict=True), families, strict=True)]
         return _likeliest(tests, [*ways, (block, whole)], policy)
     chances = _chance(tests, singles), _chance(tests, [whole]), _chance(tests, families)
-    score = tests.score(whole, 1)
-    if not accepted(Row(block[0], replace(score, p_value=min(chances)), score.ebic, "elastic"), policy):
+    every = _row(tests, block[0], whole, 1)
+    if not _is_accepted(every, min(chances), policy):
         return None
-    scores = [tests.score(single, len(singles)) for single in singles]
-    best = int(np.argmin([score.ebic for score in scores]))
+    table = CandidateTable([_row(tests, part, of, len(singles)) for part, of in zip(parts, singles, strict=True)], tests)
+    best = table.cheapest()[0]
     beyond = _chance(tests, [whole], singles[best]), _chance(tests, singles, singles[best])
-    alone = Row(parts[best], replace(scores[best], p_value=chances[0]), scores[best].ebic, "elastic")
-    if not accepted(alone, policy) or min(beyond) < policy.adds_nothing:
-        return ElasticWay(block, score)
-    rows = [Row(part, score, score.ebic, "elastic") for part, score in zip(parts, scores, strict=True)]
+    if not _is_accepted(table.rows[best], chances[0], policy) or min(beyond) < policy.adds_nothing:
+        return Decision(every, effects=block)
+    return Decision(table.rows[best], tuple(table.rivals(best, policy)))
 
-    def left_given(i: int, given: int) -> float:
-        return tests.score_given(singles[i], singles[given]).p_value
 
-    return ElasticWay((parts[best],), scores[best], tuple(rivals_of(rows, best, left_given, policy)))
+def _row(tests: ScoreTests, effect: Effect, which: Sequence[int], groups: int) -> Row:
+    score = tests.score(which, groups)
+    return Row(effect, score, score.ebic, which, "elastic")
+
+
+def _is_accepted(row: Row, p_value: float, policy: Policy) -> bool:
+    """Return whether a row is accepted by another p-value than that of its own test."""
+    return accepted(replace(row, score=replace(row.score, p_value=p_value)), policy)
 
 
 def _likeliest(
     tests: ScoreTests, ways: Sequence[tuple[tuple[Compliance, ...], Sequence[int]]], policy: Policy
-) -> ElasticWay | None:
+) -> Decision | None:
     """Return the way that is likeliest before the data, the choice among as many of its kind paid for; None without any."""
     kinds = [len(effects) == 1 and effects[0].only is not None for effects, _ in ways]
     evidence = [tests.log_evidence(of) - np.log(kinds.count(kind)) for (_, of), kind in zip(ways, kinds, strict=True)]
     effects, of = ways[int(np.argmax(evidence))]
-    score = tests.score(of, 1)
     # What is known beforehand decides, whatever chance would make of it.
-    row = Row(effects[0], replace(score, p_value=0.0), score.ebic, evidence=max(evidence))
-    return ElasticWay(effects, score) if accepted(row, policy) else None
+    row = replace(_row(tests, effects[0], of, 1), question="enter", evidence=max(evidence))
+    return Decision(row, effects=effects) if _is_accepted(row, 0.0, policy) else None
 
 
 def with_features(fit: ModelFit, effects: Iterable[Effect]) -> tuple[Effect, ...]:
@@ -299,7 +277,7 @@ def deciding_measurement(fit: ModelFit, effect: Effect, value: np.ndarray, *riva
         return score_test(replace(few, problem=problem), [effect, *rivals])
 
     here = tests_at(station.conditions for station in stations)
-    designs = [_designs(few.problem.chain.robot, station.conditions) for station in stations]
+    designs = [_runs(few.problem.chain, station.conditions) for station in stations]
     for words in (words for words in designs[0] if all(words in others for others in designs)):
         try:
             there = tests_at(design[words] for design in designs)
@@ -337,41 +315,34 @@ def _separation(runs: Sequence[ScoreTests], weight: float, value: np.ndarray) ->
     return float(max(value @ left @ value, 0.0))
 
 
-def _designs(robot: Robot, c: Conditions) -> dict[str, Conditions]:
+def _runs(chain: Chain, c: Conditions) -> dict[str, Conditions]:
     """Return further runs that a user could make instead of these poses, cheapest first; the same objects if asked again."""
-    known = _DESIGNS.of(robot, c)
-    if "runs" not in known:
-        known["runs"] = dict(_runs(robot, c))
-    return known["runs"]
-
-
-def _runs(robot: Robot, c: Conditions) -> Iterator[tuple[str, Conditions]]:
-    rng = np.random.default_rng(0)
+    runs: dict[str, Conditions] = chain.kept.about("further runs", c, most=16)
+    if runs:
+        return runs
+    robot, rng = chain.robot, np.random.default_rng(0)
     if c.sighted is not None:
         # A quarter of the way around the poses, its axes as they are; that its place is found anew costs six readings.
         x, y, _ = c.sighted.mean(axis=0)
-        yield (
-            "the same poses with the instrument on another side of the robot, as a second station",
-            replace(c, sighted=c.sighted - [x + y, y - x, 0.0]),
-        )
+        away = replace(c, sighted=c.sighted - [x + y, y - x, 0.0])
+        runs["the same poses with the instrument on another side of the robot, as a second station"] = away
     load = 0.1 * float(robot.masses.sum()) if not np.any(c.payload) else 2.0 * float(c.payload.max())
     if np.ptp(c.payload) == 0.0:
-        yield "the same poses with a second payload", replace(c, payload=np.full(len(c), load))
+        runs["the same poses with a second payload"] = replace(c, payload=np.full(len(c), load))
     if c.approach is None or not np.ptp(c.approach):
-        yield (
-            "the same poses approached from both directions, with the columns approach_<joint>",
-            replace(c, approach=rng.choice([-1.0, 1.0], c.q.shape)),
-        )
+        sides = replace(c, approach=rng.choice([-1.0, 1.0], c.q.shape))
+        runs["the same poses approached from both directions, with the columns approach_<joint>"] = sides
     if c.move is not None:
         moves = np.random.default_rng(1).choice(SIGHT.moves, c.q.shape)
-        yield (
-            "the same poses, each reached by long and by short moves from both sides",
-            replace(c, move=moves, approach=np.sign(moves)),
-        )
+        reached = replace(c, move=moves, approach=np.sign(moves))
+        runs["the same poses, each reached by long and by short moves from both sides"] = reached
     temperature = np.full(len(c), 20.0) if c.temperature is None else c.temperature
     if np.ptp(temperature) < SIGHT.warmer:
-        yield "the same poses warm and cold, with the column temperature", replace(c, temperature=temperature + SIGHT.warmer)
-    yield "poses over the whole range of the joints", replace(c, q=robot.random_configurations(len(c), rng), sighted=None)
+        warm = replace(c, temperature=temperature + SIGHT.warmer)
+        runs["the same poses warm and cold, with the column temperature"] = warm
+    anywhere = replace(c, q=robot.random_configurations(len(c), rng), sighted=None)
+    runs["poses over the whole range of the joints"] = anywhere
+    return runs
 
 
 def likeliest_fit(fit: ModelFit, compliances: Sequence[Effect], frames: Sequence[MomentFrame]) -> ModelFit:

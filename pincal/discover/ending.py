@@ -25,28 +25,27 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from pincal.discover.candidate_tests import Search, fit_of_rows, over_rows_of, sampled
+from pincal.discover.candidate_tests import Search, over_rows_of, sampled
 from pincal.discover.decisions import each_heading_once
-from pincal.discover.drive_curves import curves_over, smoothed
+from pincal.discover.drive_curves import smoothed
 from pincal.discover.first_order import ScoreTests
-from pincal.discover.levers import MassError, levers, missing_features
+from pincal.discover.levers import MassError, levers, missing_features, situation_of
 from pincal.discover.policy import NOISE, WAVES
 from pincal.discover.score_tests import score_test_given_nuisances
 from pincal.discover.steps import (
     History,
     SearchState,
     SearchStep,
-    about_itself,
     worded,
 )
-from pincal.identify.block_scatter import with_blocks
 from pincal.identify.calibrate import Tolerance, refit
 from pincal.identify.choices import deviance
+from pincal.identify.dependence import with_blocks
 from pincal.identify.fit import Ending, ModelFit, without
 from pincal.identify.normal import block_rows
-from pincal.measure.sampling import sample_rows
+from pincal.measure.extrinsics import sample_rows
 from pincal.model.catalogue.ripple import resolution_of
-from pincal.model.effect import Curve, Effect, ExponentialDrift, Harmonic
+from pincal.model.effect import Curve, Effect, Harmonic
 from pincal.units import format_small
 
 log = logging.getLogger(__name__)
@@ -140,7 +139,7 @@ def _readings(fit: ModelFit) -> Iterator[_Readings]:
         rows = sound[sample_rows(len(sound), NOISE.rows)]
         if not len(rows):
             continue
-        few = fit_of_rows(alone, rows)
+        few = alone.select(rows)
         block = np.repeat(np.arange(blocks.start, blocks.stop), [of.size for of in station.sensor.blocks])
         scale = station.weights[rows] / fit.solution.estimated[block][:, None]
         residuals = few.station.residuals(alone.values) * scale
@@ -337,7 +336,8 @@ def fit_all_rows(state: SearchState, search: Search) -> SearchState:
     is_thinned, noise = len(fit.problem) < len(first.problem), joint_noise(fit)
     if is_thinned:
         whole = over_rows_of(fit, first)
-        wider: dict[Effect, Effect] = {e: curves_over(whole, e, [e.resolution])[0] for e in _curves_of(state)}
+        situation = situation_of(whole)
+        wider: dict[Effect, Effect] = {e: e.resized(situation, e.resolution) for e in _curves_of(state)}
         fit = refit(whole, _exchanged(fit.options.effects, wider), until=Tolerance.ROUGH)
         state = _with_others(state, wider, fit)
     curves = _curves_of(state)
@@ -348,10 +348,8 @@ def fit_all_rows(state: SearchState, search: Search) -> SearchState:
         chosen, fit = smoothed(fit, curves)
     for curve, (finer, _) in chosen.items():
         log.info("%s: %d pieces, smooth %d", curve.locus.joint, curve.resolution, finer.resolution)
-    settling = [e for step in state.steps for e in step.effects if isinstance(e, ExponentialDrift)] if is_thinned else []
-    by, start = dict[Effect, Effect](), dict[Effect, np.ndarray]()
-    for effect, (other, values) in (*chosen.items(), *((e, about_itself(fit, e)) for e in settling)):
-        by[effect], start[other] = other, values
+    by: dict[Effect, Effect] = {curve: finer for curve, (finer, _) in chosen.items()}
+    start: dict[Effect, np.ndarray] = dict(chosen.values())
     effects = _exchanged(fit.options.effects, by)
     fit = fit if noise is None else weighed(fit, noise)
     state = _with_others(state, by, refit(fit, effects, start=start))
@@ -364,7 +362,7 @@ def _curves_of(state: SearchState) -> list[Curve]:
 
 
 def _exchanged(effects: Iterable[Effect], by: Mapping[Effect, Effect]) -> tuple[Effect, ...]:
-    return tuple(by.get(effect, effect) if isinstance(effect, Curve | ExponentialDrift) else effect for effect in effects)
+    return tuple(by.get(effect, effect) if isinstance(effect, Curve) else effect for effect in effects)
 
 
 def _with_others(state: SearchState, by: Mapping[Effect, Effect], fit: ModelFit) -> SearchState:

@@ -15,7 +15,7 @@ from pincal.discover.candidate_tests import named_tests
 from pincal.discover.decisions import Row, accepted
 from pincal.discover.elastic import Sure, deciding_measurement, instead_of, sure_compliances, without_compliance
 from pincal.discover.ending import line_details
-from pincal.discover.first_order import ScoreResult, ScoreTests, chance_of
+from pincal.discover.first_order import ScoreTests, chance_of
 from pincal.discover.levers import levers
 from pincal.discover.locate import Located, locate
 from pincal.discover.policy import TESTING, WHERE
@@ -98,49 +98,39 @@ def findings_of(
 
 def _errors_of(fit: ModelFit) -> tuple[float, float]:
     """Return the rms errors that noise makes and those that it does not, over the rows of all stations [mm]."""
-    sizes, rows = [], []
+    squares, every = [], noise_floor(fit)
     for station, places, blocks in fit.stations:
-        sigma, found, size = (
-            float(noise_floor(fit)[blocks.start]),
-            fit.solution.estimated[blocks.start],
-            station.sensor.blocks[0].size,
-        )
+        sigma, found = every[blocks.start], fit.solution.estimated[blocks.start]
         to_mm = 1e3 * station.metres_per_reading(fit.values[places])
-        sizes.append((sigma * np.sqrt(size) * to_mm, np.sqrt(max(found**2 - sigma**2, 0.0) * size) * to_mm))
-        rows.append(len(station))
-    if len(sizes) == 1:
-        return float(sizes[0][0]), float(sizes[0][1])
-    floor, left = np.sqrt(np.average(np.square(sizes), axis=0, weights=rows))
+        of_noise_and_rest = np.array([sigma**2, max(found**2 - sigma**2, 0.0)])
+        squares.append(of_noise_and_rest * station.sensor.blocks[0].size * to_mm**2)
+    floor, left = np.sqrt(np.average(squares, axis=0, weights=[len(station) for station in fit.problem.stations]))
     return float(floor), float(left)
 
 
 def _found(
-    fit: ModelFit,
-    trail: History,
-    step: SearchStep,
-    *,
-    gaps: tuple[Stage, ...],
-    periods: dict[Effect, float | None],
+    fit: ModelFit, trail: History, step: SearchStep, *, gaps: tuple[Stage, ...], periods: dict[Effect, float | None]
 ) -> Iterator[FoundEffect]:
     """Yield what entered in one step; elasticity joint by joint."""
     place = next(i for i, change in enumerate(trail.changes) if change.fit is step.after)
     before, after = gaps[place], gaps[place + 1]
     # Standard deviations that pay for the choice, too.
-    known = fit.estimate
+    known, score, of_blocks = fit.estimate, step.score, fit.solution.of_blocks
     if step.is_elastic:
         found = [
             (sure.effect, e := sure.estimate, known.take(e.names).fitted_sigma, sure.p_value, *_in_its_place(trail, sure))
             for sure in sure_compliances(trail.final, step.effects, step.equivalent)
         ]
     else:
-        decide = _deciding(step)
-        whole = step.effects if isinstance(step.effect, Harmonic) else step.effects[:1]
-        estimate = known.take(trail.final.names_of(whole))
-        found = [(step.effect, estimate, estimate.sigma, _p_value(step.score, fit), step.equivalent, decide)]
+        estimate = known.take(trail.final.names_of(step.effects if isinstance(step.effect, Harmonic) else step.effects[:1]))
+        # By rows that are independent or, if it is larger, by blocks of consecutive rows.
+        correlated = float(chdtrc(score.rank, score.gain / of_blocks)) if of_blocks > 1.0 else 0.0
+        p_value = max(score.p_value, correlated)
+        found = [(step.effect, estimate, estimate.sigma, p_value, step.equivalent, _deciding(step))]
     line = line_details(trail, step)
     for effect, estimate, sigma, p_value, equivalent, decide in found:
-        score = replace(step.score, p_value=p_value)
-        if step.is_elastic and trail.is_held_up and not accepted(Row(effect, score, score.ebic), trail.policy):
+        sure_as = replace(score, p_value=p_value)
+        if step.is_elastic and trail.is_held_up and not accepted(Row(effect, sure_as, score.ebic), trail.policy):
             # Beside all other compliances, which few rows leave to what is known beforehand, nothing is left of it.
             continue
         yield FoundEffect.of(
@@ -156,12 +146,6 @@ def _found(
             tell_apart=decide,
             **line,
         )
-
-
-def _p_value(score: ScoreResult, fit: ModelFit) -> float:
-    """Return the p-value of a step by rows that are independent or, if it is larger, by blocks of consecutive rows."""
-    of_blocks = fit.solution.of_blocks
-    return max(score.p_value, float(chdtrc(score.rank, score.gain / of_blocks))) if of_blocks > 1.0 else score.p_value
 
 
 def _deciding(step: SearchStep) -> str:

@@ -18,7 +18,7 @@ and what each decides, stands in docs/criteria.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -28,7 +28,7 @@ from scipy.special import fdtrc
 
 from pincal.discover.policy import TESTING
 from pincal.discover.products import Information, Products
-from pincal.identify.quadratic import SEEN, Factor
+from pincal.identify.quadratic import ROUNDING, SEEN, Factor
 from pincal.model.effects import Effect
 
 
@@ -109,6 +109,17 @@ class ScoreTests:
         """Inverse variances of the priors, shape (N + C,)."""
         return np.asarray(self.sizes**-2.0)
 
+    def prior(self, which: Sequence[int]) -> np.ndarray:
+        """Return the information of the priors of some candidates' J parameters, smoothness of curves included, (J, J)."""
+        own = self.products.places(which)
+        L, start = np.diag(self.precision[self.n_model + own]), 0
+        for i in which:
+            end = start + len(self.columns[i])
+            if (smooth := self.effects[i].smoothness()) is not None:
+                L[start:end, start:end] += smooth
+            start = end
+        return L
+
     @cached_property
     def projected(self) -> tuple[np.ndarray, np.ndarray]:
         """S' and b' of all candidate columns."""
@@ -150,29 +161,33 @@ class ScoreTests:
 
     def gain(self, which: Sequence[int]) -> tuple[float, int]:
         """Return T and rank of some candidates together; sizes in doubt are the likeliest ones, with and without them."""
+        if len(which) == 1:
+            gains, ranks, _ = self._alone
+            return float(gains[which[0]]), int(ranks[which[0]])
         if self.doubt is not None:
             found = [(cost, *tests.gain(which)) for cost, tests in self._beliefs]
             cost, gain, rank = min(found, key=lambda belief: belief[0] - belief[1])
             return gain - cost, rank
-        if len(which) == 1:
-            gains, ranks = self._alone
-            return float(gains[which[0]]), int(ranks[which[0]])
         j, whitening = self.whitening(which)
         return float(np.sum((self._projection[1][j] @ whitening) ** 2)), whitening.shape[1]
 
     @cached_property
-    def _alone(self) -> tuple[np.ndarray, np.ndarray]:
-        """T and rank of each of C candidates by itself, shape (C,); those of one size are worked out at once."""
-        taken, b = self._projection
-        sizes = np.array([len(j) for j in self.columns])
+    def _alone(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """T, rank and the p-value of each candidate by itself; those of one size are worked out at once."""
+        sizes, looks = np.array([len(j) for j in self.columns]), np.array([effect.looks for effect in self.effects])
         gains, ranks = np.zeros(len(sizes)), np.zeros(len(sizes), int)
-        for size in np.unique(sizes):
-            some = np.flatnonzero(sizes == size)
+        if self.doubt is not None:
+            each = [(tests._alone[0] - cost, tests._alone[1]) for cost, tests in self._beliefs]
+            gains, ranks = (np.array(of) for of in zip(*each, strict=True))
+            best = np.argmax(gains, axis=0), np.arange(len(sizes))
+            gains, ranks = gains[best], ranks[best]
+        for size in np.unique(sizes) if self.doubt is None else ():
+            some, (taken, b), inner = np.flatnonzero(sizes == size), self._projection, self.products.each_inner
             j = np.array([self.columns[i] for i in some])
-            roots, seen = self._roots(j, self.products.each_inner(j) - taken[j] @ taken[j].swapaxes(1, 2))
+            roots, seen = self._roots(j, inner[j[:, :, None], j[:, None]] - taken[j] @ taken[j].swapaxes(1, 2))
             gains[some] = np.sum(np.einsum("gi,gik->gk", b[j], roots) ** 2, axis=1)
             ranks[some] = seen.sum(axis=1)
-        return gains, ranks
+        return gains, ranks, np.minimum(looks * chance_of(gains, ranks, self.squares, self.dof), 1.0)
 
     def whitening(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Return the J columns of some candidates, and W, shape (J, rank), with T = |b' W|^2 for b' at these columns."""
@@ -208,8 +223,9 @@ class ScoreTests:
         model, model_step = self.model.without_block[k]
         cross = products.cross[:, j] - across
         taken = model.half(cross)
-        precision = np.diag(self.precision[self.n_model + j])
-        factor = Factor.of(products.inner_of(which) - own - taken.T @ taken + precision)
+        known = products.inner_of(which) - own + self.prior(which)
+        # Where few rows tell nearly all of it, what the model does not take is less than its rounding.
+        factor = Factor.of(known - taken.T @ taken + ROUNDING * np.diag(np.diag(known)))
         step = factor.solve(products.g[j] - b - cross.T @ model_step)
         change = -model.back(taken @ step)
         along = model_S @ change + across @ step
@@ -252,7 +268,7 @@ class ScoreTests:
         """
         stays = np.array([name not in gone for name in self.names], bool)
         kept, out = np.flatnonzero(stays), np.flatnonzero(~stays)
-        values = self.values[out]
+        values, rows = self.values[out], self.model.rows.part(out)
         return replace(
             self,
             effects=tuple(self.effects[i] for i in which),
@@ -262,13 +278,32 @@ class ScoreTests:
             model=self.model.without(kept, out, values) if model is None else model,
             products=self.products.among(which, kept, out, values),
             doubt=None if self.doubt is None else replace(self.doubt, columns=self.doubt.columns[kept]),
-            squares=self.squares + self.model.grown(out, values),
+            squares=self.squares + float(values @ (2.0 * rows.g + rows.H @ values)),
         )
+
+    def along_rows(self, which: Sequence[int], steps: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Yield rows, what a refit of the model leaves of their residuals, and how steps of candidates then move them.
+
+        Args:
+            which: candidates.
+            steps: shape (J, R), R steps of their J parameters.
+
+        Yields:
+            Which of all rows they are, shape (n,), whitened residuals, shape (m, n), and motions beside what the model takes
+            up of them, shape (R, m, n).
+        """
+        products, model, j = self.products, self.model, self.products.places(which)
+        taken = model.factor.solve(np.column_stack([products.cross[:, j] @ steps, -model.rows.g - model.prior.g]))
+        own = np.zeros((len(products.g), taken.shape[1]))
+        own[j, :-1] = steps
+        for part in products.parts:
+            moved = part.moved(-taken, own)
+            yield part.rows, part.residuals - moved[-1], moved[:-1]
 
     def estimate(self, which: Sequence[int]) -> np.ndarray:
         """Return some candidates' parameters to first order, priors included."""
-        j, S, b = self.within(which)
-        return np.asarray(np.linalg.inv(S + np.diag(self.precision[self.n_model + j])) @ b)
+        _, S, b = self.within(which)
+        return np.asarray(np.linalg.inv(S + self.prior(which)) @ b)
 
     @property
     def dof(self) -> float:
@@ -277,14 +312,17 @@ class ScoreTests:
 
     def score(self, which: Sequence[int], groups: int) -> ScoreResult:
         """Return the test of some candidates taken as one, of so many groups that are tested."""
-        looks = math.prod(self.effects[i].looks for i in which)
-        return self._judged(*self.gain(which), groups, looks)
+        (gain, rank), looks = self.gain(which), math.prod(self.effects[i].looks for i in which)
+        chance = self._alone[2][which[0]] if len(which) == 1 else looks * chance_of(gain, rank, self.squares, self.dof)
+        return self._judged(gain, rank, float(chance), self.squares, groups * looks)
 
     def score_given(self, which: Sequence[int], given: Sequence[int], groups: int = 1) -> ScoreResult:
         """Return the test of what some candidates still explain once others are in the model."""
         both, rank_both = self.gain(sorted({*which, *given}))
         alone, rank_alone = self.gain(given)
-        return self._judged(both - alone, max(rank_both - rank_alone, 0), groups, beside=(alone, rank_alone))
+        gain, rank, squares = both - alone, max(rank_both - rank_alone, 0), max(self.squares - alone, 1e-6 * self.squares)
+        chance = float(chance_of(gain, rank, squares, self.dof - rank_alone))
+        return self._judged(gain, rank, chance, squares, groups)
 
     def p_value_of_any(self, which: Sequence[int]) -> float:
         """Return the p-value of some candidates, of all as one or of one of them alone, its choice paid for.
@@ -294,15 +332,12 @@ class ScoreTests:
         alone = (len(which) * self.score([i], 1).p_value for i in which)
         return min(self.score(which, 1).p_value, *alone)
 
-    def _judged(
-        self, gain: float, rank: int, groups: int, looks: float = 1.0, beside: tuple[float, int] = (0.0, 0)
-    ) -> ScoreResult:
+    def _judged(self, gain: float, rank: int, chance: float, squares: float, groups: float) -> ScoreResult:
         if rank == 0:
             return ScoreResult(0.0, 0, 1.0, np.inf)
-        squares = max(self.squares - beside[0], 1e-6 * self.squares)
-        p_value = min(looks * float(chance_of(gain, rank, squares, self.dof - beside[1])), 1.0)
-        cost = information_criterion(gain, rank, squares, self.readings) + 2.0 * np.log(max(groups, 1) * looks)
-        return ScoreResult(min(gain, TESTING.most_explained * squares), rank, p_value, float(cost))
+        gain, n = min(gain, TESTING.most_explained * squares), self.readings
+        cost = n * float(np.log1p(-gain / squares)) + rank * float(np.log(n)) + 2.0 * float(np.log(max(groups, 1.0)))
+        return ScoreResult(gain, rank, min(chance, 1.0), cost)
 
     def log_evidence(self, which: Sequence[int]) -> float:
         """Return the log of how much likelier the data are with some candidates, whatever their values, than without.
@@ -313,10 +348,12 @@ class ScoreTests:
         cost, tests = self.likeliest(which)
         j, S, b = tests.within(which)
         size = self.sizes[self.n_model + j]
-        information = np.outer(size, size) * S + np.eye(len(j))
+        prior = np.outer(size, size) * tests.prior(which)
+        information = np.outer(size, size) * S + prior
         step = np.linalg.solve(information, size * b)
+        spread = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(information)[1]
         looks = sum(float(np.log(self.effects[i].looks)) for i in which)
-        return float(0.5 * ((size * b) @ step - np.linalg.slogdet(information)[1] - cost)) - looks
+        return float(0.5 * ((size * b) @ step + spread - cost)) - looks
 
     def costs_instead(self, which: Sequence[int], lost: Mapping[str, float]) -> list[float]:
         """Return the changes of the information criterion if each candidate took the place of some parameters of the model.
@@ -328,8 +365,8 @@ class ScoreTests:
         values = np.array([lost[self.names[i]] for i in j]) + columns.T @ (self.model.rows.g + self.model.prior.g)
         spared = float(np.sum(np.clip(1.0 - np.diag(columns[j]) * self.precision[j], 0.0, 1.0)))
         costs = []
-        for c, S, b in (self.within([i]) for i in which):
-            inverse = np.linalg.inv(S + np.diag(self.precision[self.n_model + c]))
+        for i, (c, S, b) in ((i, self.within([i])) for i in which):
+            inverse = np.linalg.inv(S + self.prior([i]))
             cross = columns.T @ self.products.cross[:, c]
             left = values - cross @ inverse @ b
             loss = left @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, left) - b @ inverse @ b
@@ -337,21 +374,22 @@ class ScoreTests:
         return costs
 
 
-def chance_of(gain: np.ndarray | float, rank: int, squares: np.ndarray | float, dof: float) -> np.ndarray:
+def chance_of(
+    gain: np.ndarray | float, rank: np.ndarray | int, squares: np.ndarray | float, dof: np.ndarray | float
+) -> np.ndarray:
     """Return the chance that something of a rank that is not there takes as much off the squares (F test).
 
+    All arguments of any shape.
+
     Args:
-        gain: what it takes off, any shape.
-        rank: directions of it that the data see.
+        gain: what it takes off.
+        rank: directions of it that the data see; of none the chance is 1.
         squares: before, in the same unit.
         dof: degrees of freedom before.
     """
-    gain, rest = np.minimum(gain, TESTING.most_explained * squares), max(dof - rank, 1.0)
-    return np.asarray(fdtrc(rank, rest, (gain / rank) / ((squares - gain) / rest)))
-
-
-def information_criterion(gain: float, rank: int, squares: float, readings: int) -> float:
-    """Return the change of the Bayesian information criterion by what takes a gain off the squares; negative is better."""
-    return readings * float(np.log1p(-min(gain, TESTING.most_explained * squares) / squares)) + rank * float(
-        np.log(readings)
+    gain, rest, rank_seen = (
+        np.minimum(gain, TESTING.most_explained * squares),
+        np.maximum(dof - rank, 1.0),
+        np.maximum(rank, 1),
     )
+    return np.asarray(np.where(rank, fdtrc(rank_seen, rest, (gain / rank_seen) / ((squares - gain) / rest)), 1.0))

@@ -21,8 +21,7 @@ from scipy.special import chdtri
 
 from pincal.discover.policy import TESTING, WAVES
 from pincal.identify.fit import ModelFit
-from pincal.identify.normal import block_rows
-from pincal.identify.problem import extended
+from pincal.identify.problem import Problem, extended
 from pincal.model import kernels
 from pincal.model.basis import FEWEST_SPLINES, spline_basis
 from pincal.model.catalogue.bearing_features import bearing_features
@@ -34,12 +33,9 @@ from pincal.model.conditions import MOMENT, Conditions, PoseSet
 from pincal.model.effect import Candidate, Effect, Family, Harmonic, Locus, Term
 from pincal.model.effects import Compliance
 from pincal.model.kernel_inputs import Payload, Values
-from pincal.model.latest import Latest
+from pincal.model.loops import borne_moments
 from pincal.model.model import Model
 from pincal.parameters import Parameter
-
-# By link, of the latest poses.
-_MOMENTS = Latest[tuple[np.ndarray, ...]](2)
 
 
 @dataclass(frozen=True)
@@ -60,21 +56,18 @@ class Motions(Effect):
         return tuple(Term(p, k) for p, k in enumerate(self.coordinates))
 
 
-def levers(fit: ModelFit, coordinates: tuple[int, ...]) -> np.ndarray:
-    """Return how the readings move with K coordinates of the chain, shape (K, m, N), per rad or m."""
-    return linearised(fit, [Motions(coordinates)], np.zeros(len(fit.values), bool))[1]
+def _beside(fit: ModelFit, coordinates: Iterable[int]) -> tuple[Problem, np.ndarray, np.ndarray]:
+    """Return a fit's problem with motions of coordinates, all its values, and which of these are the motions."""
+    problem, known = extended(fit.problem, [Motions(tuple(map(int, coordinates)))])
+    values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
+    values[known], free[known] = fit.values, False
+    return problem, values, free
 
 
-def linearised(fit: ModelFit, extra: Sequence[Effect], free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals, shape (m, N), and the Jacobian by free parameters, then all of the extra effects."""
-    problem, known = extended(fit.problem, extra)
-    values, mask = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
-    values[known], mask[known] = fit.values, free
-    pieces = list(problem.stations[0].linearise(values, mask))
-    residuals = np.concatenate([r for _, r, _ in pieces], axis=1)
-    jacobian = np.concatenate([J for _, _, J in pieces], axis=2)
-    present = (np.cumsum(mask) - 1)[known[free]]
-    return residuals, jacobian[np.concatenate([present, np.setdiff1d(np.arange(len(jacobian)), present)])]
+def levers(fit: ModelFit, coordinates: Sequence[int]) -> np.ndarray:
+    """Return how the readings of the only station move with K coordinates of the chain, shape (K, m, N), per rad or m."""
+    problem, values, free = _beside(fit, coordinates)
+    return np.concatenate([J for _, _, J in problem.stations[0].linearise(values, free)], axis=2)
 
 
 @dataclass(frozen=True)
@@ -125,7 +118,7 @@ class MassError(Effect):
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add each compliance times the change of its moment."""
-        known, terms = _MOMENTS.of(chain, conditions), list[Term]()
+        known, terms = chain.kept.about("moments of links", chain, conditions, most=2), list[Term]()
         for p, i in enumerate(self.links):
             if i not in known:
                 known[i] = tuple(_moments_of_link(chain, conditions, i))
@@ -147,7 +140,7 @@ def _moments_of_link(chain: Chain, conditions: Conditions, i: int) -> Iterator[n
     def moments_at(centre: np.ndarray) -> np.ndarray:
         centres[i] = centre
         layout = chain.layout._replace(masses=masses, centres=centres)
-        return np.asarray(kernels.static_moments(layout, values, no_load))
+        return borne_moments(chain, values, kernels.static_moments(layout, values, no_load))
 
     straight = moments_at(np.zeros(3))
     size = max(float(np.linalg.norm(robot.centres[i])), 0.2 * float(np.hypot(*robot.frames.parameters[i, 3:5])), 0.02)
@@ -220,24 +213,15 @@ def strongest_tones(fit: ModelFit, candidates: Sequence[Candidate], near: float)
 
 def seen_along(fit: ModelFit, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return L . r and L . L of some coordinates on the whitened readings, shape (K, N) each."""
-    motions = Motions(tuple(map(int, coordinates)))
-    along, lever = np.zeros((2, len(coordinates), len(fit.problem)))
-    for (station, places, blocks), rows in zip(fit.stations, fit.problem.rows, strict=True):
-        of_model, of_sensor = station.split(fit.values[places])
-        wide = station.with_model(station.model.with_effects([*station.model.effects, motions]))
-        values = np.concatenate([of_model, np.zeros(len(coordinates)), of_sensor])
-        free = np.zeros(len(values), bool)
-        free[len(of_model) : len(of_model) + len(coordinates)] = True
+    (problem, values, free), n = _beside(fit, coordinates), len(fit.problem)
+    along, lever = np.zeros((2, len(coordinates), n))
+    for station, places, blocks, rows in zip(
+        problem.stations, problem.places, problem.block_spans, problem.rows, strict=True
+    ):
+        sigma = np.repeat(fit.solution.estimated[blocks], [block.size for block in station.sensor.blocks])
         weights = station.weights * fit.solution.weights[rows]
-        sigma = np.concatenate(
-            [
-                np.full(at.stop - at.start, s)
-                for at, s in zip(block_rows(station), fit.solution.estimated[blocks], strict=True)
-            ]
-        )
-        for piece, residuals, jacobian in wide.linearise(values, free):
-            scale = weights[piece] / sigma[:, None]
-            here = np.arange(len(fit.problem))[rows][piece]
+        for piece, residuals, jacobian in station.linearise(values[places], free[places]):
+            scale, here = weights[piece] / sigma[:, None], np.arange(n)[rows][piece]
             moved = jacobian * scale
             along[:, here] = np.einsum("kmn,mn->kn", moved, residuals * scale)
             lever[:, here] = np.einsum("kmn,kmn->kn", moved, moved)
@@ -251,7 +235,7 @@ def _strongest(
     assert tone.band is not None
     resolution = resolution_of(q)
     step = WAVES.step * resolution
-    orders, gains = _on_steps(q, along, lever, start=tone.band[0], step=step, end=tone.band[1])
+    orders, gains = on_steps(q, along, lever, start=tone.band[0], step=step, end=tone.band[1])
     for known in fit.problem.effects:
         if isinstance(known, Harmonic) and known.locus.joint == tone.locus.joint:
             gains[np.abs(orders - (known.locus.order or 0.0)) < resolution] = 0.0
@@ -269,21 +253,32 @@ def _strongest(
         gains[np.abs(orders - orders[highest]) < resolution] = 0.0
 
 
-def _on_steps(
-    q: np.ndarray, along: np.ndarray, lever: np.ndarray, *, start: float, step: float, end: float
+def on_steps(
+    q: np.ndarray,
+    along: np.ndarray,
+    lever: np.ndarray,
+    *,
+    start: float,
+    step: float,
+    end: float,
+    is_beside_constant: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return even steps of orders, shape (K,), and what each takes off the squares, shape (K,)."""
+    """Return even steps of orders, shape (K,), and what each takes off the squares, shape (K,), beside a constant or not."""
     coarse = start + WAVES.fine * step * np.arange(int(np.ceil((end - start) / (WAVES.fine * step))))
-    fine = step * np.arange(WAVES.fine)
-    sums = np.zeros((2, len(coarse), WAVES.fine), complex)
+    fine, columns = step * np.arange(WAVES.fine), [(along, 1), (lever, 2), (lever, 1)][: 2 + is_beside_constant]
+    sums = np.zeros((len(columns), len(coarse), WAVES.fine), complex)
     for at in range(0, len(q), WAVES.piece):
         piece = slice(at, at + WAVES.piece)
         a, b = (_waves(k, q[piece]) for k in (coarse, fine))
-        sums[0] += (a * along[piece]) @ b.T
-        sums[1] += (a**2 * lever[piece]) @ (b**2).T
+        for total, (u, times) in zip(sums, columns, strict=True):
+            total += (a**times * u[piece]) @ (b**times).T
+    (F, twice, *mean), whole = sums.reshape(len(columns), -1), np.array(lever.sum())
+    for m in mean:
+        # What the constant takes up of each wave.
+        F, twice = F - m * along.sum() / whole, twice - m**2 / whole
+        whole = whole - np.abs(m) ** 2 / whole
     orders = np.add.outer(coarse, fine).ravel()
-    gains = _gains(sums.reshape(2, -1), float(lever.sum()))
-    return orders[orders <= end], gains[orders <= end]
+    return orders[orders <= end], _gains(np.stack([F, twice]), whole)[orders <= end]
 
 
 def _waves(orders: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -299,7 +294,7 @@ def _sums(q: np.ndarray, u: np.ndarray, orders: np.ndarray) -> np.ndarray:
     return np.asarray(_waves(orders, q) @ u)
 
 
-def _gains(sums: np.ndarray, whole: float) -> np.ndarray:
+def _gains(sums: np.ndarray, whole: np.ndarray | float) -> np.ndarray:
     """Return T from F_w(k) and F_v(2k), shape (2, K); zero where the positions show one phase of a wave only."""
     F, twice = sums
     rest = whole**2 - np.abs(twice) ** 2
@@ -314,30 +309,21 @@ def likely_maps(fit: ModelFit, joints: Sequence[str]) -> list[Effect]:
     the pairs of joints among which it was chosen.
     """
     situation, chain = situation_of(fit), fit.problem.chain
-    drives = [int(chain.drives[situation.joints.index(joint)]) for joint in joints]
+    drives = [int(chain.drives[situation.index(joint)]) for joint in joints]
     along, lever = seen_along(fit, np.array(drives))
-    columns = dict(zip(situation.joints, situation.conditions.q.T, strict=True))
-    splines = {name: _coarse(q) for name, q in columns.items() if np.ptp(q)}
+    columns = {joint: situation.positions(joint) for joint in situation.joints}
+    splines = {name: spline_basis(q, q.min(), q.max(), FEWEST_SPLINES) for name, q in columns.items() if np.ptp(q)}
     found: list[tuple[float, Sequence[Effect]]] = []
     for joint, b, v in zip(joints, along, lever, strict=True):
         for effect in maps_of(situation, joint):
             forms = effect.resolutions(situation)
             if forms and missing_from(fit, [effect]):
                 basis = np.einsum("an,bn->abn", splines[joint], splines[effect.depends_on]).reshape(-1, len(b))
-                found.append((_gain(basis, b, v), forms))
+                S, g = (basis * v) @ basis.T, basis @ b
+                ridge = WAVES.map_seen * float(np.diag(S).max(initial=0.0))
+                gain = float(g @ np.linalg.solve(S + ridge * np.eye(len(S)), g)) if ridge else 0.0
+                found.append((gain, forms))
     gain, likeliest = max(found, key=lambda one: one[0], default=(0.0, ()))
     worth = float(chdtri(FEWEST_SPLINES**2, WAVES.worth / max(len(found), 1)))
     tried = likeliest[: WAVES.map_forms]
     return list(dict.fromkeys([tried[0], tried[-1]])) if gain > worth else []
-
-
-def _coarse(q: np.ndarray) -> np.ndarray:
-    """Return the splines of which the coarsest map is made, of positions of shape (N,), shape (4, N)."""
-    return spline_basis(q, float(q.min()), float(q.max()), FEWEST_SPLINES)
-
-
-def _gain(basis: np.ndarray, along: np.ndarray, lever: np.ndarray) -> float:
-    """Return what basis functions, shape (K, N), of a joint's position take off the squares."""
-    S, b = (basis * lever) @ basis.T, basis @ along
-    ridge = WAVES.map_seen * float(np.diag(S).max(initial=0.0))
-    return float(b @ np.linalg.solve(S + ridge * np.eye(len(S)), b)) if ridge else 0.0

@@ -1,35 +1,33 @@
 """Where a model and data disagree, found before anything is named: in which joint, following what, in which range, where.
 
-Every coordinate in which an arm could move has a lever: how the readings move with it. A disagreement acts at a place if
-a curve of some variable times the lever of that place explains it, once all that a refit would take up is projected out.
+A disagreement acts at a place if a curve of some variable, as a motion of that place, explains it once all that a refit
+takes up is projected out: a score test like that of any effect, of dependences on everything everywhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
-from scipy.linalg import qr
+from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
-from pincal.discover.candidate_tests import fit_of_rows
-from pincal.discover.first_order import chance_of, information_criterion
-from pincal.discover.levers import MassError, Motions, linearised
+from pincal.discover.first_order import ScoreTests
+from pincal.discover.levers import MassError, levers
 from pincal.discover.policy import WHERE
+from pincal.discover.products import Information
+from pincal.discover.score_tests import Tangent
 from pincal.identify.fit import ModelFit
-from pincal.identify.normal import block_rows
-from pincal.identify.quadratic import SEEN, root_of_inverse
+from pincal.identify.quadratic import Form
 from pincal.io.discovery_file import Disagreement
 from pincal.model.basis import spline_basis
 from pincal.model.catalogue.transmission import most_pieces
 from pincal.model.chain import Chain
-from pincal.model.conditions import PoseSet, distinct_values, recorded_variable, varies
-from pincal.model.effect import Effect
-from pincal.parameters import FRAME_SYMBOLS
-
-# A coordinate by (joint or None, acts_on, number).
-Spot = tuple[str | None, str, int]
+from pincal.model.conditions import Conditions, PoseSet, distinct_values, recorded_variable, varies
+from pincal.model.effect import Effect, Locus, Term
+from pincal.parameters import FRAME_SYMBOLS, Parameter
 
 
 @dataclass(frozen=True)
@@ -70,6 +68,49 @@ class Location:
     regions: tuple[Disagreement, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class MovedPlace(Effect):
+    """A joint, the base or all lengths move by curves of a variable, at the poses of one table.
+
+    Attributes:
+        joint, acts_on, depends_on: as of :class:`Located`.
+        curves: shape (k, N).
+    """
+
+    joint: str | None
+    acts_on: str
+    depends_on: str
+    curves: np.ndarray
+    name: ClassVar[str] = "motion"
+    meaning: ClassVar[str] = "something moves by a curve of a variable"
+
+    @property
+    def locus(self) -> Locus:
+        """Where it acts, and what it follows."""
+        return Locus(self.joint, self.acts_on, self.depends_on)
+
+    def moved(self, chain: Chain) -> list[dict[int, float]]:
+        """Return what moves independently: the coordinates that move with it, and by how much."""
+        if self.joint is not None:
+            i = chain.robot.joint_names.index(self.joint)
+            return [{int(chain.drives[i]) if self.acts_on == "drive" else chain.joint(i, self.acts_on): 1.0}]
+        if self.acts_on == "base":
+            return [{chain.base(symbol): 1.0} for symbol in FRAME_SYMBOLS]
+        # All lengths grow alike.
+        lengths = (chain.joint(i, symbol) for i in range(chain.robot.n_joints) for symbol in "da")
+        return [{k: float(chain.nominal[k]) for k in lengths if chain.nominal[k]}]
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Heights of the curves, of which nothing is known."""
+        stem, shape = f"{self.joint}.{self.acts_on}_of_{self.depends_on}", (len(self.moved(chain)), len(self.curves))
+        return tuple(Parameter(f"{stem}_{shape[1]}_{k}", "rad", self.name, 0.0, 1.0) for k in range(np.prod(shape)))
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the curves to each coordinate."""
+        columns = enumerate((motion, curve) for motion in self.moved(chain) for curve in self.curves)
+        return tuple(Term(p, k, scale * curve) for p, (motion, curve) in columns for k, scale in motion.items())
+
+
 def locate(fit: ModelFit, sigma: np.ndarray) -> Location:
     """Return where a fit and its data disagree.
 
@@ -78,238 +119,124 @@ def locate(fit: ModelFit, sigma: np.ndarray) -> Location:
         sigma: shape (blocks,), standard deviation of one component of each block of readings.
     """
     rows = np.flatnonzero(fit.solution.weights > 0.0)
-    fit = fit_of_rows(fit, rows[np.unique(np.linspace(0, len(rows) - 1, WHERE.rows).astype(int))])
-    rest = _rest_of(fit, sigma)
-    left, dof, excess = rest.by_row(rest.left), rest.dof, rest.squares - rest.dof
-    p_value = float(chdtrc(dof, rest.squares))
-    places: list[Located] = []
-    while len(places) < WHERE.places and (best := rest.best()) is not None:
-        place = rest.described(best, excess)
+    fit = fit.select(rows[np.unique(np.linspace(0, len(rows) - 1, WHERE.rows).astype(int))])
+    # Row by row, whatever the noise of a fit has in common.
+    problem = replace(fit.problem, stations=(replace(fit.station, whitening=None, serial=None),))
+    fit = replace(fit, problem=problem, solution=replace(fit.solution, estimated=sigma))
+    every, places = _motions(fit), list[Located]()
+    masses = MassError.of(fit.model, fit.values)
+    tests = Tangent.at(fit, [masses] if masses else [], None).tests(every, wider=1.0)
+    # What a refit leaves of readings and priors; masses are known as they are.
+    known = float(np.sum((fit.values / fit.priors.sizes) ** 2)) + fit.problem.beliefs.square(fit.values, fit.priors.sizes)
+    squares = tests.squares + known - float(tests.model.slope @ tests.model.slope)
+    tests = replace(tests, doubt=None, squares=squares)
+    left, dof, excess = _left(tests), tests.dof, tests.squares - tests.dof
+    p_value = float(chdtrc(dof, tests.squares))
+    while len(places) < WHERE.places and (best := _best(tests)) is not None:
+        place = _described(fit, tests, best, excess)
         if place.share < WHERE.share:
             break
         places.append(place)
-        rest = rest.without(best)
+        tests = _taking(tests, best)
     regions: tuple[Disagreement, ...] = ()
     if fit.station.sensor.blocks[0].size == 3 and (places or p_value < WHERE.chance):
-        regions = tuple(regions_of(fit, left[:3], 3.0 * dof / rest.readings))
+        regions = tuple(regions_of(fit, left[:3], 3.0 * dof / tests.readings))
     return Location(p_value, tuple(places), regions)
 
 
-@dataclass(frozen=True)
-class _Candidate:
-    """A place where a disagreement may act.
-
-    Attributes:
-        place: the place, its share and size not known yet.
-        lever: root of the summed squares of all readings' motion with it.
-        columns: shape (k, m N), curves times lever, whitened.
-        gram: shape (k, k), their products once what is taken up is projected out.
-        whole: shape (k,), their squares before that.
-    """
-
-    place: Located
-    lever: float
-    columns: np.ndarray
-    gram: np.ndarray
-    whole: np.ndarray
-
-    def along(self, vectors: np.ndarray) -> np.ndarray:
-        """Return the products of its columns with vectors of all readings and priors, shape (m N + priors, ...)."""
-        return np.asarray(self.columns @ vectors[: self.columns.shape[1]])
-
-    def without(self, Q: np.ndarray) -> _Candidate:
-        """Return it once further orthonormal vectors are taken up."""
-        taken = self.along(Q)
-        return replace(self, gram=self.gram - taken @ taken.T)
+def _taking(tests: ScoreTests, best: int) -> ScoreTests:
+    """Return the tests of the other motions once one is a part of the model."""
+    products, model, n = tests.products, tests.model, tests.n_model
+    j, sizes = products.columns[best], tests.sizes
+    cross, own = products.blocks_cross[:, :, j], products.blocks_inner[:, j[:, None], j]
+    rows = np.block([[model.blocks.H, cross], [cross.swapaxes(1, 2), own]])
+    blocks = Form.of(rows, np.concatenate([model.blocks.g, products.blocks_g[:, j]], axis=1))
+    prior = Form.of(block_diag(model.prior.H, tests.prior([best])), np.append(model.prior.g, np.zeros(len(j))))
+    beside, effect = Information(blocks, prior), tests.effects[best]
+    assert isinstance(effect, MovedPlace)
+    return replace(
+        tests,
+        effects=tuple(other for other in tests.effects if other is not effect),
+        names=(*tests.names, *(f"{effect.joint}.{effect.acts_on}.{k}" for k in range(len(j)))),
+        values=np.append(tests.values, np.zeros(len(j))),
+        sizes=np.concatenate([sizes[:n], sizes[n + j], sizes[n:]]),
+        model=beside,
+        products=products.taking(best),
+        squares=tests.squares + float(model.slope @ model.slope - beside.slope @ beside.slope),
+        spent=tests.spent + tests.score([best], 1).rank,
+    )
 
 
-@dataclass(frozen=True)
-class _Rest:
-    """What is left of the readings, whitened, once all that a refit would take up is projected out.
-
-    Attributes:
-        fit: the fit.
-        left: shape (m N + priors,), the residuals, priors among them, projected.
-        taken: shape (m N + priors, p), orthonormal vectors of what is projected out.
-        candidates: where it may come from.
-        spent: parameters spent.
-    """
-
-    fit: ModelFit
-    left: np.ndarray
-    taken: np.ndarray
-    candidates: Sequence[_Candidate]
-    spent: float
-
-    @property
-    def readings(self) -> int:
-        """Number of readings."""
-        return len(self.fit.station) * sum(block.size for block in self.fit.station.sensor.blocks)
-
-    @property
-    def dof(self) -> float:
-        """Degrees of freedom that are left."""
-        return max(self.readings - self.spent, 1.0)
-
-    @property
-    def squares(self) -> float:
-        """Sum of squares that is left."""
-        return float(self.left @ self.left)
-
-    def by_row(self, vector: np.ndarray) -> np.ndarray:
-        """Return the readings of a vector like ``left``, shape (m, N)."""
-        return vector[: self.readings].reshape(-1, len(self.fit.station))
-
-    def best(self) -> _Candidate | None:
-        """Return the candidate that explains most for its freedom; None if none is sure."""
-        squares = self.squares
-        found = [self._judged(candidate, squares) for candidate in self.candidates]
-        i, (ebic, p_value) = min(enumerate(found), key=lambda one: one[1][0])
-        return self.candidates[i] if p_value < WHERE.chance / len(found) and ebic < 0.0 else None
-
-    def _judged(self, candidate: _Candidate, squares: float) -> tuple[float, float]:
-        """Return information criterion and p-value of a candidate."""
-        root = root_of_inverse(candidate.gram, candidate.whole, SEEN)
-        rank = root.shape[1]
-        if rank == 0 or rank >= 0.5 * self.dof:
-            return np.inf, 1.0
-        gain = float(np.sum((candidate.along(self.left) @ root) ** 2))
-        return information_criterion(gain, rank, squares, self.readings), float(chance_of(gain, rank, squares, self.dof))
-
-    def without(self, best: _Candidate) -> _Rest:
-        """Return what is left once a candidate is taken up as well."""
-        Q = _orthonormal(self.columns_of(best))
-        return _Rest(
-            self.fit,
-            self.left - Q @ (Q.T @ self.left),
-            np.hstack([self.taken, Q]),
-            [candidate.without(Q) for candidate in self.candidates],
-            self.spent + Q.shape[1],
-        )
-
-    def columns_of(self, candidate: _Candidate) -> np.ndarray:
-        """Return the columns of a candidate, projected, shape (m N + priors, k)."""
-        columns = np.asarray(-self.taken @ candidate.along(self.taken).T)
-        columns[: candidate.columns.shape[1]] += candidate.columns.T
-        return columns
-
-    def described(self, candidate: _Candidate, excess: float) -> Located:
-        """Return a candidate with its share of the whole excess, its size and the range in which it sits."""
-        place, columns = candidate.place, self.columns_of(candidate)
-        height, _, rank, _ = np.linalg.lstsq(columns, self.left, rcond=np.sqrt(SEEN))
-        fitted = columns @ height
-        gain = float(fitted @ fitted) - rank
-        change = self.by_row(fitted)
-        window, inside = None, 0.0
-        if place.depends_on in self.fit.model.chain.robot.joint_names:
-            x = _variable(self.fit, place.joint, place.depends_on)
-            window, inside = _window(x, np.sum(change**2, axis=0))
-        share = float(np.clip(gain / max(excess, gain), 0.0, 1.0))
-        size = float(np.linalg.norm(change)) / candidate.lever
-        return replace(place, share=share, size=size, window=window, inside=inside)
+def _left(tests: ScoreTests) -> np.ndarray:
+    """Return the residuals once all that a refit would take up is projected out, shape (m, N)."""
+    return np.concatenate([left for _, left, _ in tests.along_rows((), np.zeros((0, 0)))], axis=1)
 
 
-def _rest_of(fit: ModelFit, sigma: np.ndarray) -> _Rest:
-    """Return what a fit leaves, with its parameters and uncertain masses taken up."""
-    free = fit.solution.free
-    masses = MassError.of(fit.model, fit.values)
-    extra: list[Effect] = [masses] if masses else []
-    spots = _spots(fit.model.chain)
-    residuals, jacobian = linearised(fit, [*extra, Motions(tuple(spots.values()))], free)
-    weights = np.empty(residuals.shape)
-    for rows, s in zip(block_rows(fit.station), sigma, strict=True):
-        weights[rows] = fit.station.weights * fit.solution.weights / s
-    jacobian *= weights
-    own = len(jacobian) - len(spots)
-    # Masses are known as they are, whatever they move.
-    sizes = np.concatenate([fit.priors.sizes[free], *([p.size for p in e.parameters(fit.model.chain)] for e in extra)])
-    values = np.append(fit.values[free], np.zeros(own - int(free.sum())))
-    beliefs = np.vstack([np.diag(1.0 / sizes), *_smoothness(fit, own)])
-    r = np.append((residuals * weights).ravel(), -beliefs @ values)
-    Q = _orthonormal(np.vstack([jacobian[:own].reshape(own, -1).T, beliefs]))
-    motions = jacobian[own:].copy()
-    # As large as all candidates together.
-    del jacobian
-    moved = dict(zip(spots, motions, strict=True))
-    candidates = [candidate.without(Q) for candidate in _candidates(fit, moved)]
-    return _Rest(fit, r - Q @ (Q.T @ r), Q, candidates, fit.solution.effective)
+def _best(tests: ScoreTests) -> int | None:
+    """Return the motion that explains most for its freedom; None if none is sure."""
+    scores = [tests.score([i], 1) for i in range(len(tests.effects))]
+    costs = [score.ebic if score.rank < 0.5 * tests.dof else np.inf for score in scores]
+    best = int(np.argmin(costs))
+    return best if scores[best].p_value < WHERE.chance / len(scores) and costs[best] < 0.0 else None
 
 
-def _smoothness(fit: ModelFit, own: int) -> Iterator[np.ndarray]:
-    """Yield what is believed of curves as readings of their heights, shape (K, own) each."""
-    column = np.cumsum(fit.solution.free) - 1
-    for term in (term for term in fit.problem.beliefs.terms if term.sigma is None):
-        squares, axes = np.linalg.eigh(term.information)
-        rows = np.zeros((len(term.places), own))
-        rows[:, column[term.places]] = np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T
-        yield rows
+def _described(fit: ModelFit, tests: ScoreTests, best: int, excess: float) -> Located:
+    """Return a motion with its share of the whole excess, its size and the range in which it sits."""
+    motion, (_, whitening) = tests.effects[best], tests.whitening([best])
+    assert isinstance(motion, MovedPlace)
+    height = whitening @ (whitening.T @ tests.within([best])[2])
+    change = np.concatenate([moved[0] for _, _, moved in tests.along_rows([best], height[:, None])], axis=1)
+    noise = np.repeat(fit.solution.estimated, [block.size for block in fit.station.sensor.blocks])
+    scale = fit.station.weights * fit.solution.weights / noise[:, None]
+    each = (np.tensordot([*by.values()], levers(fit, [*by]), axes=1) * scale for by in motion.moved(fit.model.chain))
+    lever = sum(float(np.sum(moved**2)) for moved in each)
+    gain, window, inside = float(tests.gain([best])[0]) - whitening.shape[1], None, 0.0
+    if motion.depends_on in fit.model.chain.robot.joint_names:
+        x = _variable(fit, None, motion.depends_on)
+        window, inside = _window(x, np.sum(change**2, axis=0))
+    share = float(np.clip(gain / max(excess, gain), 0.0, 1.0))
+    size = float(np.linalg.norm(change) / np.sqrt(lever))
+    return Located(motion.joint, motion.acts_on, motion.depends_on, share, size, window, inside)
 
 
-def _orthonormal(A: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis of what the columns of a matrix span."""
-    sizes = np.linalg.norm(A, axis=0)
-    # Pivoted: a column that adds nothing has to come last, or a direction that rounding makes up is kept from all after it.
-    Q, R, _ = qr(A / np.maximum(sizes, 1e-300), mode="economic", pivoting=True, check_finite=False, overwrite_a=True)
-    return np.asarray(Q[:, np.abs(np.diag(R)) > WHERE.spanned])
-
-
-def _spots(chain: Chain) -> dict[Spot, int]:
-    """Return the coordinates of the chain in which a disagreement may act."""
-    found: dict[Spot, int] = {}
-    for i, joint in enumerate(chain.robot.joint_names):
-        found |= {(joint, "drive", 0): int(chain.drives[i])}
-        found |= {(joint, axis, 0): chain.joint(i, axis) for axis in ("gamma_x", "gamma_y")}
-    found |= {(None, "base", k): chain.base(symbol) for k, symbol in enumerate(FRAME_SYMBOLS)}
-    lengths = [chain.joint(i, symbol) for i in range(chain.robot.n_joints) for symbol in "da"]
-    return found | {(None, "lengths", k): c for k, c in enumerate(lengths) if chain.nominal[c]}
-
-
-def _candidates(fit: ModelFit, moved: dict[Spot, np.ndarray]) -> Iterator[_Candidate]:
-    """Yield places with nothing taken up; ``moved`` tells how the readings move."""
-    names, conditions = fit.model.chain.robot.joint_names, fit.station.conditions
+def _motions(fit: ModelFit) -> list[MovedPlace]:
+    """Return what may move, by all that it may follow."""
+    names, conditions = fit.model.chain.robot.measured_joints, fit.station.conditions
     slow = [v for v in ("payload", "temperature", "time") if varies(conditions.column(v))]
-    bases = {v: _basis(_variable(fit, None, v), WHERE.slow_pieces) for v in slow}
-    bases |= {name: _basis(_variable(fit, name, name), WHERE.pieces) for name in names}
-    followed: list[tuple[str | None, str, str, np.ndarray, np.ndarray]] = [
-        (joint, acts_on, variable, basis, moved[joint, acts_on, 0][None])
+    curves = {v: _curves(_variable(fit, None, v), WHERE.slow_pieces) for v in slow}
+    everywhere = curves | {name: _curves(_variable(fit, None, name), WHERE.pieces) for name in names}
+    every = [
+        MovedPlace(joint, acts_on, variable, basis)
         for joint in names
         for acts_on in ("drive", "gamma_x", "gamma_y")
-        for variable, basis in (*bases.items(), *(_of_own_drive(fit, joint) if acts_on == "drive" else ()))
+        for variable, basis in (*everywhere.items(), *(_of_own_drive(fit, joint) if acts_on == "drive" else ()))
     ]
-    of = {at: np.array([m for (_, acts_on, _), m in moved.items() if acts_on == at]) for at in ("base", "lengths")}
-    # All lengths grow alike.
-    lengths = [fit.model.chain.nominal[c] for (_, at, _), c in _spots(fit.model.chain).items() if at == "lengths"]
-    of["lengths"] = np.tensordot(np.array(lengths), of["lengths"], axes=1)[None]
-    followed += [(None, at, variable, bases[variable], lever) for variable in slow for at, lever in of.items()]
-    for joint, acts_on, variable, basis, lever in followed:
-        # A variable that does not vary has no curves.
-        if len(basis):
-            columns = (lever[:, None] * basis[:, None, :]).reshape(len(lever) * len(basis), -1)
-            gram = columns @ columns.T
-            yield _Candidate(Located(joint, acts_on, variable), float(np.linalg.norm(lever)), columns, gram, np.diag(gram))
+    every += [
+        MovedPlace(None, acts_on, variable, basis) for variable, basis in curves.items() for acts_on in ("base", "lengths")
+    ]
+    # A variable that does not vary has no curves.
+    return [motion for motion in every if len(motion.curves)]
 
 
 def _of_own_drive(fit: ModelFit, joint: str) -> Iterator[tuple[str, np.ndarray]]:
     """Yield what a drive may follow beside positions: fine waves of its gear, direction of approach, last move, load."""
     conditions = fit.station.conditions
-    q = _variable(fit, joint, joint)
+    q = _variable(fit, None, joint)
     for size in WHERE.own_pieces:
         if np.ptp(q) and size <= most_pieces(q):
-            yield joint, _basis(q, size)
+            yield joint, _curves(q, size)
     for name, column in (("approach", conditions.approach), ("move", conditions.move)):
         if column is not None and varies(x := _variable(fit, joint, name)):
             yield name, x[None]
-    yield "load", _basis(_variable(fit, joint, "load"), WHERE.pieces)
+    yield "load", _curves(PoseSet(fit.model.chain, conditions).moment(joint), WHERE.pieces)
 
 
 def _variable(fit: ModelFit, joint: str | None, name: str) -> np.ndarray:
     """Return a variable at the rows of a fit, shape (N,)."""
-    if name == "load" and joint is not None:
-        return PoseSet(fit.model.chain, fit.station.conditions).moment(joint)
     return recorded_variable(fit.model.chain, fit.station.conditions, name, joint=joint)
 
 
-def _basis(x: np.ndarray, size: int) -> np.ndarray:
+def _curves(x: np.ndarray, size: int) -> np.ndarray:
     """Return curves of a variable, shape (k, N): splines, or powers where it takes few values; none of a constant."""
     count, lower, upper = distinct_values(x), float(x.min()), float(x.max())
     if count < 2:

@@ -9,20 +9,16 @@ from functools import partial
 
 import numpy as np
 
-from pincal.discover.backward import add_remainders, drop_needless, merge_parts, name_again, take_whole_curves
-from pincal.discover.candidate_tests import Search, addable, has_compliance, is_small_table, sampled, variants
+from pincal.discover.backward import drop_needless, judge_remainders, merge_parts, name_again
+from pincal.discover.candidate_tests import Search, addable, has_compliance, is_small_table, sampled, table_of, variants
 from pincal.discover.decisions import (
+    Decision,
     Row,
-    Unfitted,
     accepted,
     each_heading_once,
-    enough_errors,
-    is_own_curve,
-    standard_errors,
 )
-from pincal.discover.elastic import ElasticWay, elastic_way, likeliest_fit
+from pincal.discover.elastic import elastic_way, likeliest_fit
 from pincal.discover.ending import fit_all_rows, name_lines
-from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_compliances
 from pincal.discover.policy import POLICY, TESTING, Policy
 from pincal.discover.score_tests import score_test, score_test_given_nuisances
@@ -43,8 +39,9 @@ from pincal.identify.choices import deviance
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import is_dependent, serial_noise, with_serial
 from pincal.identify.fit import ModelFit
+from pincal.identify.station import Station
 from pincal.model.chain import MomentFrame
-from pincal.model.effect import Curve, Effect
+from pincal.model.effect import Effect
 from pincal.validate.midway import change_in
 
 log = logging.getLogger(__name__)
@@ -126,9 +123,13 @@ def withdraw_names_at_change(found: History) -> History:
 def _is_changed_midway(fit: ModelFit) -> bool:
     """Return whether something changed between two rows of a station."""
     return any(
-        change_in(station, fit.values[places], fit.solution.free[places], np.arange(len(station)))
+        change_in(station, fit.values[places], fit.solution.free[places], _order(station))
         for station, places, _ in fit.stations
     )
+
+
+def _order(station: Station) -> np.ndarray:
+    return np.arange(len(station)) if station.position is None else station.position
 
 
 def _follows_the_order(effect: Effect, fit: ModelFit) -> bool:
@@ -155,7 +156,7 @@ def _may_be_order(effects: Sequence[Effect], weighed: ModelFit, policy: Policy) 
     few, _ = sampled(fit, policy)
     tests = score_test_given_nuisances(few, effects)
     scores = (tests.score([i], 1) for i in range(len(effects)))
-    rows = (Row(effect, score, score.ebic, "stay") for effect, score in zip(effects, scores, strict=True))
+    rows = (Row(effect, score, score.ebic, question="stay") for effect, score in zip(effects, scores, strict=True))
     return not all(accepted(row, policy) for row in rows)
 
 
@@ -201,22 +202,6 @@ def _cost(state: SearchState, search: Search) -> float:
     return fit_cost(state.fit) + 2.0 * named * float(np.log(choices)) + CRITERIA.moment_frame * is_other
 
 
-def suggest_whole_curves(state: SearchState, search: Search) -> SearchState:
-    """Add, to two simple curves of one joint's position, that together they may be one irregular one."""
-    simple = [step.effect.locus.joint for step in state.steps if is_own_curve(step.effect)]
-    several = {joint for joint in simple if simple.count(joint) > 1}
-    if not several:
-        return state
-    # The coarsest of each joint.
-    curves = {e.locus.joint: e for e in reversed(list(variants(state.fit))) if isinstance(e, Curve)}
-    for step in state.steps:
-        joint = step.effect.locus.joint
-        if is_own_curve(step.effect) and joint in several and joint in curves:
-            equivalent = each_heading_once([curves[joint], *step.equivalent], step.effect, search.policy)
-            state = state.with_replaced(step, replace(step, equivalent=equivalent))
-    return state
-
-
 def in_frame(fit: ModelFit, frame: MomentFrame) -> ModelFit:
     """Return a fit in another convention, fitted again if it has moments."""
     effects = fit.options.effects
@@ -231,7 +216,7 @@ def in_frame(fit: ModelFit, frame: MomentFrame) -> ModelFit:
     )
 
 
-def elastic_ways(fit: ModelFit, frames: Sequence[MomentFrame], policy: Policy) -> dict[MomentFrame, ElasticWay]:
+def elastic_ways(fit: ModelFit, frames: Sequence[MomentFrame], policy: Policy) -> dict[MomentFrame, Decision]:
     """Return how an arm that has no elasticity yet is compliant in each convention; nothing where it does not."""
     if has_compliance(fit.options.effects):
         return {}
@@ -239,8 +224,8 @@ def elastic_ways(fit: ModelFit, frames: Sequence[MomentFrame], policy: Policy) -
 
 
 def single_compliance(
-    ways: Mapping[MomentFrame, ElasticWay], frames: Sequence[MomentFrame], policy: Policy
-) -> tuple[MomentFrame, ElasticWay] | None:
+    ways: Mapping[MomentFrame, Decision], frames: Sequence[MomentFrame], policy: Policy
+) -> tuple[MomentFrame, Decision] | None:
     """Return the convention in which one drive or bearing is all that is compliant; None where more does, or nothing.
 
     It would be lost among the many parameters by which whole arms differ between conventions. What explains as much in
@@ -253,7 +238,7 @@ def single_compliance(
     """
     if not ways:
         return None
-    costs = {frame: way.score.ebic for frame, way in ways.items()}
+    costs = {frame: way.row.cost for frame, way in ways.items()}
     least = min(costs, key=lambda frame: costs[frame])
     frame = frames[0] if costs.get(frames[0], np.inf) < costs[least] + CRITERIA.moment_frame else least
     if not ways[frame].is_single:
@@ -301,16 +286,10 @@ def _still_to_gain(fit: ModelFit, search: Search) -> float:
     # What else moves base or links, such as time, is for every convention to explain.
     others = (effect for effect in variants(fit, _LIKE_A_BEARING) if effect not in fit.problem.effects)
     effects = [effect for effect in others if effect.is_of_loads]
-    tests, rows = score_test(fit, effects, search.groups), list[Row]()
-    for i, effect in enumerate(effects):
-        score, said = tests.score([i], len(effects)), partial(_said_of, tests, i)
-        rows.append(Row(effect, score, score.ebic, among=len(effects), left_out=said, enough=enough_errors(effect)))
-    rows.sort(key=lambda row: row.cost)
-    return next((row.cost for row in rows if accepted(row, search.policy)), 0.0)
-
-
-def _said_of(tests: ScoreTests, i: int) -> Unfitted:
-    return Unfitted(standard_errors(tests.gains_by_block([i])))
+    if not effects:
+        return 0.0
+    table = table_of(fit, search, partial(score_test, fit), effects, among=len(effects))
+    return next((table.rows[i].cost for i in table.cheapest() if accepted(table.rows[i], search.policy)), 0.0)
 
 
 def is_brought(step: SearchStep) -> bool:
@@ -331,14 +310,11 @@ _PASSES: tuple[Callable[[SearchState, Search], SearchState], ...] = (
     compare_frames,
     name_again,
     drop_needless,
-    take_whole_curves,
-    add_remainders,
+    judge_remainders,
     hold_up_elasticity,
-    settle,
     fit_all_rows,
     settle,
     merge_parts,
-    suggest_whole_curves,
     add_hidden_waves,
     judge_outliers_again,
     name_lines,

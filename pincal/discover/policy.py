@@ -6,15 +6,10 @@ subject, with one object of it. docs/criteria.md derives the criteria in which t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import log
-from typing import Any
 
-
-def _number(default: object, unit: str, pinned_by: str, meaning: str, origin: str) -> Any:
-    """Return a field for a number: its unit, the test that fixes it, what it means, and why it has this value."""
-    return field(default=default, metadata={"unit": unit, "meaning": meaning, "origin": origin, "pinned_by": pinned_by})
-
+from pincal.identify.criteria import number as _number
 
 _RATES = "test_discovery_rates.py::"
 _NAMED = _RATES + "test_a_hidden_effect_is_named_with_its_joint"
@@ -70,18 +65,16 @@ class Policy:
         "p-value below which elasticity enters the model",
         "every arm is elastic, so one test is enough; it is tested again at the end")
     tie: float = _number(6.0, _CRITERION, _DECISIONS + "test_rivals_are_those_that_leave_little",
-        "difference in cost below which two effects count as equally good",
-        "odds of 20 to 1 (2 log 20 = 6.0)")
+        "difference in cost below which two effects count as equally good", "odds of 20 to 1 (2 log 20 = 6.0)")
     near_tie: float = _number(15.0, _CRITERION, _DECISIONS + "test_rivals_are_those_that_leave_little",
-        "difference in cost up to which an effect is considered as a rival",
-        "2.5 ties: odds of 1800 to 1")
+        "difference in cost up to which an effect is considered as a rival", "2.5 ties: odds of 1800 to 1")
     without_name: float = _number(6.0, _CRITERION, _NAMED,
         "by how much an unnamed effect has to be better than a named one",
         "one tie: a named effect is preferred unless the odds against it are 20 to 1")
     across: float = _number(2.0, _CRITERION, _NO_NAME,
         "by how much more if it acts across a joint's axis",
         "a rotation of a joint across its axis often resembles one of a neighbour about its own, which is simpler")
-    hint: float = _number(0.3, "probability", _DECISIONS + "test_a_simple_curve_may_be_part_of_a_whole_one",
+    hint: float = _number(0.3, "probability", "test_whole_curves.py::test_a_simple_curve_may_be_part_of_a_whole_one",
         "p-value below which a simple curve of a joint's position may be part of a finer one",
         "a hint, not a finding: it only adds an equivalent effect, so it may be wrong in a third of the cases")
     adds_nothing: float = _number(1e-3, "probability", _MANY_NAMED,
@@ -109,17 +102,15 @@ class Policy:
         "reduction of the weighted squares that is enough, however many readings there are",
         "ten standard deviations of one parameter: sure, whatever its share")
     close: int = _number(12, "effects", _EXAMPLES,
-        "named effects that take part when unnamed ones are tested",
-        "chosen: it bounds the size of the second table")
+        "named effects that take part when unnamed ones are tested", "chosen: it bounds the size of the second table")
     most_steps: int = _number(14, "steps", _EXAMPLES,
-        "effects that are added at most",
-        "chosen: a bound on the time")
+        "effects that are added at most", "chosen: a bound on the time")
     most_rivals: int = _number(6, "effects", _DECISIONS + "test_each_heading_is_listed_once",
-        "equivalent effects that are listed",
-        "what a reader can act on")
+        "equivalent effects that are listed", "what a reader can act on")
     enough_readings: int = _number(12000, "readings", "benchmark.py",
         "readings from which effects are chosen; in the end all rows are fitted and resolve the curves",
-        "an effect that reduces the squares of more readings by 100 still reduces these enough; UR10 B gives the same names")
+        "an effect that reduces the squares of more readings by 100 still reduces these enough; UR10 B gives the same "
+        "names")
 
     def least_gain(self, squares: float, *, declared: bool) -> float:
         """Return what an effect has to take off a sum of squares to matter, both in units of the noise.
@@ -144,8 +135,8 @@ class ScoreNumbers:
         "one in six by chance; other criteria are stricter")
     searched: float = _number(2.0, "standard errors", _STAGE,
         "the same for an effect selected among many on all blocks, such as harmonics of all orders",
-        "selection favours chance in the held-out blocks as well: of the significant ripples on a real UR10 only one "
-        "is found in both series, at 2.4 and 2.2; the others reach 1.7 at most")
+        "selection favours chance in the held-out blocks as well: of the significant ripples on a real UR10 only one is "
+        "found in both series, at 2.4 and 2.2; the others reach 1.7 at most")
     veto: float = _number(2.0, "standard errors", _BLOCKS,
         "that blocks of poses have to improve for one of them not to have a veto", "1 in 40 by chance")
     fewest_blocks: int = _number(6, "blocks", _BLOCKS,
@@ -167,8 +158,8 @@ class ScoreNumbers:
         "uncertainty of a first moment of mass in a URDF, in units of mass times link size", "as well as the mass")
     mass_beliefs: tuple[tuple[float, float], ...] = _number(((0.4, 0.0), (2.0, 2.0 * log(30.0))), "ratio, " + _CRITERION,
         "test_selection.py::test_priors_in_doubt_are_the_likeliest_ones_with_a_candidate_and_without",
-        "alternative factors for these, and their costs: 2 %, or, with odds of 30 to 1 against it, 10 %; the data determine "
-        "which is likelier, with an effect and without",
+        "alternative factors for these, and their costs: 2 %, or, with odds of 30 to 1 against it, 10 %; the data "
+        "determine which is likelier, with an effect and without",
         "gravity compensators and wrong payloads (lambda >= 60, masses 3 % off) are then named on more arms than with 5 % "
         "for all, and arms whose masses are 10 % off get no more false names")
     most_taken: float = _number(0.9, "ratio", "test_uneven.py::test_even_noise_changes_nothing",
@@ -185,12 +176,8 @@ class ScoreNumbers:
     order: float = _number(0.1, "ratio", "test_rows.py::test_correlated_noise_is_estimated_and_left_white",
         "mean square of a joint's steps from row to row, over that of random ones, below which it moved along the rows",
         "a path of a few turning points, or sorted poses")
-    expansions_tested: int = _number(4, "times", _CONSTANT,
-        "that an effect with a time constant is linearised anew to be tested", "chosen: each step is Newton's")
-    expansions_entered: int = _number(3, "times", _CONSTANT,
-        "the same before the next effect is looked for", "what is left of it is found once nothing else is missing")
     expansions: int = _number(8, "times", _CONSTANT,
-        "the same in the end", "chosen: each step is Newton's")
+        "that an effect with a time constant is linearised anew at most", "chosen: each step is Newton's")
     sure: float = _number(4.0, "standard deviations", _SOFT,
         "by which a compliance has to differ from zero to be named by itself",
         "1 in 16000 by chance, of some twenty compliances")
@@ -245,16 +232,11 @@ class WaveNumbers:
 class CurveNumbers:
     """How fine and how smooth drive curves are."""
 
-    sizes: tuple[int, ...] = _number(
-        (8, 10, 12, 15, 18, 22, 26, 32, 38, 44, 52, 60, 70, 80, 100, 120, 150, 180), "functions",
-        _REPEATS + "test_no_curve_is_finer_than_the_positions_of_its_joint",
-        "numbers of basis functions that are tried", "chosen: about a fifth apart")
-    at_once: int = _number(400, "parameters", _REPEATS + "test_curves_tested_a_few_at_a_time_are_the_same",
-        "of curves that are tested at once", "chosen for memory, which grows with the square")
     enough: int = _number(44, "positions", _REPEATS + "test_what_repeated_positions_can_not_tell_is_said",
         "distinct positions of a joint that are enough for most gears", "fewer are worth a word where the poses carry more")
-    finer: tuple[float, ...] = _number((1.0, 1.5, 2.25), "ratio", _RATES + "test_a_whole_curve_takes_the_place_of_its_part",
-        "pieces of a whole curve over those of the coarsest", "chosen: three are enough to tell whether there is more")
+    forms: int = _number(3, "resolutions", _RATES + "test_a_whole_curve_takes_the_place_of_its_part",
+        "of a whole curve, the coarsest ones, in which it is asked whether a simple one leaves some of it",
+        "chosen: three are enough to tell whether there is more, and each pays for the others")
     roughness: float = _number(0.1, "rad^-0.5", _LIKELIEST,
         "where the search for the roughness begins", "chosen: only the time depends on it")
     moves: int = _number(15, "times", _LIKELIEST,
@@ -279,8 +261,8 @@ class PlaceNumbers:
     """When a place or a region is worth a line."""
 
     chance: float = _number(0.01, "probability", _NOWHERE,
-        "that data without an effect show a place, or a range of the workspace", "a line of a report in a hundred may "
-        "be chance")
+        "that data without an effect show a place, or a range of the workspace",
+        "a line of a report in a hundred may be chance")
     share: float = _number(0.05, "ratio", _LOCATED,
         "part of the excess below which a further place is not worth a line", "chosen: too small to be relevant")
     places: int = _number(3, "places", _LOCATED,
@@ -300,9 +282,6 @@ class PlaceNumbers:
         "chosen: evenly spread, two fifths would hold two fifths")
     rows: int = _number(1000, "rows", _LOCATED,
         "beyond which they are thinned", "for time: a place worth a line shows in fewer")
-    spanned: float = _number(1e-7, "ratio", _LOCATED,
-        "fraction of a column's length that has to remain given the others for it to add a direction",
-        "above the root of what rounding leaves of its square")
     shuffles: int = _number(300, "orders", _NOWHERE,
         "of the rows by which a range of the workspace is judged", "three of them lie beyond the chance")
     pointed: float = _number(0.55, "ratio", _LOCATED,
@@ -344,15 +323,14 @@ class NoiseNumbers:
     joints: float = _number(25.0, "2 log likelihood", "test_joint_noise.py::test_even_noise_is_left_as_it_is",
         "that noise of the joints has to gain", "without any, 120 tables had up to 13, half of them up to 2")
     readings_each: float = _number(5.0, "readings per parameter", _JOINT_NOISE,
-        "below which a fit has shaped its residuals too much",
-        "a fifth of their variance is gone then")
+        "below which a fit has shaped its residuals too much", "a fifth of their variance is gone then")
     rows: int = _number(1000, "rows", _JOINT_NOISE,
         "that determine the variances well enough", "to 5 %")
     start: float = _number(0.3, "noise variance", "test_joint_noise.py::test_variances_are_where_residuals_are_likeliest",
         "where the search for the variances begins", "chosen: only the time depends on it")
     bounds: tuple[float, float] = _number((1e-6, 1e4), "noise variance",
-        "test_joint_noise.py::test_variances_are_where_residuals_are_likeliest", "how small and how large they may be",
-        "nothing, and everything")
+        "test_joint_noise.py::test_variances_are_where_residuals_are_likeliest",
+        "how small and how large they may be", "nothing, and everything")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,10 +17,9 @@ from pincal.discover.levers import situation_of
 from pincal.discover.policy import POLICY, SIGHT
 from pincal.discover.score_tests import score_test_given_nuisances
 from pincal.identify.calibrate import Tables, expected_fit, refit, tables_of
-from pincal.identify.explain import explain
+from pincal.identify.explain import Reason, Status, explain
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
-from pincal.identify.reasons import Reason, Status
 from pincal.measure.admit import admit, unobservable_notes
 from pincal.model.catalogue import candidates, untestable
 from pincal.model.catalogue.masses import notes_on_masses

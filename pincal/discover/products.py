@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -31,7 +31,7 @@ class Information:
     @cached_property
     def rows(self) -> Form:
         """What all rows say."""
-        return Form(*(of[0] if len(of) == 1 else of.sum(axis=0) for of in vars(self.blocks).values()))
+        return Form(*map(_sum, vars(self.blocks).values()))
 
     @cached_property
     def factor(self) -> Factor:
@@ -61,11 +61,6 @@ class Information:
         left = replace(left, g=left.g + self.blocks.H[:, model[:, None], gone] @ values)
         return Information(left, self.prior.part(model))
 
-    def grown(self, gone: np.ndarray, values: np.ndarray) -> float:
-        """Return by how much the squares of the residuals grow without columns of these values, shape (G,)."""
-        rows = self.rows.part(gone)
-        return float(values @ (2.0 * rows.g + rows.H @ values))
-
     @cached_property
     def without_block(self) -> list[tuple[Factor, np.ndarray]]:
         """Factor of the information without each block, and the step of the parameters."""
@@ -76,99 +71,56 @@ class Information:
         return found
 
 
-class Whitened(NamedTuple):
-    """Columns at some rows of a station, and where they stand among all.
-
-    Attributes:
-        jacobian: whitened.
-        slot: for every column, where it stands in the Jacobian, -1 if nowhere.
-    """
-
-    jacobian: Jacobian
-    slot: np.ndarray
-
-    @classmethod
-    def of(cls, jacobian: Jacobian, places: np.ndarray, n: int) -> Whitened:
-        """Return columns that stand at some places among n."""
-        slot = np.full(n, -1)
-        slot[places] = np.arange(len(places))
-        return cls(jacobian, slot)
-
-    def along(self, steps: np.ndarray) -> np.ndarray:
-        """Return how R steps of all parameters, shape (n, R), move the rows, whitened, shape (R, m, n)."""
-        here, own = self.slot >= 0, np.zeros((self.jacobian.size, steps.shape[1]))
-        own[self.slot[here]] = steps[here]
-        return self.jacobian.along(own)
-
-    def gram(self, columns: np.ndarray) -> np.ndarray:
-        """Return the products of J columns with each other, shape (J, J)."""
-        slot, (m, n) = self.slot[columns], self.jacobian.dense.shape[1:]
-        here, G = np.flatnonzero(slot >= 0), np.zeros((len(columns), len(columns)))
-        own = np.zeros((len(here), len(here)))
-        self.jacobian.only(slot[here]).add_gram(np.zeros((m, n)), own, np.zeros(len(here)))
-        G[np.ix_(here, here)] = own
-        return G
-
-
 class RowPart(NamedTuple):
-    """Some rows of a station.
+    """Some rows of a station, their residuals and columns whitened.
 
     Attributes:
         rows: shape (n,), which of all rows of the fit they are.
-        residuals: shape (m, n), whitened.
-        model: the model's columns.
-        candidates: those of all candidates.
+        residuals: shape (m, n).
+        model: the station's columns of the model.
+        at: where these stand among those of the model, -1 for nowhere.
+        candidates: the station's columns of the candidates.
+        own: where these stand among those of the candidates, -1 for nowhere.
+        taken: where these stand among those of the model, -1 for nowhere.
     """
 
     rows: np.ndarray
     residuals: np.ndarray
-    model: Whitened
-    candidates: Whitened
+    model: Jacobian
+    at: np.ndarray
+    candidates: Jacobian
+    own: np.ndarray
+    taken: np.ndarray
 
+    def moved(self, model: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+        """Return how R steps of the N parameters of the model and the C of candidates move the rows, shape (R, m, n)."""
+        # What stands nowhere takes no step.
+        of_model, of_candidates = (np.vstack([steps, np.zeros(steps.shape[1])]) for steps in (model, candidates))
+        added = of_candidates[self.own] + of_model[self.taken]
+        return np.asarray(self.model.along(of_model[self.at]) + self.candidates.along(added))
 
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """The rows that products are taken over, for what is asked of few candidates only.
+    def gram(self, columns: np.ndarray) -> np.ndarray:
+        """Return the products of J columns of candidates with each other, shape (J, J)."""
+        here, mine = np.nonzero(columns[:, None] == self.own)
+        own, G = np.zeros((len(here), len(here))), np.zeros((len(columns), len(columns)))
+        self.candidates.only(mine).add_gram(np.zeros_like(self.residuals), own, np.zeros(len(here)))
+        G[np.ix_(here, here)] = own
+        return G
 
-    Attributes:
-        parts: all rows, with the columns of a model and of candidates as they once were.
-        model: shape (N,), which of those of the model are left.
-        candidates: for each candidate that is left, which are its own.
-        undone: of each parameter of the model as it once was, how far it has gone back since.
-    """
+    def across(self, columns: np.ndarray, n: int) -> np.ndarray:
+        """Return the products of J columns of candidates with all n, shape (J, n)."""
+        here, mine = np.nonzero(columns[:, None] == self.own)
+        own, all_of_them, placed = np.zeros((len(here), len(self.own))), np.zeros((len(columns), n)), self.own >= 0
+        self.candidates.only(mine).add_products(self.candidates, own)
+        all_of_them[np.ix_(here, self.own[placed])] = own[:, placed]
+        return all_of_them
 
-    parts: tuple[RowPart, ...]
-    model: np.ndarray
-    candidates: tuple[np.ndarray, ...]
-    undone: np.ndarray
-
-    def gram(self, which: Sequence[int]) -> np.ndarray:
-        """Return the Gram matrix of the J columns of some candidates, shape (J, J)."""
-        columns = np.concatenate([self.candidates[i] for i in which])
-        return np.asarray(sum(part.candidates.gram(columns) for part in self.parts))
-
-    def moved(self, model: np.ndarray, i: int, candidate: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield the rows of each part, their residuals, shape (m, n), and how R steps move them, shape (R, m, n).
-
-        Args:
-            model: shape (N, R), steps of the model's parameters.
-            i: a candidate.
-            candidate: shape (g, R), steps of its parameters.
-        """
-        n_steps = model.shape[1]
-        of_model = np.zeros((len(self.undone), n_steps + 1))
-        of_model[self.model, :-1], of_model[:, -1] = model, self.undone
-        for part in self.parts:
-            of_candidate = np.zeros((len(part.candidates.slot), n_steps))
-            of_candidate[self.candidates[i]] = candidate
-            back = part.model.along(of_model)
-            yield part.rows, part.residuals + back[-1], back[:-1] + part.candidates.along(of_candidate)
-
-    def among(self, which: Sequence[int], model: np.ndarray, gone: np.ndarray, values: np.ndarray) -> Rows:
-        """Return the same of some candidates and of some of the model's columns, others ``gone`` with their values."""
-        undone = self.undone.copy()
-        undone[self.model[gone]] += values
-        return Rows(self.parts, self.model[model], tuple(self.candidates[i] for i in which), undone)
+    def among(self, model: np.ndarray, candidates: np.ndarray, undone: np.ndarray) -> RowPart:
+        """Return the same of some columns, by the places that they get, once those of the model have gone back so far."""
+        some = np.flatnonzero(self.taken >= 0)
+        back = self.model.along(undone[self.at, None]) + self.candidates.only(some).along(undone[self.taken[some], None])
+        at, taken, own = model[self.at], model[self.taken], candidates[self.own]
+        return self._replace(residuals=self.residuals + back[0], at=at, own=own, taken=taken)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,17 +132,17 @@ class Products:
         blocks_cross: shape (B, N, C), with the model's columns.
         blocks_inner: shape (B, C, C), with each other.
         blocks_g: shape (B, C), with the residuals.
-        rows: what they are taken over; None if nobody knows.
         is_partial: whether those of one candidate's columns with another's are left out of ``blocks_inner``, to be taken
             from the rows when they are asked for: of many candidates few pairs are.
+        parts: the rows that they are taken over; none if nobody asks for them.
     """
 
     columns: tuple[np.ndarray, ...]
     blocks_cross: np.ndarray
     blocks_inner: np.ndarray
     blocks_g: np.ndarray
-    rows: Rows | None = None
     is_partial: bool = False
+    parts: tuple[RowPart, ...] = ()
     _asked: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -204,13 +156,14 @@ class Products:
         return _sum(self.blocks_g)
 
     @cached_property
-    def _inner(self) -> np.ndarray:
+    def each_inner(self) -> np.ndarray:
+        """Those of each candidate's columns with each other, of all blocks, shape (C, C); of others' perhaps not."""
         return _sum(self.blocks_inner)
 
     @cached_property
     def squares(self) -> np.ndarray:
         """Of each column with itself, shape (C,)."""
-        return np.diag(self._inner)
+        return np.diag(self.each_inner)
 
     @cached_property
     def inner(self) -> np.ndarray:
@@ -223,17 +176,12 @@ class Products:
 
     def inner_of(self, which: Sequence[int]) -> np.ndarray:
         """Return those of some candidates' columns with each other, shape (J, J)."""
-        if self.is_partial and self.rows is not None and len(which) > 1:
-            key = tuple(which)
-            if key not in self._asked:
-                self._asked[key] = self.rows.gram(which)
-            return self._asked[key]
         j = self.places(which)
-        return np.asarray(self._inner[np.ix_(j, j)])
-
-    def each_inner(self, columns: np.ndarray) -> np.ndarray:
-        """Return those of g columns of each of some candidates, shape (n, g), with each other, shape (n, g, g)."""
-        return np.asarray(self._inner[columns[:, :, None], columns[:, None]])
+        if not self.is_partial or len(which) < 2:
+            return np.asarray(self.each_inner[np.ix_(j, j)])
+        if (key := tuple(which)) not in self._asked:
+            self._asked[key] = np.asarray(sum(part.gram(j) for part in self.parts))
+        return self._asked[key]
 
     def among(self, which: Sequence[int], model: np.ndarray, gone: np.ndarray, values: np.ndarray) -> Products:
         """Return those of some candidates with some of a model's columns, others gone with their values.
@@ -245,15 +193,39 @@ class Products:
             values: shape (G,), of their parameters.
         """
         j, ends = self.places(which), np.cumsum([0, *(len(self.columns[i]) for i in which)])
-        cross = self.blocks_cross[:, :, j]
+        cross, undone = self.blocks_cross[:, :, j], np.zeros(self.blocks_cross.shape[1] + 1)
+        undone[gone] = values
+        of_model, of_candidates = (_slots(at, n) for at, n in zip((model, j), self.blocks_cross.shape[1:], strict=True))
         return replace(
             self,
             columns=tuple(np.arange(a, b) for a, b in pairwise(ends)),
             blocks_cross=cross[:, model],
             blocks_inner=self.blocks_inner[:, j[:, None], j],
             blocks_g=self.blocks_g[:, j] + values @ cross[:, gone],
-            rows=None if self.rows is None else self.rows.among(which, model, gone, values),
+            parts=tuple(part.among(of_model, of_candidates, undone) for part in self.parts),
         )
+
+    def taking(self, which: int) -> Products:
+        """Return those of the other candidates with a model to which one's columns are appended; all columns stay."""
+        j, (n_model, n) = self.columns[which], self.blocks_cross.shape[1:]
+        across = self.blocks_inner[:, j]
+        if self.is_partial:
+            across = np.sum([part.across(j, n) for part in self.parts], axis=0)[None]
+        at = _slots(j, n)
+        at[at >= 0] += n_model
+        return replace(
+            self,
+            columns=(*self.columns[:which], *self.columns[which + 1 :]),
+            blocks_cross=np.concatenate([self.blocks_cross, across], axis=1),
+            parts=tuple(part._replace(taken=np.maximum(part.taken, at[part.own])) for part in self.parts),
+        )
+
+
+def _slots(places: np.ndarray, n: int) -> np.ndarray:
+    """Return where each of n things stands among those at some places, -1 for nowhere, also behind the last."""
+    slots = np.full(n + 1, -1)
+    slots[places] = np.arange(len(places))
+    return slots
 
 
 def _sum(blocks: np.ndarray) -> np.ndarray:

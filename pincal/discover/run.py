@@ -19,40 +19,32 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal, TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
-import msgspec
 import numpy as np
+from msgspec import to_builtins
+from msgspec.structs import replace as changed
 
-from pincal.calibration.calibrated_fit import Fit as CalibratedFit
+from pincal.calibration.calibrated_robot import Fit as CalibratedFit
 from pincal.calibration.calibration import Calibration, run_calibration
 from pincal.calibration.held_out import LeftOut, as_measured, leave_out_stations
 from pincal.calibration.result import result_of
 from pincal.calibration.validation import Validation
-from pincal.discover.candidate_tests import fit_of_rows, sampled
+from pincal.discover.candidate_tests import sampled
 from pincal.discover.drive_curves import notes_on_repeats
 from pincal.discover.elastic import sure_compliances
 from pincal.discover.ending import note_on_joints, widened
 from pincal.discover.findings import bootstrap_last, findings_of
 from pincal.discover.loop import discover_effects, withdraw_names_at_change
 from pincal.discover.policy import POLICY, TESTING, Policy
-from pincal.discover.shrink import PartialResidual, gaps_of, partial_residuals, stages_of
+from pincal.discover.shrink import PartialResidual, partial_residuals, stages_of
 from pincal.discover.steps import History, worded
 from pincal.errors import BadInputError, PincalError
 from pincal.identify.calibrate import Tables, refit, tables_of
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
-from pincal.io.discovery_file import (
-    Bootstrap,
-    EffectName,
-    Findings,
-    FoundEffect,
-    Gap,
-    Repeated,
-    Stability,
-    Stage,
-)
+from pincal.io.discovery_file import Bootstrap, EffectName, Findings, Repeated, Stability, Stage
 from pincal.measure.approach import note_on_sides
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
@@ -98,7 +90,7 @@ class Discovery:
     @property
     def report(self) -> dict[str, Any]:
         """The contents of ``discovery.json``."""
-        return dict(msgspec.to_builtins(self.findings))
+        return dict(to_builtins(self.findings))
 
 
 class Choices(TypedDict, total=False):
@@ -189,26 +181,22 @@ def run_discovery(
     trail, notes = search(first)
     halves = begin_subsamples(trail, _regions(first), stability, executor=executor)
     # What follows is done here while workers are at the halves.
-    fit, gaps, traces = widened(trail), stages_of(trail, first.stations), partial_residuals(trail)
+    fit, traces = widened(trail), partial_residuals(trail)
+    gaps, held_out = stages_of(trail, first.stations)
     origins = ", ".join(dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations))))
-    ends = gaps_of(trail.first, first.stations), gaps_of(trail.final, first.stations)
-    held_out: dict[str, dict[Literal["before", "after"], Gap]] = {
-        way: {"before": ends[0][way], "after": ends[1][way]} for way in ends[1] if way != "test"
-    }
     measured = as_measured(trail.final, first.stations)
     findings = findings_of(
-        fit, trail, gaps=gaps, traces=traces, approach_from=origins or None, measured=measured, held_out=held_out
+        fit, trail, gaps=gaps, traces=traces, measured=measured, held_out=held_out, approach_from=origins or None
     )
     if stability:
-        bootstrap = bootstrap_last(trail)
-        findings = with_subsamples(findings, halves(), bootstrap)
+        findings = with_subsamples(findings, halves(), bootstrap_last(trail))
     left_out = tuple(left_out)
     seconds = time.perf_counter() - begun
     result = result_of(fit, first.stations, seconds=seconds, notes=notes, left_out=left_out)
     final = replace(first, fit=CalibratedFit.of(fit), result=result, notes=notes)
     # The search says what speaks against the model; whether anything speaks for it, the rule for all verbs.
     verdict = result.verdict_of(left=findings.verdict is Verdict.NOT_ADEQUATE)
-    findings = msgspec.structs.replace(findings, verdict=verdict, warnings=result.warnings)
+    findings = changed(findings, verdict=verdict, warnings=result.warnings)
     return Discovery(final, trail, findings, gaps, traces)
 
 
@@ -313,15 +301,11 @@ def _subsamples(parts: Sequence[np.ndarray], regions: np.ndarray, count: int) ->
     for k in range(count):
         if k % 2 == 0:
             orders = [rng.permutation(part) for part in parts]
-            cuts = [_middle(sizes[order]) for order in orders]
+            sums = [np.cumsum(sizes[order]) for order in orders]
+            # At least one region, and not all.
+            cuts = [int(np.clip(np.argmin(np.abs(n - 0.5 * n[-1])) + 1, 1, max(len(n) - 1, 1))) for n in sums]
         pairs = zip(orders, cuts, strict=True)
         yield np.concatenate([order[cut:] if k % 2 else order[:cut] for order, cut in pairs])
-
-
-def _middle(sizes: np.ndarray) -> int:
-    """Return how many of these blocks hold about half of the rows; at least one, and not all."""
-    counts = np.cumsum(sizes)
-    return int(np.clip(np.argmin(np.abs(counts - 0.5 * counts[-1])) + 1, 1, max(len(sizes) - 1, 1)))
 
 
 def _names_in_half(
@@ -336,7 +320,7 @@ def _names_in_half(
     rows = np.flatnonzero(np.isin(regions, half))
     groups = np.unique(regions[rows], return_inverse=True)[1] % TESTING.blocks
     try:
-        few = fit_of_rows(first, rows)
+        few = first.select(rows)
         start = refit(few, few.options.effects, start={})
         return tuple(_groups(discover_effects(start, groups, extra=extra, policy=policy, nameless=nameless)))
     except PincalError:
@@ -361,32 +345,20 @@ def with_subsamples(findings: Findings, halves: Subsamples, bootstrap: Bootstrap
         bootstrap: whether the effect that was accepted last may be chance; None if there is none.
     """
     if not halves:
-        return msgspec.structs.replace(findings, bootstrap=bootstrap)
-    effects = tuple(msgspec.structs.replace(entry, stability=_stability(entry, halves)) for entry in findings.effects)
-    return msgspec.structs.replace(
-        findings,
-        effects=effects,
-        hints=tuple(_repeated(entry, entry.stability) for entry in effects if entry.stability and entry.is_hint),
-        only_in_halves=tuple(_only_in_subsamples(effects, halves)),
-        poses_in_a_half=halves.poses,
-        bootstrap=bootstrap,
+        return changed(findings, bootstrap=bootstrap)
+    every = [(entry, Stability(halves.count(_heading(entry)), len(halves))) for entry in findings.effects]
+    effects = tuple(changed(entry, stability=stability) for entry, stability in every)
+    names = ({key: getattr(entry, key) for key in EffectName.__struct_fields__} for entry in effects)
+    hints = (Repeated(**name, stability=of) for name, (_, of) in zip(names, every, strict=True) if of.share < SURE)
+    # What most halves bring up and all rows neither have nor list among what could be theirs.
+    known = [_heading(name) for entry in effects for name in (entry, *entry.equivalent)]
+    only = (
+        Repeated(effect=effect, joint=joint, source=source, stability=Stability(named, len(halves)))
+        for (effect, joint, source), named in halves.others(known, SURE)
     )
+    told: dict[str, Any] = {"hints": tuple(hints), "only_in_halves": tuple(only), "poses_in_a_half": halves.poses}
+    return changed(findings, effects=effects, bootstrap=bootstrap, **told)
 
 
 def _heading(entry: EffectName) -> Heading:
     return entry.effect, entry.joint, entry.source
-
-
-def _stability(entry: EffectName, halves: Subsamples) -> Stability:
-    return Stability(halves.count(_heading(entry)), len(halves))
-
-
-def _repeated(name: EffectName, stability: Stability) -> Repeated:
-    return Repeated(**{field: getattr(name, field) for field in EffectName.__struct_fields__}, stability=stability)
-
-
-def _only_in_subsamples(effects: Sequence[FoundEffect], halves: Subsamples) -> Iterator[Repeated]:
-    """Yield names that most halves bring up and that all rows neither have nor list among what could be theirs."""
-    known = [_heading(name) for entry in effects for name in (entry, *entry.equivalent)]
-    for (effect, joint, source), named in halves.others(known, SURE):
-        yield Repeated(effect=effect, joint=joint, source=source, stability=Stability(named, len(halves)))

@@ -88,12 +88,6 @@ class Excess:
         )
 
 
-def find_scatter(fit: ModelFit) -> ScatteringJoint | None:
-    """Return the joint that is shown to scatter, if there is one; see :func:`find_excess`."""
-    excess = find_excess(fit)
-    return None if excess is None else excess.scattering
-
-
 def find_excess(fit: ModelFit, measured: ModelFit | None = None) -> Excess | None:
     """Return the joint along whose lever most is left beyond the noise, if it is enough, and whether it is scatter.
 
@@ -326,23 +320,11 @@ def p_value_of_uneven_noise(fit: ModelFit, tests: ScoreTests) -> float:
 
 def _scores_by_visit(fit: ModelFit, tests: ScoreTests, whitening: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the scores of what the effect leaves, shape (V, rank), and the part of it that each visit takes up, (V,)."""
-    products, model, rows = tests.products, tests.model, tests.products.rows
-    assert rows is not None
-    # What a whitened unit of the effect moves beside what the model then takes up of it, and the step of both.
-    taken = model.factor.solve(np.column_stack([products.cross @ whitening, model.rows.g + model.prior.g]))
-    step = whitening.T @ tests.projected[1]
-    of_model = np.column_stack([-taken[:, :-1], taken[:, -1] - taken[:, :-1] @ step])
-    visit = _visits(fit)
-    sums, shares = np.zeros((2, int(visit.max()) + 1, len(step)))
-    for here, residuals, moved in rows.moved(of_model, 0, np.column_stack([whitening, whitening @ step])):
-        moved, left = moved[:-1], residuals - moved[-1]
-        np.add.at(sums, visit[here], np.einsum("rmn,mn->nr", moved, left))
-        np.add.at(shares, visit[here], np.einsum("rmn,rmn->nr", moved, moved))
-    return sums, shares.sum(axis=1)
-
-
-def _visits(fit: ModelFit) -> np.ndarray:
-    """Return the visit that each row belongs to, shape (N,), each of one station."""
-    each = [visits(station) for station in fit.problem.stations]
+    each, step = [visits(station) for station in fit.problem.stations], whitening.T @ tests.projected[1]
     starts = np.cumsum([0, *(int(of.max()) + 1 for of in each)])
-    return np.concatenate([start + of for start, of in zip(starts, each, strict=False)])
+    visit = np.concatenate([start + of for start, of in zip(starts, each, strict=False)])
+    sums, shares = np.zeros((2, int(visit.max()) + 1, len(step)))
+    for rows, left, moved in tests.along_rows([0], whitening):
+        np.add.at(sums, visit[rows], np.einsum("rmn,mn->nr", moved, left - np.tensordot(step, moved, axes=1)))
+        np.add.at(shares, visit[rows], np.einsum("rmn,rmn->nr", moved, moved))
+    return sums, shares.sum(axis=1)

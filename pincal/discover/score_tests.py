@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from pincal.discover.first_order import Doubt, ScoreTests
 from pincal.discover.levers import MassError, missing_features
 from pincal.discover.policy import TESTING
-from pincal.discover.products import Information, Products, RowPart, Rows, Whitened
+from pincal.discover.products import Information, Products, RowPart
 from pincal.identify.beliefs import priors_of
 from pincal.identify.fit import ModelFit
-from pincal.identify.jacobian import Jacobian
-from pincal.identify.normal import believed, block_rows
+from pincal.identify.jacobian import Jacobian, block, span
+from pincal.identify.normal import believed
 from pincal.identify.problem import Problem, extended
 from pincal.identify.quadratic import Form
 from pincal.identify.station import Station
@@ -23,31 +24,22 @@ from pincal.model.conditions import part_of
 from pincal.model.effect import Effect, Family
 
 
-@dataclass(frozen=True, eq=False)
-class _Piece:
+class _Piece(NamedTuple):
     """Some rows of a station, sorted by their blocks, with the whitened Jacobian of the model.
 
     Attributes:
         rows: shape (n,), which of all rows of the fit they are.
-        groups: shape (n,), the block of each row.
+        blocks: the blocks of rows that are here, and where they stand.
         whitening: shape (m, n).
         residuals: shape (m, n), whitened.
         jacobian: by the station's columns.
     """
 
     rows: np.ndarray
-    groups: np.ndarray
+    blocks: list[tuple[int, slice]]
     whitening: np.ndarray
     residuals: np.ndarray
     jacobian: Jacobian
-
-    def parts(self, n_blocks: int) -> Iterator[tuple[int, slice]]:
-        """Yield the blocks of rows that are here, and which of the rows they are."""
-        if n_blocks == 1:
-            yield 0, slice(0, len(self.groups))
-            return
-        for k in np.unique(self.groups).tolist():
-            yield k, slice(*np.searchsorted(self.groups, [k, k + 1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,35 +86,30 @@ class Tangent:
         values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
         values[known], free[known] = fit.values, fit.solution.free
         n_blocks, size = 1 if groups is None else int(groups.max()) + 1, int(free.sum())
-        H, g, squares = np.zeros((n_blocks, size, size)), np.zeros((n_blocks, size)), 0.0
-        column, orders, pieces = np.cumsum(free) - 1, [], []
+        H, g = np.zeros((n_blocks, size, size)), np.zeros((n_blocks, size))
+        column, orders, pieces = np.cumsum(free) - 1, list[np.ndarray | slice](), list[tuple[_Piece, ...]]()
         for i, station in enumerate(problem.stations):
             rows, places = problem.rows[i], problem.places[i]
             blocks = np.zeros(len(station), int) if groups is None else groups[rows]
             order: np.ndarray | slice = slice(None) if n_blocks == 1 else np.argsort(blocks, kind="stable")
-            sorted_station = _sorted(station, order)
-            local_values, local_free = values[places], free[places]
-            weights, sigma = fit.solution.weights[rows][order], fit.solution.estimated[problem.block_spans[i]]
-            mine = column[places[local_free]]
-            own_H, own_g, found = _room(H, mine, mine), np.zeros((n_blocks, len(mine))), list[_Piece]()
-            for piece, residuals, jacobian in sorted_station.linearise_shared(local_values, local_free):
-                whitening = np.empty_like(residuals)
-                for readings, s in zip(block_rows(station), sigma, strict=True):
-                    whitening[readings] = sorted_station.weights[piece] * weights[piece] / s
-                here = np.arange(rows.start, rows.stop)[order][piece]
-                part = _Piece(here, blocks[order][piece], whitening, residuals * whitening, jacobian.weighted(whitening))
-                for k, some in part.parts(n_blocks):
-                    part.jacobian.poses(some).add_gram(part.residuals[:, some], own_H[k], own_g[k])
-                squares += float(np.sum(part.residuals**2))
+            station, local = _sorted(station, order), (values[places], free[places])
+            noise = np.repeat(fit.solution.estimated[problem.block_spans[i]], [of.size for of in station.sensor.blocks])
+            weights = station.weights * fit.solution.weights[rows][order] / noise[:, None]
+            mine, numbers, found = column[places[local[1]]], np.arange(rows.start, rows.stop)[order], list[_Piece]()
+            own = np.zeros((n_blocks, len(mine), len(mine))), np.zeros((n_blocks, len(mine)))
+            for piece, residuals, jacobian in station.linearise_shared(*local):
+                scale, parts = weights[:, piece], list(_blocks(blocks[order][piece]))
+                part = _Piece(numbers[piece], parts, scale, residuals * scale, jacobian.weighted(scale))
+                for k, some in parts:
+                    part.jacobian.poses(some).add_gram(part.residuals[:, some], own[0][k], own[1][k])
                 found.append(part)
-            facts = believed(sorted_station, local_values, local_free)
-            if facts is not None:
-                own_H += facts.H / n_blocks
-                own_g += facts.g / n_blocks
-            g[:, mine] += own_g
-            _scatter(own_H, mine, mine, H)
+            if (facts := believed(station, *local)) is not None:
+                own = own[0] + facts.H / n_blocks, own[1] + facts.g / n_blocks
+            g[:, mine] += own[1]
+            _add(own[0], mine, mine, H)
             orders.append(order)
             pieces.append(tuple(found))
+        squares = sum(float(np.sum(part.residuals**2)) for of_station in pieces for part in of_station)
         said = Form.of(H, g)
         return cls(fit, tuple(nuisance), problem, values, free, known, tuple(orders), tuple(pieces), said, squares)
 
@@ -174,22 +161,21 @@ class Tangent:
         for i, station in enumerate(problem.stations):
             local, before = problem.places[i], self.problem.places[i]
             mine, ours = of_model[before[self.free[before]]], of_tested[local[free[local]]]
-            own_cross, own_inner, own_b = _room(cross, mine, ours), _room(inner, ours, ours), np.zeros((n_blocks, len(ours)))
+            own_inner, own_b = np.zeros((n_blocks, len(ours), len(ours))), np.zeros((n_blocks, len(ours)))
+            own_cross = np.zeros((n_blocks, len(mine), len(ours)))
             linearised = _sorted(station, self.orders[i]).linearise_shared(values[local], free[local])
             for piece, (_, _, jacobian) in zip(self.pieces[i], linearised, strict=True):
                 added = jacobian.weighted(piece.whitening)
-                for k, some in piece.parts(n_blocks):
+                for k, some in piece.blocks:
                     part = added.poses(some)
                     part.add_gram(piece.residuals[:, some], own_inner[k], own_b[k], candidate[ours])
                     piece.jacobian.poses(some).add_products(part, own_cross[k])
-                whitened = Whitened.of(piece.jacobian, mine, n_model), Whitened.of(added, ours, n)
-                parts.append(RowPart(piece.rows, piece.residuals, *whitened))
+                parts.append(RowPart(piece.rows, piece.residuals, piece.jacobian, mine, added, ours, np.full(len(ours), -1)))
             b[:, ours] += own_b
-            _scatter(own_cross, mine, ours, cross)
-            _scatter(own_inner, ours, ours, inner)
+            _add(own_cross, mine, ours, cross)
+            _add(own_inner, ours, ours, inner)
         columns = tuple(np.arange(a, b) for a, b in pairwise(ends))
-        rows = Rows(tuple(parts), np.arange(n_model), columns, np.zeros(n_model))
-        return Products(columns, cross, inner, b, rows, n_blocks == 1 and len(places) > 1)
+        return Products(columns, cross, inner, b, n_blocks == 1 and len(places) > 1, tuple(parts))
 
 
 def _sorted(station: Station, order: np.ndarray | slice) -> Station:
@@ -200,23 +186,15 @@ def _sorted(station: Station, order: np.ndarray | slice) -> Station:
     return replace(station.select(order), conditions=conditions)
 
 
-def _room(S: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return where to add up the products of a station: those of all, where it has all columns in their order."""
-    has_all = np.array_equal(rows, np.arange(S.shape[1])) and np.array_equal(columns, np.arange(S.shape[2]))
-    return S if has_all else np.zeros((len(S), len(rows), len(columns)))
+def _blocks(groups: np.ndarray) -> Iterator[tuple[int, slice]]:
+    """Yield the blocks of rows that are sorted by them, and where these stand."""
+    for k in np.unique(groups).tolist():
+        yield k, slice(*np.searchsorted(groups, [k, k + 1]))
 
 
-def _scatter(own: np.ndarray, rows: np.ndarray, columns: np.ndarray, S: np.ndarray) -> None:
-    """Add the products of a station's columns to those of all, at their places, if they are not there."""
-    for here, mine in _runs(rows) if own is not S else ():
-        for there, across in _runs(columns):
-            S[:, here, there] += own[:, mine, across]
-
-
-def _runs(places: np.ndarray) -> list[tuple[slice, slice]]:
-    """Return the stretches of places that follow each other, and where they stand in the list: slices need no copies."""
-    cuts = np.r_[0, np.flatnonzero(np.diff(places) != 1) + 1, len(places)]
-    return [(slice(int(places[a]), int(places[b - 1]) + 1), slice(int(a), int(b))) for a, b in pairwise(cuts) if a < b]
+def _add(own: np.ndarray, rows: np.ndarray, columns: np.ndarray, whole: np.ndarray) -> None:
+    """Add the products of a station's columns, by block, to those of all at their places."""
+    whole[(slice(None), *block(span(rows), span(columns)))] += own
 
 
 def nuisances(fit: ModelFit, effects: Sequence[Effect]) -> list[Effect]:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from msgspec.structs import asdict
 
 from pincal.calibration.held_out import StationRows, errors_held_out, headline_of
-from pincal.discover.levers import levers
+from pincal.discover.levers import levers, on_steps
 from pincal.discover.policy import WAVES
 from pincal.discover.steps import History, ModelChange
 from pincal.identify.fit import ModelFit
 from pincal.io.discovery_file import EffectName, Gap, Stage
 from pincal.model.conditions import MOMENT, recorded_variable
-from pincal.model.effect import Curve, Effect, Family
+from pincal.model.effect import Curve, Effect, Family, Locus
 from pincal.model.effect_bases import drive_unit
 from pincal.model.effects import Compliance
 from pincal.recorded import RECORDABLE
@@ -39,14 +38,17 @@ def gaps_of(fit: ModelFit, rows: Sequence[StationRows]) -> dict[str, Gap]:
     return {part: Gap(**{key: of[key] for key in Gap.__struct_fields__ if key in of}) for part, of in errors.items()}
 
 
-def stages_of(trail: History, rows: Sequence[StationRows]) -> tuple[Stage, ...]:
-    """Return the errors at the start and after each change of the model.
+def stages_of(
+    trail: History, rows: Sequence[StationRows]
+) -> tuple[tuple[Stage, ...], dict[str, dict[Literal["before", "after"], Gap]]]:
+    """Return the errors at the start and after each change of the model, and those on rows held out in each way.
 
     Each change gets the share of what it takes off the mean square beside those before it, so that nothing that two
     effects share counts twice. (Shapley values would spread it evenly, at the price of a fit of every subset.)
     """
     every = [gaps_of(fit, rows) for fit in (trail.first, *(change.fit for change in trail.changes))]
-    lead = headline_of({part: {"mean_mm": gap.mean_mm} for part, gap in every[-1].items()})
+    first, last = every[0], every[-1]
+    lead = headline_of({part: {"mean_mm": gap.mean_mm} for part, gap in last.items()})
     gaps = [gap[lead] for gap in every]
     squares = [gap.rms_mm**2 for gap in gaps]
     fell = squares[0] - squares[-1]
@@ -55,7 +57,7 @@ def stages_of(trail: History, rows: Sequence[StationRows]) -> tuple[Stage, ...]:
         entered, left = (tuple(EffectName.of(effect) for effect in effects) for effects in (change.entered, change.left))
         share = (before - after) / fell if fell > 0.0 else None
         stages.append(Stage(name=_words(change), entered=entered, left=left, share=share, **asdict(gap)))
-    return tuple(stages)
+    return tuple(stages), {way: {"before": first[way], "after": last[way]} for way in last if way != "test"}
 
 
 def _words(change: ModelChange) -> str:
@@ -117,11 +119,8 @@ def partial_residuals(trail: History) -> tuple[PartialResidual, ...]:
     """
     fit = trail.final
     kept = [[effect for effect in step.effects if effect in fit.problem.effects] for step in trail.steps]
-    present = [effects[0] for effects in kept if effects]
-    shown = tuple(_shown(fit, effect) for effect in present)
-    stations = [_Whitened(alone, shown) for alone in fit.alone]
-    pairs = zip(present, shown, strict=True)
-    return tuple(_joined([_of_station(s, part) for s in stations if e in s.fit.model.effects]) for e, part in pairs)
+    shown = [(effects[0], _shown(fit, effects[0])) for effects in kept if effects]
+    return tuple(_joined(parts) for parts in zip(*(_at_station(alone, shown) for alone in fit.alone), strict=True))
 
 
 def _shown(fit: ModelFit, effect: Effect) -> Effect:
@@ -133,105 +132,64 @@ def _shown(fit: ModelFit, effect: Effect) -> Effect:
     return replace(effect, joints=(surest.element,))
 
 
-def _joined(parts: Sequence[PartialResidual]) -> PartialResidual:
+def _joined(parts: Sequence[PartialResidual | None]) -> PartialResidual:
     """Return what an effect explains at all stations that have it."""
-    if len(parts) == 1:
-        return parts[0]
-    names = ["x", "before", "after", "fitted", "weights"] + (["own"] if parts[0].own is not None else [])
-    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return replace(parts[0], **arrays)
+    first, *others = filter(None, parts)
+    names = ["x", "before", "after", "fitted", "weights"] + (["own"] if first.own is not None else [])
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in (first, *others)]) for name in names}
+    return replace(first, **arrays)
 
 
-@dataclass(frozen=True)
-class _Whitened:
-    """The only station of a fit, and what its effects share: its rows that count, and what is left at them.
+def _at_station(fit: ModelFit, shown: Sequence[tuple[Effect, Effect]]) -> Iterator[PartialResidual | None]:
+    """Yield what each of some effects explains at the rows of the only station of a fit; None if it is not there.
 
-    Attributes:
+    Args:
         fit: the fit.
-        effects: those that are shown.
+        shown: the effects, each with what is shown of it.
     """
-
-    fit: ModelFit
-    effects: tuple[Effect, ...]
-
-    @cached_property
-    def rows(self) -> np.ndarray:
-        """Which rows count, shape (N,)."""
-        return np.asarray(self.fit.solution.weights > 0.0)
-
-    @cached_property
-    def left(self) -> np.ndarray:
-        """The residuals of the fit."""
-        return self.residuals(self.fit.values)
-
-    @cached_property
-    def moments(self) -> np.ndarray:
-        """Static moments at all N rows, shape (N, 3 n) [N m]."""
-        return self.fit.model.static_moments(self.fit.model_values, self.fit.station.conditions)
-
-    @cached_property
-    def levers(self) -> dict[int, np.ndarray]:
-        """How the readings that count move with each coordinate of the chain that an effect moves alone, likewise."""
-        moved = {_coordinate(self.fit, effect) for effect in self.effects}
-        coordinates = tuple(k for k in moved if k is not None)
-        return dict(zip(coordinates, levers(self.fit, coordinates)[..., self.rows] * self._scale, strict=True))
-
-    def residuals(self, values: np.ndarray) -> np.ndarray:
-        """Return the residuals of the rows that count, in units of the noise, shape (m, rows)."""
-        return np.asarray(self.fit.station.residuals(values)[:, self.rows] * self._scale)
-
-    @cached_property
-    def _scale(self) -> np.ndarray:
-        sizes = [block.size for block in self.fit.station.sensor.blocks]
-        return np.asarray(self.fit.station.weights[self.rows] / np.repeat(self.fit.solution.estimated, sizes)[:, None])
+    fit = fit.select(np.flatnonzero(fit.solution.weights > 0.0))
+    station, chain, few = fit.station, fit.model.chain, fit.station.conditions.select(np.zeros(1, int))
+    moments, present = fit.model.static_moments(fit.model_values, station.conditions), fit.model.effects
+    scale = station.weights / np.repeat(fit.solution.estimated, [block.size for block in station.sensor.blocks])[:, None]
+    left = station.residuals(fit.values) * scale
+    # Of an effect that moves a single coordinate of the chain, this one.
+    moved = [{t.coordinate for t in part.terms(chain, few, moments[:1])} if e in present else set() for e, part in shown]
+    single = tuple(dict.fromkeys(k for of in moved if len(of) == 1 for k in of))
+    lever_of = dict(zip(single, levers(fit, single) * scale, strict=True))
+    for (effect, part), coordinates in zip(shown, moved, strict=True):
+        if effect not in present:
+            yield None
+            continue
+        idle, at = fit.values.copy(), part.locus
+        idle[[fit.model.index(parameter.name) for parameter in part.parameters(chain)]] = 0.0
+        without = station.residuals(idle) * scale
+        if len(coordinates) == 1:
+            lever = lever_of[coordinates.pop()]
+            weights = np.sum(lever**2, axis=0)
+            unit_errors = lever / np.maximum(weights, 1e-300)
+            unit = "rad" if at.joint is None else drive_unit(chain, at.joint)
+        else:
+            along = (without - left) / np.maximum(np.linalg.norm(without - left, axis=0), 1e-300)
+            sigma = float(fit.solution.estimated[0]) * station.metres_per_reading(fit.values)
+            unit_errors, weights, unit = along * sigma, np.full(len(station), sigma**-2.0), "m"
+        before, after, fitted = (np.sum(unit_errors * r, axis=0) for r in (without, left, without - left))
+        is_of_both = at.shape in _OF_BOTH and at.joint is not None
+        own = recorded_variable(chain, station.conditions, str(at.joint)) if is_of_both else None
+        yield PartialResidual(part, *_explaining(fit, at, moments), before, after, fitted, weights, unit, own)
 
 
-def _of_station(seen: _Whitened, effect: Effect) -> PartialResidual:
-    """Return what an effect explains at the rows of a station."""
-    fit, station, rows, left = seen.fit, seen.fit.station, seen.rows, seen.left
-    idle = fit.values.copy()
-    idle[[fit.model.index(parameter.name) for parameter in effect.parameters(fit.model.chain)]] = 0.0
-    without, coordinate = seen.residuals(idle), _coordinate(fit, effect)
-    if coordinate is None:
-        change = without - left
-        along = change / np.maximum(np.linalg.norm(change, axis=0), 1e-300)
-        sigma = float(fit.solution.estimated[0]) * station.metres_per_reading(fit.values)
-        unit_errors, weights, unit = along * sigma, np.full(int(rows.sum()), sigma**-2.0), "m"
-    else:
-        lever = seen.levers[coordinate]
-        weights = np.sum(lever**2, axis=0)
-        unit_errors = lever / np.maximum(weights, 1e-300)
-        unit = "rad" if effect.locus.joint is None else drive_unit(fit.model.chain, effect.locus.joint)
-    before, after, fitted = (np.sum(unit_errors * r, axis=0) for r in (without, left, without - left))
-    variable, x_unit, x = _explaining(seen, effect)
-    own = None
-    if effect.locus.shape in _OF_BOTH and effect.locus.joint:
-        own = recorded_variable(fit.model.chain, station.conditions, effect.locus.joint)[rows]
-    return PartialResidual(effect, variable, x_unit, x[rows], before, after, fitted, weights, unit, own)
-
-
-def _coordinate(fit: ModelFit, effect: Effect) -> int | None:
-    """Return the one coordinate that an effect moves, None if there are several."""
-    chain = fit.model.chain
-    first = np.zeros(1, int)
-    moments = fit.model.static_moments(fit.model_values, fit.station.conditions.select(first))
-    moved = {term.coordinate for term in effect.terms(chain, fit.station.conditions.select(first), moments)}
-    return moved.pop() if len(moved) == 1 else None
-
-
-def _explaining(seen: _Whitened, effect: Effect) -> tuple[str, str, np.ndarray]:
+def _explaining(fit: ModelFit, at: Locus, moments: np.ndarray) -> tuple[str, str, np.ndarray]:
     """Return the name, the unit and the values of the variable that an effect follows, shape (N,)."""
-    conditions, chain, at = seen.fit.station.conditions, seen.fit.model.chain, effect.locus
+    chain = fit.model.chain
     names = chain.robot.joint_names
     if at.follows == MOMENT:
         i = 0 if at.joint is None else names.index(at.joint)
-        moments = seen.moments
         # Of the whole arm the moment on joint 1 that tilts it.
         both = np.hypot(moments[:, 3 * i], moments[:, 3 * i + 1])
         return MOMENT, "N m", both if at.joint is None else moments[:, 3 * i + 2]
     name = at.follows or at.joint or names[0]
     unit = drive_unit(chain, name) if name in names else RECORDABLE[name].unit if name in RECORDABLE else ""
-    return name, unit, recorded_variable(chain, conditions, name, joint=at.joint)
+    return name, unit, recorded_variable(chain, fit.station.conditions, name, joint=at.joint)
 
 
 def period_of(trace: PartialResidual) -> float | None:
@@ -247,37 +205,16 @@ def period_of(trace: PartialResidual) -> float | None:
     if (order := trace.effect.locus.order) is not None:
         period = 2.0 * np.pi / order
         return float(period) if width >= WAVES.periods * period else None
-    y = y - np.sum(w * y) / np.sum(w)
-    squares = float(np.sum(w * y**2))
-    cycles = np.arange(WAVES.periods, WAVES.finest * len(x), 1.0 / WAVES.oversampled)
-    if not len(cycles):
+    angle, end = 2.0 * np.pi * (x - x.min()) / width, WAVES.finest * len(x)
+    if end <= WAVES.periods:
         return None
-    gains = _tone_gains(2.0 * np.pi * (x - x.min()) / width, cycles, y, w)
+    steps = {"start": WAVES.periods, "step": 1.0 / WAVES.oversampled, "end": end}
+    cycles, gains = on_steps(angle, w * y, w, **steps, is_beside_constant=True)
     # Whitened, each row of noise adds 1 to the weighted squares, a tone of noise alone 2.
-    excess = squares - len(y)
+    excess = float(np.sum(w * (y - np.average(y, weights=w)) ** 2)) - len(y)
     best = int(np.argmax(gains))
     sure = gains[best] > 2.0 * np.log(len(cycles) / WAVES.period)
     return width / float(cycles[best]) if sure and gains[best] - 2.0 > WAVES.tone * max(excess, 1e-9) else None
-
-
-def _tone_gains(angle: np.ndarray, cycles: np.ndarray, y: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """Return what a sine and a cosine beside a constant take off the weighted squares, for evenly spaced cycles.
-
-    The weighted sums of y e^(i c angle), e^(i c angle) and its square say it all; each tone is the one before, turned.
-    """
-    tone, turn = np.exp(1j * cycles[0] * angle), np.exp(1j * angle / WAVES.oversampled)
-    sums = np.empty((len(cycles), 3), complex)
-    for found in sums:
-        found[:] = (w * y) @ tone, w @ tone, (w * tone) @ tone
-        tone *= turn
-    with_y, mean, square = sums.T
-    whole = w.sum()
-    G = 0.5 * np.array([[whole + square.real, square.imag], [square.imag, whole - square.real]])
-    parts = np.array([mean.real, mean.imag])
-    G -= parts[:, None] * parts / whole
-    b = np.array([with_y.real, with_y.imag]) - parts * (w @ y) / whole
-    inverse = np.linalg.pinv(np.moveaxis(G, -1, 0), rcond=1e-9, hermitian=True)
-    return np.asarray(np.einsum("ik,kij,jk->k", b, inverse, b))
 
 
 def _title(effect: Effect) -> str:

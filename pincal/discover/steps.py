@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
@@ -13,7 +13,7 @@ import numpy as np
 from pincal.discover.candidate_tests import Search, choose, has_compliance, hidden_wave, is_small_table, named_tests
 from pincal.discover.decisions import Decision, standard_errors
 from pincal.discover.drive_curves import resolved
-from pincal.discover.elastic import ElasticWay, elastic_way, likeliest_fit
+from pincal.discover.elastic import elastic_way, likeliest_fit
 from pincal.discover.first_order import ScoreResult, ScoreTests
 from pincal.discover.levers import missing_compliances
 from pincal.discover.policy import TESTING, Policy
@@ -21,6 +21,7 @@ from pincal.discover.score_tests import score_test, score_test_given_nuisances
 from pincal.identify.calibrate import Tolerance, refit
 from pincal.identify.choices import required_features
 from pincal.identify.fit import ModelFit
+from pincal.identify.selection import Scored, select_stepwise
 from pincal.identify.station import Station
 from pincal.model.effect import Effect, ExponentialDrift, Family
 from pincal.model.effects import Compliance
@@ -152,22 +153,26 @@ def add_effects(state: SearchState, search: Search) -> SearchState:
 
     What the data call for of the bearings enters once no name explains more: before, it would take up what drives do.
     """
-    for _ in range(search.policy.most_steps):
-        state = _trusting_what_gathers(state)
+
+    def offers(state: SearchState) -> Iterator[Scored[SearchStep | tuple[Effect, ...]]]:
         step = _next_step(state.fit, search)
-        least = 0.0 if step is None else step.score.gain
-        called = required_features(state.fit, least)
-        if features := _that_predict(state.fit, called.effects, search) if called.gain > least else ():
-            fit = refit(state.fit, [*state.fit.options.effects, *features], start={}, until=Tolerance.CLOSE)
-            log.info("bearings: %s", worded(features))
-            state = state.changed(fit, state.steps, features, ())
-            continue
-        if step is None:
-            break
-        residuals = (1e3 * float(fit.solution.estimated[0]) for fit in (step.before, step.after))
-        log.info("found %s: residual %.4f -> %.4f mm", worded(step.effects), *residuals)
-        state = state.with_step(step)
-    return state
+        gain = 0.0 if step is None else step.score.gain
+        if step is not None:
+            yield Scored(step, -gain)
+        called = required_features(state.fit, gain)
+        if called.gain > gain and (features := _that_predict(state.fit, called.effects, search)):
+            yield Scored(features, -called.gain)
+
+    def taken(state: SearchState, found: SearchStep | tuple[Effect, ...]) -> SearchState:
+        if isinstance(found, SearchStep):
+            residuals = (1e3 * float(fit.solution.estimated[0]) for fit in (found.before, found.after))
+            log.info("found %s: residual %.4f -> %.4f mm", worded(found.effects), *residuals)
+            return _trusting_what_gathers(state.with_step(found))
+        log.info("bearings: %s", worded(found))
+        fit = refit(state.fit, [*state.fit.options.effects, *found], start={}, until=Tolerance.CLOSE)
+        return _trusting_what_gathers(state.changed(fit, state.steps, found, ()))
+
+    return select_stepwise(_trusting_what_gathers(state), offers, taken, most=search.policy.most_steps)
 
 
 def _trusting_what_gathers(state: SearchState) -> SearchState:
@@ -238,17 +243,15 @@ def add_hidden_waves(state: SearchState, search: Search) -> SearchState:
 
     Of more rows than effects are chosen by, all are fitted once and nothing is added after it.
     """
-    is_thinned = len(search.groups) < len(state.fit.problem)
-    for _ in range(0 if is_thinned else search.policy.most_steps):
-        hidden = hidden_wave(state.fit, search)
-        if hidden is None:
-            break
-        found, start = hidden
-        wave = found.effect
-        after = refit(state.fit, [*state.fit.options.effects, wave], start={wave: start})
-        log.info("found %s behind the curves", worded([wave]))
-        state = state.with_step(SearchStep((wave,), found.row.score, found.equivalent, state.fit, after, wave, start))
-    return state
+    if len(search.groups) < len(state.fit.problem):
+        return state
+
+    def offers(state: SearchState) -> Iterator[Scored[SearchStep]]:
+        if (found := hidden_wave(state.fit, search)) is not None:
+            log.info("found %s behind the curves", worded(found.effects))
+            yield Scored(decided(state.fit, found, search, until=Tolerance.SETTLED), found.row.cost)
+
+    return select_stepwise(state, offers, SearchState.with_step, most=search.policy.most_steps)
 
 
 def _next_step(fit: ModelFit, search: Search) -> SearchStep | None:
@@ -260,20 +263,20 @@ def _next_step(fit: ModelFit, search: Search) -> SearchStep | None:
     return None if decision is None else decided(fit, decision, search)
 
 
-def bent(fit: ModelFit, way: ElasticWay, after: ModelFit | None = None) -> SearchStep:
+def bent(fit: ModelFit, way: Decision, after: ModelFit | None = None) -> SearchStep:
     """Return the step that adds compliances, to the fit with them if it is known."""
     after = refit(fit, [*fit.options.effects, *way.effects]) if after is None else after
-    return SearchStep(way.effects, way.score, way.equivalent, fit, after, way.effects[0], np.zeros(0))
+    return SearchStep(way.effects, way.row.score, way.equivalent, fit, after, way.effect, np.zeros(0))
 
 
-def decided(fit: ModelFit, decision: Decision, search: Search) -> SearchStep:
+def decided(fit: ModelFit, decision: Decision, search: Search, until: Tolerance = Tolerance.CLOSE) -> SearchStep:
     """Return the step that adds what was decided, a curve as fine as the data can tell."""
     tested = decision.effect
     effect, start, estimate = resolved(fit, tested, search.groups)
-    after = refit(fit, [*fit.options.effects, effect], start={effect: start}, until=Tolerance.CLOSE)
+    after = refit(fit, [*fit.options.effects, effect], start={effect: start}, until=until)
     if isinstance(effect, ExponentialDrift):
         # What is left of its time constant is found once nothing else is missing.
-        after, effect = linearised_about_itself(after, effect, most=TESTING.expansions_entered, until=Tolerance.CLOSE)
+        after, effect = linearised_about_itself(after, effect, until)
     return SearchStep((effect,), decision.row.score, decision.equivalent, fit, after, tested, estimate, decision.together)
 
 
@@ -283,42 +286,23 @@ def worded(effects: Sequence[Effect]) -> str:
 
 
 def linearised_about_itself(
-    fit: ModelFit, effect: ExponentialDrift, *, most: int = TESTING.expansions, until: Tolerance = Tolerance.SETTLED
+    fit: ModelFit, effect: ExponentialDrift, until: Tolerance = Tolerance.SETTLED
 ) -> tuple[ModelFit, ExponentialDrift]:
-    """Return a fit in which an effect stands linearised about its own parameters, and the effect.
-
-    Args:
-        fit: the fit.
-        effect: the effect.
-        most: fits at most.
-        until: how far each goes.
-    """
-    for _ in range(most):
-        about, start = about_itself(fit, effect)
+    """Return a fit in which an effect stands linearised about its own parameters, and the effect."""
+    for _ in range(TESTING.expansions):
+        values = fit.values[fit.problem.places_at(effect)]
+        about = effect.about(values)
         if about == effect:
             break
+        start = np.zeros(len(values))
+        start[0] = values[0]
         others = [other for other in fit.options.effects if other != effect]
         fit, effect = refit(fit, [*others, about], start={about: start}, until=until), about
     return fit, effect
 
 
-def about_itself(fit: ModelFit, effect: ExponentialDrift) -> tuple[ExponentialDrift, np.ndarray]:
-    """Return an effect of a fit linearised about its parameters as they are, and what these are then, shape (K,)."""
-    values = fit.values[fit.problem.places_at(effect)]
-    about = effect.about(values)
-    start = np.zeros(len(about.parameters(fit.problem.chain)))
-    start[0] = values[0]
-    return about, start
-
-
 def settle(state: SearchState, search: Search) -> SearchState:
-    """Linearise each effect with a time constant about its parameters as they are beside all others.
-
-    All rows of a large table move it little from where the rows that effects are chosen by left it: they are fitted with it
-    about where they have it, and that is enough.
-    """
-    if len(state.fit.problem) > len(search.groups):
-        return state
+    """Linearise each effect with a time constant about its parameters as they are beside all others."""
     for step in state.steps:
         for effect in step.effects:
             if isinstance(effect, ExponentialDrift):

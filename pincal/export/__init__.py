@@ -1,6 +1,6 @@
 """Exports: the calibrated robot in the forms that controllers, simulators and other programs read.
 
-A format is one module here that registers a :class:`pincal.export.exported.Format`.
+A module here registers each :class:`pincal.export.exported.Format`.
 """
 
 import pkgutil

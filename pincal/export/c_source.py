@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.export.exported import FORMATS, Exported, Format
-from pincal.export.formulas import Formulas, formulas_of
+from pincal.export.exported import FORMATS, Exported, Format, as_comment, filled, header, identifier, notes_on, placed_in
+from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.export.numpy_source import numpy_source, refuse_wrong
-from pincal.export.source import as_comment, filled, header, identifier, notes_on, placed_in
-from pincal.export.statements import Language, written
 
 _C = Language(
     statement="    const double {} = {};",
@@ -36,7 +34,6 @@ class CSource(Format):
     meaning: ClassVar[str] = "C99 without dependencies, for a controller's cycle"
 
     def export(self, calibrated: CalibratedModel) -> Exported:
-        """Return header and source."""
         formulas = formulas_of(placed_in(calibrated, self.frame))
         name = identifier(calibrated.model.chain.robot.name)
         files = {f"{name}.{kind}": _file(formulas, name, kind=kind, frame=self.frame).encode() for kind in "hc"}

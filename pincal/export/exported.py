@@ -1,16 +1,27 @@
-"""What an export is, and the formats that there are: one class a format, known by its name."""
+"""What an export is, the formats that there are (one class a format, known by its name), and what sources share."""
 
 from __future__ import annotations
 
 import os
+import re
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib.metadata import version
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 from typing import ClassVar
+
+import numpy as np
 
 from pincal.atomic import write_atomic
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.compensate.compensation import ORTHONORMAL
+from pincal.compensate.robot_frames import in_base_frame
 from pincal.errors import BadInputError, OutputError, nearest_first
+from pincal.export.formulas import Formulas, sides_following
+from pincal.model.conditions import Conditions
 from pincal.plugins import Registry
 
 
@@ -106,3 +117,92 @@ def export_model(
     if path is not None:
         exported.write(path)
     return exported
+
+
+# Weight of a rotation against a translation in compensation, over the robot's reach; see pincal.compensate.ik_problem.
+_LEVER = 1.0 / 3.0
+_CHECKED_POSES = 200
+_PAYLOAD, _WARM, _LONG = 20.0, (5.0, 45.0), 1e5
+
+NOTES = (
+    "standard deviations and the parameters of the sensor itself are in model.json only",
+    "the model is not validated outside the measured range: pincal predict and compensate report such poses",
+)
+
+
+def placed_in(calibrated: CalibratedModel, frame: str) -> CalibratedModel:
+    """Return a calibrated model that predicts in a frame, "instrument" or "base": where targets are, not how they are read.
+
+    Raises:
+        BadInputError: for another name.
+    """
+    if frame not in ("instrument", "base"):
+        raise BadInputError(f"frame {frame!r}; expected instrument or base")
+    if frame == "base":
+        return in_base_frame(calibrated)
+    is_read_wrong = any(effect.is_sighted for effect in calibrated.model.effects)
+    return calibrated.with_effects(lambda effect: not effect.is_sighted) if is_read_wrong else calibrated
+
+
+def notes_on(calibrated: CalibratedModel) -> tuple[str, ...]:
+    """Return what source code can't carry of a calibrated model, in words."""
+    read = ", ".join(effect.name for effect in calibrated.model.effects if effect.is_sighted)
+    return (*NOTES, f"{read}: an error of the instrument; it is in model.json only") if read else NOTES
+
+
+def filled(template: str, formulas: Formulas, *, frame: str, numbers: Callable[[np.ndarray], str], **words: str) -> str:
+    """Return a template with the words that every language has, and others; ``numbers`` writes a list of them."""
+    robot = formulas.calibrated.model.chain.robot
+    # Positions as reported of such a joint have no limits of their own.
+    coupled = (robot.combination != np.eye(robot.n_joints)).any(axis=1)
+    common = {
+        "n": str(len(formulas.joints)),
+        "length": repr(max(_LEVER * robot.reach, 1e-3)),
+        "orthonormal": repr(ORTHONORMAL),
+        "lower": numbers(np.where(coupled, -np.inf, robot.lower)[formulas.joints]),
+        "upper": numbers(np.where(coupled, np.inf, robot.upper)[formulas.joints]),
+        "frame": frame,
+        "payload_centre": "({:g}, {:g}, {:g})".format(*formulas.calibrated.payload_centre),
+    }
+    text = files("pincal.export").joinpath("templates", template).read_text(encoding="utf-8")
+    return Template(text).substitute(common | words)
+
+
+def header(formulas: Formulas, *, frame: str) -> list[str]:
+    """Return lines on what was exported, and what not."""
+    found = formulas.calibrated
+    effects = ", ".join(dict.fromkeys(effect.name for effect in found.model.effects)) or "none"
+    return [
+        f"{as_comment(found.model.chain.robot.name)}: the calibrated robot, written by pincal {version('pincal')}.",
+        "",
+        f"Poses of the target in the {frame} frame, with every effect of the model:",
+        f"{effects}.",
+        "",
+        "Not included:",
+        *(f"- {note}" for note in NOTES),
+    ]
+
+
+def identifier(name: str) -> str:
+    """Return a name in the letters that names of programs have."""
+    found = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
+    return found if found and not found[0].isdigit() else f"robot_{found}".rstrip("_")
+
+
+def as_comment(text: str) -> str:
+    """Return a name as it may stand in a comment of any language."""
+    return re.sub(r"[^\w .:;()'/,-]", "_", text, flags=re.ASCII).replace("*/", "_").replace("/*", "_")
+
+
+def checked_poses(calibrated: CalibratedModel) -> Conditions:
+    """Return poses at which an export is compared with the model: all over the joints' ranges, everything recorded."""
+    robot, rng, n = calibrated.model.chain.robot, np.random.default_rng(0), _CHECKED_POSES
+    found = Conditions.at(robot.random_configurations(n, rng), payload_centre=calibrated.payload_centre)
+    return replace(
+        found,
+        target=rng.integers(0, len(calibrated.model.chain.targets), n),
+        payload=rng.uniform(0.0, _PAYLOAD, n),
+        temperature=rng.uniform(*_WARM, n),
+        time=rng.uniform(0.0, _LONG, n),
+        approach=sides_following(robot, rng.integers(-1, 2, found.q.shape)),
+    )

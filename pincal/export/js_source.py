@@ -13,12 +13,16 @@ import numpy as np
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.compensate.compensation import middle_of_range
 from pincal.compensate.robot_frames import base_in_instrument, nominal_robot
-from pincal.export.exported import FORMATS, Exported, Format
-from pincal.export.formulas import Formulas, formulas_of
+from pincal.export.exported import FORMATS, Exported, Format, as_comment, checked_poses, filled, header, notes_on, placed_in
+from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.export.numpy_source import numpy_source, refuse_wrong
-from pincal.export.source import as_comment, checked_poses, filled, header, notes_on, placed_in
-from pincal.export.statements import Language, written
+from pincal.export.python_to_js import Translator, as_text
+from pincal.measure.heading import NUMBERED
+from pincal.programs.arms import rigid_pose
+from pincal.programs.language import LANGUAGES
+from pincal.programs.syntax import parser_of
 from pincal.robot.kinematics import Kinematics
+from pincal.robot.robot import Robot
 from pincal.units import UNITS, size_of
 
 _JS = Language(
@@ -33,6 +37,17 @@ _JS = Language(
     input=lambda name: name if name.startswith("moments") else f"state.{name}",
     curve=lambda i, curve, x: f"cubic({x}, {curve.lower!r}, {curve.upper!r}, CURVES[{i}])",
 )  # fmt: skip
+# Modules in the order in which they need each other; the languages stand behind them.
+_MODULES = ("syntax", "flow", "program", "draft", "statement_reader", "language", "rapid_blocks")
+# What the page has its own of: files, lark, arrays of numbers, and what only the command does.
+_OWN = frozenset((
+    "Source", "parser_of", "TYPE_CHECKING", "spliced", "Frame.__eq__", "Frame.__hash__", "ControllerLanguage.pose",
+    "ControllerLanguage.is_pose", "ControllerLanguage.numbers", "ControllerLanguage.frame", "ControllerLanguage.joint_units",
+    "ControllerLanguage._by_axis", "Jbi.joint_units", "LANGUAGES", "language_of", "files_of", "read_sources",
+    "_nearest_angles", "Point.values",
+))  # fmt: skip
+
+
 # Bases that differ less than this at all checked times and temperatures stand still [m, elements of the rotation matrix].
 _STILL = 1e-12
 
@@ -51,14 +66,15 @@ class CorrectorPage(Format):
     meaning: ClassVar[str] = "a page that corrects programs in any browser, offline"
 
     def export(self, calibrated: CalibratedModel) -> Exported:
-        """Return the page."""
         import jinja2
 
         placed_in(calibrated, self.frame)
         formulas = formulas_of(placed_in(calibrated, "base"))
         worst = refuse_wrong(formulas.calibrated, text=numpy_source(formulas, frame="base"))
         templates = files("pincal.export").joinpath("templates")
-        parts = {name: templates.joinpath(f"corrector{name}").read_text("utf-8") for name in (".css", ".js", "_table.js")}
+        names = ("corrector.css", "corrector_table.js", "python.js", "programs.js", "corrector_programs.js", "corrector.js")
+        style, table, *scripts = (templates.joinpath(name).read_text("utf-8") for name in names)
+        scripts.insert(2, programs_in_js())
         loader = jinja2.PackageLoader("pincal.export", "templates")
         page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template("corrector.html.j2")
         html = page.render(
@@ -67,8 +83,8 @@ class CorrectorPage(Format):
             notes=notes_on(calibrated),
             about=_in_script(_about(calibrated, formulas, self.frame)),
             model=js_source(formulas),
-            style=parts[".css"],
-            script=parts["_table.js"] + parts[".js"],
+            style=style,
+            script="\n".join((table, *scripts)),
         )
         return Exported({"": html.encode()}, notes_on(calibrated), worst)
 
@@ -121,7 +137,7 @@ def _about(calibrated: CalibratedModel, formulas: Formulas, frame: str) -> dict[
     robot, days = chain.robot, calibrated.covered.days
     bases = base_in_instrument(calibrated, at)
     stands = bool(np.ptp(bases, axis=0).max() <= _STILL) and not np.allclose(bases[0], np.eye(4)[:3], rtol=0.0, atol=_STILL)
-    shown = Kinematics.of(robot)
+    shown, combination = Kinematics.of(robot), robot.combination[np.ix_(own, own)]
     return {
         "robot": robot.name,
         "types": [robot.joint_types[i] for i in own],
@@ -131,6 +147,12 @@ def _about(calibrated: CalibratedModel, formulas: Formulas, frame: str) -> dict[
         "frame": frame if stands else "base",
         "base": bases[0].ravel().tolist() if stands else None,
         "reach": robot.reach,
+        "numbered": NUMBERED.pattern,
+        "lower": [_limit(value) for value in robot.lower[own]],
+        "upper": [_limit(value) for value in robot.upper[own]],
+        "combination": combination.tolist(),
+        "reported": np.linalg.inv(combination).tolist(),
+        **{name: _place(robot, name) for name in ("world", "flange")},
         "units": {quantity: {unit: size_of(unit, quantity) for unit in units} for quantity, units in UNITS.items()},
         "follows": _follows(calibrated),
         "arm": {"first": shown.first[:3].ravel().tolist(), "before": shown.before[:, :3].reshape(-1, 12).tolist(),
@@ -139,6 +161,16 @@ def _about(calibrated: CalibratedModel, formulas: Formulas, frame: str) -> dict[
         "types_of_all": robot.joint_types,
         "up": (-chain.gravity / max(float(np.linalg.norm(chain.gravity)), 1e-300)).tolist(),
     }  # fmt: skip
+
+
+def _limit(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _place(robot: Robot, name: str) -> list[float]:
+    """Return where the controller's world is in the base, or its flange on the tip, row by row."""
+    found = rigid_pose(robot, *(("base", robot.base) if name == "world" else ("tool0", robot.tip)))
+    return [float(x) for x in (np.eye(4) if found is None else found)[:3].ravel()]
 
 
 def _follows(calibrated: CalibratedModel) -> list[list[float]]:
@@ -153,3 +185,54 @@ def _in_script(content: Any) -> str:
     """Return JSON that stays text inside of a script element, whatever names are in it."""
     text = json.dumps(content, allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def programs_in_js() -> str:
+    """Return the readers of all languages of pincal as JavaScript; ``templates/programs.js`` has to stand before."""
+    known = [cls for cls in LANGUAGES.known().values() if cls.__module__.startswith("pincal.programs.")]
+    names = [*_MODULES, *(cls.__module__.rpartition(".")[2] for cls in known)]
+    texts = {name: files("pincal.programs").joinpath(f"{name}.py").read_text("utf-8") for name in names}
+    tables = (f"GRAMMARS[{as_text(grammar)}] = {grammar_table(grammar)};" for cls in known for grammar in cls.grammars)
+    return "\n".join(("const GRAMMARS = {};", *tables, Translator(skip=_OWN).translate(texts)))
+
+
+def grammar_table(grammar: str) -> str:
+    """Return the LALR table of a grammar as JSON: what terminals look like, when they are tried, what they do."""
+    front = parser_of(grammar).parser
+    table: Any = front.parser._parse_table
+    lexers = front.lexer.lexers
+    names, patterns, rules = list[str](), list[str](), list[Any]()
+    hidden = set[str]()
+    places: dict[Any, int] = {}
+    states = []
+    for number in sorted(table.states):
+        actions = {}
+        for symbol, (action, argument) in table.states[number].items():
+            if action.name == "Shift":
+                actions[str(symbol)] = [0, argument]
+                continue
+            if argument not in places:
+                places[argument] = len(rules)
+                origin = str(argument.origin.name)
+                rules.append([origin, len(argument.expansion), str(argument.alias or origin)])
+                hidden |= {str(part.name) for part in argument.expansion if getattr(part, "filter_out", False)}
+            actions[str(symbol)] = [1, places[argument]]
+        tried = []
+        if number in lexers:
+            for terminal in lexers[number].scanner.terminals:
+                if terminal.name not in names:
+                    names.append(terminal.name)
+                    patterns.append(_pattern(terminal.pattern.to_regexp()))
+                tried.append(names.index(terminal.name))
+        states.append({"actions": actions, "tried": tried})
+    ignored = sorted(next(iter(lexers.values())).ignore_types)
+    content = {"start": table.start_states["start"], "names": names, "terminals": patterns, "rules": rules, "states": states,
+               "hidden": sorted(hidden), "ignored": ignored}  # fmt: skip
+    return _in_script(content)
+
+
+def _pattern(pattern: str) -> str:
+    r"""Return a pattern for JavaScript, to which ``\s`` and ``\w`` mean other characters beyond ASCII."""
+    spaces = "".join(chr(k) for k in range(256) if chr(k).isspace())
+    letters = "0-9A-Z_a-z" + "".join(chr(k) for k in range(128, 256) if chr(k).isalnum())
+    return pattern.replace("\\s", spaces).replace("\\w", letters)

@@ -2,7 +2,7 @@
 
 A spring is the same thing as a compliance where the moment that bends and the rotation that follows are about one axis of
 one frame: about a joint's own axis in every convention, across it where moments are taken and bend the arm in one place.
-MuJoCo balances the arm as it is bent; how far that is from moments taken on the straight arm is said.
+MuJoCo balances the arm as it is bent; how far that is from moments taken on the straight arm is reported.
 """
 
 from __future__ import annotations
@@ -16,12 +16,15 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
+from pincal.errors import BadInputError
 from pincal.export.exported import FORMATS, Exported, Format
 from pincal.io.urdf_export import rigid_notes, rigid_tips
-from pincal.model.augmented import joint_mounts, joint_placements
+from pincal.model.augmented import joint_mounts, link_placements
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family, Term
 from pincal.model.model import Model
+from pincal.robot.link_path import LinkPath
+from pincal.robot.robot import Robot
 from pincal.robot.se3 import exponentials, quaternions, rotation, rotation_matrices, transform, translation
 
 # MuJoCo has no bodies without mass or inertia [kg, kg m^2].
@@ -51,29 +54,32 @@ class _Springs:
 @FORMATS.register
 @dataclass(frozen=True)
 class MujocoModel(Format):
-    """A MJCF file: bodies, joints, masses, and springs beside the joints."""
+    """A MJCF file: bodies, joints, masses, and springs in addition to the joints."""
 
     name: ClassVar[str] = "mjcf"
     meaning: ClassVar[str] = "a MuJoCo model"
     of_robot: ClassVar[bool] = True
 
     def export(self, calibrated: CalibratedModel) -> Exported:
-        """Return the file."""
         model, values = calibrated.model, calibrated.model_values
         robot = model.chain.robot
         springs = _springs(model, values)
-        placed, tip = joint_placements(model, values)
+        placed, behind = link_placements(model, values)
+        if robot.closures:
+            raise BadInputError(f"{robot.name}: has closed loops, which --mjcf can't write; take --urdf")
         root = ET.Element("mujoco", model=robot.name)
         _add(root, "compiler", angle="radian", autolimits="true", balanceinertia="true")
         _add(root, "option", gravity=_numbers(model.chain.gravity))
         # The world is the robot's base link.
-        parent = _add(root, "worldbody")
-        for i, name in enumerate(robot.joint_names):
-            parent = _add(parent, "body", name=f"{name}_body", **_pose(placed[i]))
-            _add_mass(parent, model, values, i=i)
+        bodies = {-1: _add(root, "worldbody")}
+        for i, (name, parent) in enumerate(zip(robot.joint_names, robot.parents, strict=True)):
+            bodies[i] = body = _add(bodies[parent], "body", name=f"{name}_body", **_pose(placed[i]))
+            _add_mass(body, model, values, i=i)
             for attributes in _joints(model, values, springs, i=i):
-                _add(parent, "joint", **attributes)
-        _add(parent, "site", name=robot.tip, **_pose(tip))
+                _add(body, "joint", **attributes)
+        for link, joint, place in {end[0]: end for path in _paths(robot, model.chain.path) for end in path.ends}.values():
+            if link != robot.base:
+                _add(bodies[joint], "site", name=link, **_pose(behind[joint + 1] @ place))
         for mimic in robot.mimics:
             equality = root.find("equality")
             follows = _numbers(np.array([mimic.offset, mimic.multiplier, 0.0, 0.0, 0.0]))
@@ -219,19 +225,29 @@ def _bent(calibrated: CalibratedModel) -> str:
 
 
 def _error(model: Model, values: np.ndarray, text: str) -> float:
-    """Return how far the bodies of a file put the tip from the calibrated geometry at most [m]."""
-    robot = model.chain.robot
+    """Return how far the bodies of a file put the ends of paths from the calibrated geometry at most [m]."""
+    robot, root = model.chain.robot, ET.fromstring(text)
     q = robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0))
-    bodies = list(ET.fromstring(text).iter("body"))
-    site = next(ET.fromstring(text).iter("site"))
-    found = []
-    for at in q:
-        T = np.eye(4)
-        for body, name, position in zip(bodies, robot.joint_names, at, strict=True):
+    bodies = {body.get("name"): body for body in root.iter("body")}
+    sites = {site.get("name"): _read(site) for site in root.iter("site")}
+    paths = _paths(robot, model.chain.path)
+    found = np.empty((len(paths), len(q), 3))
+    for row, at in enumerate(q):
+        T = {-1: np.eye(4)}
+        for i, (name, parent) in enumerate(zip(robot.joint_names, robot.parents, strict=True)):
+            body = bodies[f"{name}_body"]
             joint = next(j for j in body.findall("joint") if j.get("name") == name)
-            T = T @ _read(body) @ _moved(joint, float(position))
-        found.append((T @ _read(site))[:3, 3])
-    return float(np.linalg.norm(np.array(found) - rigid_tips(model, values, q)[:, :, 3], axis=1).max())
+            T[i] = T[parent] @ _read(body) @ _moved(joint, float(at[i]))
+        for k, path in enumerate(paths):
+            start, tip = (T[joint] @ sites.get(link, np.eye(4)) for link, joint, _ in path.ends)
+            found[k, row] = np.linalg.solve(start, tip)[:3, 3]
+    off = [tips - rigid_tips(model, values, q, path)[:, :, 3] for tips, path in zip(found, paths, strict=True)]
+    return float(np.linalg.norm(off, axis=2).max())
+
+
+def _paths(robot: Robot, own: LinkPath) -> tuple[LinkPath, ...]:
+    """Return the path of a model, and those of the robot's others."""
+    return own, *(robot.between(*ends) for ends in robot.links)
 
 
 def _read(element: ET.Element) -> np.ndarray:

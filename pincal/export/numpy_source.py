@@ -12,10 +12,9 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.compensate.compensation import middle_of_range
 from pincal.compensate.robot_frames import nominal_in_instrument, nominal_robot
 from pincal.errors import BadInputError
-from pincal.export.exported import FORMATS, Exported, Format
-from pincal.export.formulas import Formulas, formulas_of
-from pincal.export.source import as_comment, checked_poses, filled, header, notes_on, placed_in
-from pincal.export.statements import Language, written
+from pincal.export.exported import FORMATS, Exported, Format, as_comment, checked_poses, filled, header, notes_on, placed_in
+from pincal.export.formulas import Formulas, Language, formulas_of, written
+from pincal.measure.heading import NUMBERED
 from pincal.units import UNITS, size_of
 
 # Largest distance of the formulas' poses from the model's [m, and elements of the rotation matrix].
@@ -57,7 +56,6 @@ class NumpySource(Format):
     meaning: ClassVar[str] = "a Python file that needs NumPy alone"
 
     def export(self, calibrated: CalibratedModel) -> Exported:
-        """Return the file."""
         formulas = formulas_of(placed_in(calibrated, self.frame))
         text = numpy_source(formulas, frame=self.frame)
         return Exported({"": text.encode()}, notes_on(calibrated), refuse_wrong(formulas.calibrated, text=text))
@@ -84,6 +82,7 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
         units=repr({quantity: {unit: size_of(unit, quantity) for unit in units} for quantity, units in UNITS.items()}),
         names=", ".join(as_comment(chain.robot.joint_names[i]) for i in own),
         reach=repr(float(chain.robot.reach)),
+        numbered=repr(NUMBERED.pattern),
     )
     return filled(
         "model.py.in",

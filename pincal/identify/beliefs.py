@@ -21,6 +21,9 @@ from pincal.units import size_in
 _FARTHEST = 50.0
 # So many times as far as usual a parameter may move that is free.
 _FREE = 1e3
+# Standard deviations of priors that can be meant, in any unit; a float holds their squares.
+_LEAST, _MOST = 1e-30, 1e30
+_EXPECTED = f"a standard deviation from {_LEAST:g} to {_MOST:g}"
 
 
 def is_frame(problem: Problem) -> np.ndarray:
@@ -55,8 +58,8 @@ def given_sizes(problem: Problem, options: Options) -> np.ndarray:
                 sizes[k] = size_in(size, unit) if isinstance(size, str) else size
             except ValueError as error:
                 raise BadInputError(f"the prior of {name} is {error}, or with a unit") from error
-            if not sizes[k] >= 0.0:
-                raise BadInputError(f"the prior of {name} is {size}; expected a standard deviation, 0 to hold it")
+            if not (sizes[k] in (0.0, np.inf) or _LEAST <= sizes[k] <= _MOST):
+                raise BadInputError(f"the prior of {name} is {size}; expected {_EXPECTED}, or 0 to hold it")
     return sizes
 
 
@@ -100,9 +103,25 @@ def excited_of(problem: Problem) -> np.ndarray:
     return np.asarray(problem.beliefs.is_remembered | problem.largest_basis[1])
 
 
+def deviations(problem: Problem, options: Options) -> tuple[np.ndarray, np.ndarray]:
+    """Return which parameters are the robot's geometry and which its elasticity, shape (P,) each.
+
+    Left out are where an arm is mounted, those whose priors the user gave, and joint offsets whose zeros are unknown.
+    """
+    mounts, zeros = problem.chain.mounts, [f"{pattern}.theta" for pattern in options.zeros]
+    unknown = np.array(
+        [p.local_name in mounts or any(fnmatchcase(p.local_name, z) for z in zeros) for p in problem.parameters]
+    )
+    known = ~(unknown | is_frame(problem) | sensors_own(problem)) & np.isnan(given_sizes(problem, options))
+    elastic = np.array([p.is_compliance for p in problem.parameters], bool)
+    return known & ~elastic & np.array([p.unit in ("m", "rad") for p in problem.parameters], bool), known & elastic
+
+
 def priors_of(problem: Problem, options: Options) -> Priors:
     """Return priors by physical group: so many mm, mrad, or mrad at the largest moment that these poses bring."""
     sizes, given = np.array([p.size for p in problem.parameters]) / problem.largest_basis[0], given_sizes(problem, options)
+    for kind, scale in zip(deviations(problem, options), options.prior_scale or (1.0, 1.0), strict=True):
+        sizes[kind] *= scale
     for pattern in options.zeros:
         unknown = [fnmatchcase(p.local_name, f"{pattern}.theta") for p in problem.parameters]
         sizes[np.array(unknown, bool)] = np.pi

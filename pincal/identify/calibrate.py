@@ -15,28 +15,28 @@ from scipy.special import chdtri
 
 from pincal.errors import BadInputError, MeasurementError, nearest_first
 from pincal.identify.beliefs import excited_of, is_frame, of_stations, priors_of, released_of
-from pincal.identify.block_scatter import with_blocks
-from pincal.identify.choices import best_of, required_features, some_rows_of
+from pincal.identify.believed import Earlier
+from pincal.identify.choices import along_gauge, best_of, required_features, some_rows_of, weight_of
 from pincal.identify.criteria import CRITERIA
-from pincal.identify.dependence import is_dependent, serial_noise, with_serial
-from pincal.identify.earlier import Earlier
+from pincal.identify.dependence import is_dependent, serial_noise, with_blocks, with_serial
 from pincal.identify.equations import Linearised
-from pincal.identify.exact import is_exact, rounding
 from pincal.identify.fit import FitStage, ModelFit, Solution, carried
-from pincal.identify.found_masses import along_gauge, weight_of
 from pincal.identify.initial import begin
-from pincal.identify.options import Options, StationOptions
+from pincal.identify.noise import is_exact, rounding
+from pincal.identify.options import Options, StationOptions, Tools
 from pincal.identify.problem import Problem
+from pincal.identify.regions import has_instrument, prior_scale
 from pincal.identify.solve import SETTLED, Course, solve
-from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
-from pincal.measure.sensor import KnownParameters
+from pincal.measure.sensor import KnownParameters, Sensor
 from pincal.measure.table import stations_of
 from pincal.model.catalogue.bearing_features import without_idle_features
 from pincal.model.catalogue.masses import with_masses
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effects import Effect
+from pincal.parameters import is_on_link
+from pincal.recorded import RECORDED
 from pincal.robot.robot import Robot
 
 Tables = Measurements | Sequence[Measurements] | Mapping[str, Measurements]
@@ -45,6 +45,8 @@ log = logging.getLogger(__name__)
 
 # How often the masses of an earlier fit are taken to what they weigh now, and the change that is none.
 _WEIGHINGS, _SAME_WEIGHT = 10, 1e-3
+# How often the factor on priors is looked for.
+_SCALINGS = 4
 # The paper's sequence (IV.D); base and tool, known there, stay free throughout. The last stage releases everything.
 PAPER_STAGES: dict[str, tuple[str, ...]] = {
     "1 joint offsets": ("joint_offset",),
@@ -75,31 +77,29 @@ _LAST_STAGES = {
 def fit_tables(
     robot: Robot, measurements: Tables, options: Options | None = None, *, executor: Executor | None = None
 ) -> ModelFit:
-    """Identify a robot's deviations from measured poses.
+    """Identify a robot's deviations from measured poses; arguments and errors as of :func:`pincal.calibrate`.
 
-    Several tables are several stations: set-ups of an instrument and its targets, of the same kind or not. Each has base,
-    targets and noise of its own, and all share the robot.
-
-    Args:
-        robot: the arm.
-        measurements: training rows, one table or several, perhaps by the names of their stations (default: station_1 and
-            so on); hold rows back before the call to validate on them.
-        options: how to calibrate; defaults as documented there.
-        executor: computes what each of several stations contributes (default: one after the other, here). Results do not
-            depend on it.
-
-    Returns:
-        The fit; look at ``solution.exit``. See :func:`pincal.calibrate` for an example.
-
-    Raises:
-        MeasurementError: if the rows are too few to determine the parameters and the noise.
+    Tables that come without the names of their stations are station_1 and so on. Results do not depend on the executor.
     """
-    tables = _by_pose(measurements)
+    tables = {name: by_pose(table) for name, table in tables_of(measurements).items()}
     options = _completed(robot, options, tables)
     fit = with_bearings(_rescaled(_fitted(robot, tables, options, executor)))
     _refuse_too_few(tables, fit)
     fit = _in_best_frame(replace(fit, nominal=_without_outliers(fit, executor)))
+    if options.prior_scale is None and options.earlier is None and not has_instrument(fit):
+        fit = _cautious(fit)
     return with_blocks(reweighted_by_order(fit) if options.serial and is_dependent(fit) else fit)
+
+
+def _cautious(fit: ModelFit) -> ModelFit:
+    """Return a fit with the priors that regions which are left out call for."""
+    scale = 1.0, 1.0
+    for _ in range(_SCALINGS):
+        before, scale = scale, prior_scale(fit)
+        if scale == before:
+            break
+        fit = with_bearings(refit(replace(fit, options=replace(fit.options, prior_scale=scale)), fit.options.effects))
+    return replace(fit, options=replace(fit.options, prior_scale=scale))
 
 
 def tables_of(measurements: Tables) -> dict[str, Measurements]:
@@ -115,12 +115,13 @@ def tables_of(measurements: Tables) -> dict[str, Measurements]:
     tables = stations_of(measurements.items())
     if not tables:
         raise BadInputError("no tables of measurements; expected one or more")
+    for name, variable in RECORDED.items():
+        # How joints arrived is recorded on some days only; on the others it is unknown.
+        if variable.unknown is not None and any(getattr(table, name) is not None for table in tables.values()):
+            for key in [key for key, table in tables.items() if getattr(table, name) is None]:
+                unknown: dict[str, Any] = {name: np.full(tables[key].q.shape, variable.unknown)}
+                tables[key] = replace(tables[key], **unknown)
     return tables
-
-
-def _by_pose(measurements: Tables) -> dict[str, Measurements]:
-    """Return the poses of each station by its name, as :func:`tables_of`."""
-    return {name: by_pose(table) for name, table in tables_of(measurements).items()}
 
 
 def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurements]) -> Options:
@@ -139,13 +140,21 @@ def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurem
     if len(tables) == 1:
         ((name, table),) = tables.items()
         options = options.at(name)
-        return replace(options, setup=options.setup.over(table))
+        return replace(options, setup=options.setup.over(table), tools=_tools(options, table))
     completed = dict(options.stations)
     for name, table in tables.items():
-        setup = options.at(name).setup
-        if setup.over(table) is not setup:
-            completed[name] = replace(completed.get(name, StationOptions()), setup=setup.over(table))
+        at = options.at(name)
+        setup, tools = at.setup.over(table), _tools(at, table)
+        if setup is not at.setup or tools is not at.tools:
+            completed[name] = replace(completed.get(name, StationOptions()), setup=setup, tools=tools)
     return replace(options, stations=completed)
+
+
+def _tools(options: Options, table: Measurements) -> Tools | None:
+    """Return what is known of the targets of a table, those that are named points of a link among them."""
+    places = {str(name): options.setup.points.get(str(name)) for name in np.unique(table.target) if is_on_link(str(name))}
+    known = {name: place for name, place in places.items() if place is not None}
+    return {**known, **(options.tools or {})} if known else options.tools
 
 
 def _fitted(robot: Robot, tables: dict[str, Measurements], options: Options, executor: Executor | None) -> ModelFit:
@@ -190,16 +199,13 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
     Raises:
         BadInputError: as :func:`calibrate`.
     """
-    tables = _by_pose(measurements)
+    tables = {name: by_pose(table) for name, table in tables_of(measurements).items()}
     options = _completed(robot, options, tables)
     fit = _in_best_frame(_fitted(robot, tables, options, None))
     problem, nominal, fitted = fit.problem, fit.nominal, fit.solution
     free = released_of(problem, options) & excited_of(problem)
     found = Linearised(problem, nominal.values, free, fitted.weights, fit.priors.sizes).equations(fitted.sigma)
-    # The expected data agree with the nominal geometry: nothing pulls away from it.
-    expected = replace(found, form=replace(found.form, g=np.zeros_like(found.form.g)), values=np.zeros_like(found.values))
-    nothing = np.zeros(len(free), bool)
-    outlook = replace(fitted, values=nominal.values, equations=expected, free=free, at_bound=nothing)
+    outlook = replace(fitted, values=nominal.values, equations=found, free=free, at_bound=np.zeros(len(free), bool))
     return replace(fit, solution=outlook)
 
 
@@ -316,23 +322,20 @@ def _is_missed(fit: ModelFit, released: np.ndarray) -> tuple[bool, Linearised]:
     if is_exact(wide.whole, sizes[found.free]):
         # The least deviation counts, and is lost in the rounding of H.
         return bool(np.any(fitted.estimated > rounding(problem))), found
-    gain = wide.gain(np.ones(len(wide.values), bool)) - wide.gain(fitted.free[found.free])
+    gain = wide.gain(np.ones(len(wide.shared), bool)) - wide.gain(fitted.free[found.free])
     return bool(gain > chdtri(int(held.sum()), CRITERIA.unexcited)), found
 
 
 def doubts_of_known(fit: ModelFit) -> tuple[str, ...]:
     """Return what to say if the readings contradict what was given of the sensor, which the fit held (a score test)."""
-    sensors = [station.sensor for station in fit.problem.stations]
-    doubts = [sensor.doubt for sensor in sensors if isinstance(sensor, KnownParameters) and sensor.is_given]
-    held = of_stations(fit.problem, _given)
+
+    def given(sensor: Sensor) -> bool:
+        return isinstance(sensor, KnownParameters) and sensor.is_given
+
+    held = of_stations(fit.problem, lambda s: s.sensors(s.sensor.fixed if given(s.sensor) else False))
+    doubts = [s.sensor.doubt for s in fit.problem.stations if isinstance(s.sensor, KnownParameters) and given(s.sensor)]
     is_doubted = held.any() and _is_missed(fit, fit.solution.free | held)[0]
     return tuple(dict.fromkeys(doubts)) if is_doubted else ()
-
-
-def _given(station: Station) -> np.ndarray:
-    """Return which parameters of a station's sensor were given, shape (P,)."""
-    sensor = station.sensor
-    return station.sensors(sensor.fixed if isinstance(sensor, KnownParameters) and sensor.is_given else False)
 
 
 def _refuse_too_few(tables: dict[str, Measurements], fit: ModelFit) -> None:

@@ -1,9 +1,15 @@
-"""What the data decide of how an arm bends: directions and places of its bearings, and where moments bend it."""
+r"""What the data decide of how an arm bends: directions and places of its bearings, where moments bend it, and its masses.
+
+Masses that nobody weighed are static moments up to one factor, which compliances share. What bends an arm is :math:`k \, n`:
+masses times c and compliances over c are one and the same robot, until a payload of known mass is measured. A fit knows of
+this by first order alone: seen from its values, what is free is a straight line where it should be :math:`k/c, m c`. Whoever
+takes a fit for an earlier one's prior moves it along the curve first.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,12 +17,15 @@ import numpy as np
 from pincal.identify.beliefs import priors_of
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.equations import Linearised
-from pincal.identify.exact import rounding
 from pincal.identify.fit import ModelFit, carried
-from pincal.identify.noise import outlier_limit
+from pincal.identify.noise import outlier_limit, rounding
+from pincal.identify.problem import Problem
+from pincal.identify.selection import Scored, select_stepwise
 from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.chain import MomentFrame
+from pincal.model.conditions import UNFELT
 from pincal.model.effect import Effect
+from pincal.parameters import Covariance, Estimate
 
 
 class Called(NamedTuple):
@@ -56,17 +65,19 @@ def required_features(fit: ModelFit, least: float = 0.0) -> Called:
         kept[[places[effect] for effect in named]] = True
         return wide.gain(kept[free])
 
-    found, settled, most = tuple[Effect, ...](), gain(), gain(*asked)
+    settled, most = gain(), gain(*asked)
     if most - settled <= least:
         return Called((), 0.0)
-    reached = settled
-    while len(found) < len(asked) and most > reached + CRITERIA.bearing:
-        gains = {effect: gain(*found, effect) for effect in asked if effect not in found}
-        best = max(gains, key=lambda effect: gains[effect])
-        if gains[best] < reached + CRITERIA.bearing:
-            break
-        found, reached = (*found, best), gains[best]
-    return Called(found, reached - settled)
+
+    def offers(found: tuple[Effect, ...]) -> Iterator[Scored[Effect]]:
+        enough = gain(*found) + CRITERIA.bearing
+        # All together gain no less than any of them.
+        for effect in (effect for effect in asked if effect not in found and most > enough):
+            gained = gain(*found, effect)
+            yield Scored(effect, -gained, gained >= enough)
+
+    found = select_stepwise(tuple[Effect, ...](), offers, lambda found, effect: (*found, effect), most=len(asked))
+    return Called(found, gain(*found) - settled)
 
 
 # Rows from which it is chosen: conventions differ by more than these could miss, or by nothing that matters.
@@ -76,11 +87,7 @@ _ROWS = 2000
 def some_rows_of(fit: ModelFit) -> ModelFit:
     """Return a fit as it is, of as many of its rows, evenly spread, as are enough to choose a convention by."""
     n = len(fit.problem)
-    if n <= _ROWS:
-        return fit
-    rows = np.linspace(0, n - 1, _ROWS).astype(int)
-    solution = replace(fit.solution, weights=fit.solution.weights[rows])
-    return replace(fit, problem=fit.problem.select(rows), solution=solution)
+    return fit if n <= _ROWS else fit.select(np.linspace(0, n - 1, _ROWS).astype(int))
 
 
 def best_of(fits: Sequence[ModelFit]) -> MomentFrame:
@@ -102,3 +109,101 @@ def deviance(fit: ModelFit) -> float:
         spread = float(np.dot(sizes, np.log(fit.solution.estimated[blocks])))
         found += 2.0 * n * spread + outliers * outlier_limit(n, sum(sizes))
     return found
+
+
+@dataclass(frozen=True)
+class AxisMoment:
+    """A static moment at one pose, and what the fit knows of it.
+
+    Attributes:
+        joint: name of the joint.
+        axis: "x", "y" or "z" of the frame in which the chain takes moments.
+        moment: [N m].
+        sigma: its standard deviation if the largest moment is held, and with it the common factor [N m].
+    """
+
+    joint: str
+    axis: str
+    moment: float
+    sigma: float
+
+    @property
+    def is_identified(self) -> bool:
+        """Whether the data tell it to a third or better."""
+        return self.sigma < CRITERIA.moment * abs(self.moment)
+
+
+@dataclass(frozen=True)
+class FoundMoments:
+    """The moments of an arm whose masses were found with its compliances, at one pose.
+
+    Attributes:
+        q: shape (n,), the pose: of those fitted the one whose moments are of median size [rad or m].
+        axes: the moments that are felt, from the base.
+        largest: the largest of them, which is held for the others' standard deviations.
+        factor_sigma: relative standard deviation of the factor that all moments share, and the compliances its inverse.
+        mass: what the links weigh in all [kg].
+        links: names of the links whose masses were found.
+    """
+
+    q: np.ndarray
+    axes: tuple[AxisMoment, ...]
+    largest: AxisMoment
+    factor_sigma: float
+    mass: float
+    links: tuple[str, ...]
+
+
+def found_moments(fit: ModelFit) -> FoundMoments | None:
+    """Return the moments at a typical pose, with their uncertainty; None where masses were not found."""
+    model, values = fit.arm
+    places = np.array(sorted({body.parameter for body in model.bodies}), int)
+    if not len(places):
+        return None
+    conditions = fit.problem.stations[0].conditions
+    sizes = np.linalg.norm(model.static_moments(values, conditions), axis=1)
+    typical = conditions.select(np.argsort(sizes)[[len(sizes) // 2]])
+    n = model.static_moments(values, typical)[0]
+    steps = np.eye(model.n_parameters)[places]
+    J = np.array([model.static_moments(values + step, typical)[0] - n for step in steps]).T
+    # Of those that were not fitted it is that of the prior.
+    known = fit.estimate.take(model.names[i] for i in places)
+    C = known.dense_covariance() + np.diag(np.where(known.free, 0.0, known.prior**2))
+    most = int(np.argmax(np.abs(n)))
+    covariance = J @ C @ J.T
+    variance = np.diag(covariance) - covariance[most] ** 2 / max(covariance[most, most], 1e-300)
+    sigma = np.sqrt(np.maximum(variance, 0.0))
+    robot = model.chain.robot
+    axes = [AxisMoment(robot.joint_names[i // 3], "xyz"[i % 3], float(n[i]), float(sigma[i])) for i in range(len(n))]
+    grown = sum(values[body.parameter] * body.mass for body in model.bodies)
+    return FoundMoments(
+        q=typical.q[0],
+        axes=tuple(axis for axis in axes if abs(axis.moment) > UNFELT * abs(n[most])),
+        largest=axes[most],
+        factor_sigma=float(np.sqrt(covariance[most, most]) / abs(n[most])),
+        mass=float(robot.masses.sum() + grown),
+        links=robot.massless,
+    )
+
+
+def weight_of(problem: Problem, estimate: Estimate) -> float:
+    """Return what the links whose masses were found weigh by an estimate, in all [kg]; 0 if none were."""
+    masses = (p for p in problem.parameters if p.unit == "kg" and p.name in estimate.names)
+    return sum((p.nominal + estimate[p.name] for p in masses), 0.0)
+
+
+def along_gauge(problem: Problem, estimate: Estimate, factor: float) -> Estimate:
+    """Return an estimate with all masses times a factor, and all that is per moment over it: the same robot."""
+    powers = {p.name: float(max(p.moment_power, 0)) for p in problem.parameters}
+    for effect in problem.effects:
+        if effect.uses_moments:
+            powers |= {p.name: float(p.moment_power) for p in effect.parameters(problem.chain)}
+    scale = np.array([factor ** powers.get(name, 0.0) for name in estimate.names])
+    nominal = np.array([p.nominal for p in estimate.parameters])
+    free = scale[estimate.free]
+    covariance = Covariance(
+        free[:, None] * estimate.covariance.factor,
+        tuple((at, block * np.outer(free[at], free[at])) for at, block in estimate.covariance.groups),
+    )
+    values = np.where(scale == 1.0, estimate.values, scale * (nominal + estimate.values) - nominal)
+    return replace(estimate, values=values, covariance=covariance, prior=scale * estimate.prior)

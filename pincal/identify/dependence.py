@@ -1,43 +1,53 @@
-"""Whether what a fit leaves depends on the order of its rows, and the noise of which that speaks.
+r"""Whether what a fit leaves depends on the order of its rows, the noise of which that speaks, and what blocks of rows say.
 
 Correlation and share of :class:`Serial` are those by which the residuals are likeliest whatever the model's parameters are
 (restricted maximum likelihood: Patterson and Thompson 1971, Biometrika 58, 545-554).
+
+The second leg of uncertainty is what blocks of rows that follow each other say, whatever makes them agree.
+With :math:`s_n = J_n^T r_n` the scores of the rows in units of their noise and G the normal matrix, the covariance of the
+parameters is :math:`G^{-1}` if rows are independent, and
+
+.. math:: G^{-1} \Big( \sum_b s_b s_b^T \Big) G^{-1}, \qquad s_b = \sum_{n \in b} s_n ,
+
+for blocks b that are (the sandwich: Liang and Zeger 1986, Biometrika 73, 13-22; of blocks, not of rows, as in a moving-block
+bootstrap). Blocks are too few to tell it parameter by parameter, so what is taken from it is one factor: the mean over all
+directions that the model can move in, beside the same rows in any order.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import OptimizeResult, minimize
 from scipy.special import expit
 
 from pincal.identify.criteria import CRITERIA
-from pincal.identify.fit import ModelFit
-from pincal.identify.serial import Serial
+from pincal.identify.fit import ModelFit, equations_of
 from pincal.identify.station import Station
+from pincal.identify.whitening import Serial, turned_into
 
 # Bands of lags [rows] whose products of residuals are added up: noise that changes fast shows in the first, drifts in the
 # last.
 _BANDS = ((1, 1), (2, 5), (6, 20))
 # Rows that are near each other in the order; and pairs of rows far apart in it, nearest in the joints, that tell.
 _NEAR, _NEAREST = 5, 500
-# Fewest rows that show it.
-_FEWEST = 20
 # Readings by which it is estimated; and rows by which dependence is looked for.
 _READINGS, _ROWS = 2400, 4096
 # Where the search for share and correlation begins: fast, slow and a walk.
 _STARTS = ((0.5, 0.5), (0.8, 0.9), (0.9, 0.995))
 # Longest memory, in rows: a walk over any table; and longer ones that are taken if they are as likely, the longest first.
 _LONGEST, _MEMORIES = 1e5, (3e4, 1e3, 300.0, 100.0, 30.0)
-# Twice the log-likelihood within which a memory is as likely as the likeliest: one standard deviation of a parameter, twice.
-_AS_LIKELY = 2.0
 # Logarithms of sizes of white noise, in units of that of the residuals, that are tried.
 _SIZES = np.linspace(-0.4, 0.4, 9)
+
+# Rows of a block.
+_LENGTHS = (5, 10, 20, 40)
+# Readings of a station by which it is told, and stations that are asked.
+_BLOCK_READINGS, _MOST_STATIONS = 1500, 8
 
 
 def dependence(residuals: np.ndarray, position: np.ndarray) -> float:
@@ -50,7 +60,7 @@ def dependence(residuals: np.ndarray, position: np.ndarray) -> float:
         position: shape (N,), where each row stands in the order.
     """
     n = residuals.shape[1]
-    if n < _FEWEST:
+    if n < CRITERIA.fewest_in_order:
         return 0.0
     z = residuals[:, np.argsort(position, kind="stable")[:_ROWS]]
     z = z - z.mean(axis=1, keepdims=True)
@@ -71,7 +81,7 @@ def serial_noise(fit: ModelFit) -> tuple[Serial | None, ...]:
 
     Rows that were weighed by it already are taken as they were read.
     """
-    return tuple(map(_of_station, _seen(fit)))
+    return tuple(seen.serial() for seen in _seen(fit))
 
 
 def with_serial(fit: ModelFit, found: tuple[Serial | None, ...]) -> ModelFit:
@@ -104,13 +114,37 @@ class _Seen:
     sigma: np.ndarray
 
     @property
+    def poses(self) -> np.ndarray:
+        """The pose of each row, shape (N,)."""
+        return np.unique(self.station.conditions.q, axis=0, return_inverse=True)[1].ravel()
+
+    @property
     def dependence(self) -> float:
         """By how much more than chance what is left agrees at rows near each other, as the fit weighs it."""
+        return max((self.dependence_in(turns) for turns in self.frames), default=0.0)
+
+    @property
+    def frames(self) -> tuple[np.ndarray | None, ...]:
+        """Where errors may persist: in the frame of the readings, and in a target's, by its rotations, shape (N, 3, 3)."""
+        if self.station.position is None:
+            return ()
+        sensor, (of_model, _) = self.station.sensor, self.station.split(self.values)
+        if not sensor.reads_pose or any(block.size != 3 for block in sensor.blocks):
+            return (None,)
+        return None, self.station.model.predict(of_model, self.station.conditions)[:, :, :3]
+
+    def left(self, turns: np.ndarray | None) -> np.ndarray:
+        """Return what is left, as the fit weighs it, in units of its noise, shape (m, N), in one of the frames."""
         station = self.station
-        if station.position is None:
-            return 0.0
         left = station.whitened(station.residuals(self.values)) * station.weights / self.sigma
-        left, position = left[:, self.counted], station.position[self.counted]
+        if station.serial is not None and station.serial.turns is not None:
+            left = turned_into(station.serial.turns.swapaxes(1, 2), left)
+        return left if turns is None else turned_into(turns, left)
+
+    def dependence_in(self, turns: np.ndarray | None) -> float:
+        """Return the same in one of the frames."""
+        assert self.station.position is not None
+        left, position = self.left(turns)[:, self.counted], self.station.position[self.counted]
         by_rows = dependence(left, position)
         pose = self.poses[self.counted] if by_rows > CRITERIA.dependent else np.arange(len(position))
         if len(np.unique(pose)) == len(pose):
@@ -120,10 +154,77 @@ class _Seen:
         means = np.stack([np.bincount(pose, row) for row in left]) / np.sqrt(np.bincount(pose))
         return dependence(means, position[first])
 
-    @property
-    def poses(self) -> np.ndarray:
-        """The pose of each row, shape (N,)."""
-        return np.unique(self.station.conditions.q, axis=0, return_inverse=True)[1].ravel()
+    def first(self, most: int) -> np.ndarray:
+        """Return the rows that count with the first so many readings in the order, shape (n,)."""
+        assert self.station.position is not None
+        sound = np.flatnonzero(self.counted)
+        few = max(most // int(self.station.block_sizes.sum()), CRITERIA.fewest_in_order)
+        return np.asarray(sound[np.argsort(self.station.position[sound], kind="stable")][:few])
+
+    def columns(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return residuals and columns of D free parameters, shape (1 + D, m, n), in units of the noise, and which ones."""
+        few = self.station.select(rows)
+        ((_, residuals, jacobian),) = few.linearise_shared(self.values, self.free)
+        J, places = jacobian.dense_columns()
+        return np.concatenate([residuals[None], J]) * (few.weights / self.sigma), places
+
+    def serial(self) -> Serial | None:
+        """Return how the noise is correlated along the rows as they were read; None where it is not."""
+        seen = replace(self, station=replace(self.station, serial=None))
+        station, position = seen.station, seen.station.position
+        if position is None or station.sensor.is_whole or seen.dependence < CRITERIA.dependent:
+            return None
+        if len(np.unique(seen.poses)) < len(station):
+            # Several readings of a pose hang together by the pose, which is another noise.
+            return None
+        some = seen.first(_READINGS)
+        every, places = seen.columns(some)
+        priors = seen.sizes[seen.free][places] ** -2.0, seen.values[seen.free][places]
+        ends, likeliest, gained = np.cumsum([0, *station.block_sizes]).tolist(), None, 0.0
+        for turns in seen.frames:
+            if seen.dependence_in(turns) < CRITERIA.dependent or seen.follows_joints(some, turns):
+                continue
+            columns, gains = every if turns is None else turned_into(turns[some], every), 0.0
+            phi, share = np.zeros(ends[-1]), np.zeros(ends[-1])
+            for a, b in pairwise(ends):
+                found = _likeliest(columns[:, a:b], position[some], *priors)
+                if found is not None:
+                    gain, phi[a:b], share[a:b] = found
+                    gains += gain
+            if gains > gained:
+                likeliest, gained = Serial(phi, share, position, seen.counted, turns), gains
+        return likeliest
+
+    def follows_joints(self, rows: np.ndarray, turns: np.ndarray | None) -> bool:
+        """Return whether rows near each other in the joints, or in one, agree however far apart they are in the order.
+
+        What is left is then a function of the pose, along which the rows follow each other, and no noise.
+        """
+        n, left, q = len(rows), self.left(turns)[:, rows], self.station.conditions.q[rows]
+        left = left - left.mean(axis=1, keepdims=True)
+        q = q / np.maximum(q.std(axis=0), 1e-12)
+        by_order = np.mean([np.mean(np.sum(left[:, :-lag] * left[:, lag:], axis=0)) for lag in range(1, _NEAR + 1)])
+        # Pairs far apart in the order: how alike they are, and how near.
+        first, second = np.triu_indices(n, max(n // 4, _BANDS[-1][1]))
+        alike = np.sum(left[:, first] * left[:, second], axis=0)
+        apart = np.abs(q[first] - q[second]).T
+        for distance in (np.linalg.norm(apart, axis=0), *apart):
+            nearest = np.argpartition(distance, _NEAREST)[:_NEAREST] if len(distance) > _NEAREST else slice(None)
+            if np.mean(alike[nearest]) > 0.5 * by_order:
+                return True
+        return False
+
+    def factor(self) -> float:
+        """Return how many times as large variances are as blocks of consecutive rows tell; 1 if not surely larger."""
+        if self.station.position is None or self.station.sensor.is_whole:
+            return 1.0
+        some = self.first(_BLOCK_READINGS)
+        if len(some) < CRITERIA.fewest_blocks * _LENGTHS[0]:
+            return 1.0
+        columns, places = self.columns(some)
+        J = columns[1:]
+        normal = np.tensordot(J, J, axes=((1, 2), (1, 2))) + np.diag(self.sizes[self.free][places] ** -2.0)
+        return _largest_factor(np.einsum("dmn,mn->dn", J, columns[0]), normal)
 
 
 def _seen(fit: ModelFit) -> Iterator[_Seen]:
@@ -134,62 +235,10 @@ def _seen(fit: ModelFit) -> Iterator[_Seen]:
         yield _Seen(station, values, free, sizes, solution.weights[rows] > 0.0, sigma)
 
 
-def _of_station(seen: _Seen) -> Serial | None:
-    seen = replace(seen, station=replace(seen.station, serial=None))
-    station, free, position = seen.station, seen.free, seen.station.position
-    if position is None or station.sensor.is_whole or seen.dependence < CRITERIA.dependent:
-        return None
-    if len(np.unique(seen.poses)) < len(station):
-        # Several readings of a pose hang together by the pose, which is another noise.
-        return None
-    sizes = [block.size for block in station.sensor.blocks]
-    sound = np.flatnonzero(seen.counted)
-    some = sound[np.argsort(position[sound], kind="stable")][: max(_READINGS // sum(sizes), _FEWEST)]
-    if _follows_joints(seen, some):
-        return None
-    few = station.select(some)
-    ((_, residuals, jacobian),) = few.linearise_shared(seen.values, free)
-    J, places = jacobian.dense_columns()
-    columns = np.concatenate([residuals[None], J]) * (few.weights / seen.sigma)
-    priors = seen.sizes[free][places] ** -2.0, seen.values[free][places]
-    phi, share, ends = np.zeros(sum(sizes)), np.zeros(sum(sizes)), np.cumsum([0, *sizes])
-    for a, b in pairwise(ends.tolist()):
-        found = _likeliest(columns[:, a:b], position[some], *priors)
-        if found is not None:
-            phi[a:b], share[a:b] = found
-    return Serial(phi, share, position, seen.counted) if share.any() else None
-
-
-def _follows_joints(seen: _Seen, rows: np.ndarray) -> bool:
-    """Return whether rows near each other in the joints, or in one, agree however far apart they are in the order.
-
-    What is left is then a function of the pose, along which the rows follow each other, and no noise.
-
-    Args:
-        seen: the station.
-        rows: shape (n,), rows in their order.
-    """
-    station, n = seen.station, len(rows)
-    left = (station.whitened(station.residuals(seen.values)) * station.weights / seen.sigma)[:, rows]
-    left = left - left.mean(axis=1, keepdims=True)
-    q = station.conditions.q[rows]
-    q = q / np.maximum(q.std(axis=0), 1e-12)
-    by_order = np.mean([np.mean(np.sum(left[:, :-lag] * left[:, lag:], axis=0)) for lag in range(1, _NEAR + 1)])
-    # Pairs far apart in the order: how alike they are, and how near.
-    first, second = np.triu_indices(n, max(n // 4, _BANDS[-1][1]))
-    alike = np.sum(left[:, first] * left[:, second], axis=0)
-    apart = np.abs(q[first] - q[second]).T
-    for distance in (np.linalg.norm(apart, axis=0), *apart):
-        nearest = np.argpartition(distance, _NEAREST)[:_NEAREST] if len(distance) > _NEAREST else slice(None)
-        if np.mean(alike[nearest]) > 0.5 * by_order:
-            return True
-    return False
-
-
 def _likeliest(
     columns: np.ndarray, position: np.ndarray, precision: np.ndarray, values: np.ndarray
-) -> tuple[float, float] | None:
-    """Return the likeliest correlation and share of the noise of some components; None if it gains too little.
+) -> tuple[float, float, float] | None:
+    """Return what the likeliest noise of some components gains, its correlation and share; None if that is too little.
 
     Args:
         columns: shape (1 + P, m, N), residuals, then the model's columns, in units of the noise.
@@ -217,9 +266,6 @@ def _likeliest(
         left = float(z[0] @ z[0]) / noise - gained
         return float(m * n * at[0] + serial.log_determinant + determinant + left)
 
-    def at_memory(memory: float, at: np.ndarray) -> float:
-        return misfit(np.append(at, memory))
-
     white = min(misfit(np.array([log, -30.0, 0.1])) for log in _SIZES)
     starts = [np.array([0.0, np.log(s / (1.0 - s)), -np.log(1.0 - phi)]) for s, phi in _STARTS]
     tried = [_least(misfit, start) for start in sorted(starts, key=misfit)[:2]]
@@ -228,12 +274,59 @@ def _likeliest(
         return None
     for memory in np.log(_MEMORIES).tolist():
         # Of memories that the rows can't tell apart the longest: a short one takes the mean of the noise for well known.
-        longer = _least(partial(at_memory, memory), best.x[:2])
-        if memory > best.x[2] and float(longer.fun) < float(best.fun) + _AS_LIKELY:
-            return float(1.0 - np.exp(-memory)), float(expit(longer.x[1]))
-    return float(1.0 - np.exp(-best.x[2])), float(expit(best.x[1]))
+        longer = _least(lambda at, memory=memory: misfit(np.append(at, memory)), best.x[:2])  # type: ignore[misc]
+        if memory > best.x[2] and float(longer.fun) < float(best.fun) + CRITERIA.as_likely:
+            return white - float(longer.fun), float(1.0 - np.exp(-memory)), float(expit(longer.x[1]))
+    return white - float(best.fun), float(1.0 - np.exp(-best.x[2])), float(expit(best.x[1]))
 
 
 def _least(misfit: Callable[[np.ndarray], float], start: np.ndarray) -> OptimizeResult:
     limits, options = [(-6.0, 6.0), (-6.0, 9.0), (0.01, np.log(_LONGEST))], {"xatol": 0.05, "fatol": 0.1, "maxfev": 120}
     return minimize(misfit, start, method="Nelder-Mead", bounds=limits[: len(start)], options=options)
+
+
+def with_blocks(fit: ModelFit, beyond: float = 1.0) -> ModelFit:
+    """Return a fit with a covariance as wide as blocks of consecutive rows tell, times a factor for other doubts.
+
+    Of several stations the largest factor counts; of many, some are asked, evenly spread: it widens what all say together.
+    """
+    every = list(_seen(fit))
+    asked = set(np.linspace(0.0, len(every) - 1.0, _MOST_STATIONS).round().astype(int).tolist())
+    of_blocks = max((every[k].factor() for k in asked), default=1.0)
+    solution = replace(fit.solution, of_blocks=of_blocks)
+    if of_blocks * beyond > 1.0:
+        sigma = solution.sigma * np.sqrt(of_blocks * beyond)
+        wide = equations_of(fit.problem, replace(solution, sigma=sigma), fit.priors)
+        # What the data identify stays as it is.
+        posterior = replace(solution.posterior, covariance=wide.posterior.covariance, own=wide.own)
+        solution = replace(solution, wide=posterior)
+    return replace(fit, solution=solution)
+
+
+def _largest_factor(scores: np.ndarray, normal: np.ndarray) -> float:
+    """Return the factor that is surest, of scores, shape (D, n), of rows in their order; 1 if none is sure.
+
+    The reference is that of the same rows in any order, by its first two moments.
+    """
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    try:
+        L = cholesky(normal / np.outer(size, size) + 1e-9 * np.eye(len(size)), lower=True, check_finite=False)
+    except LinAlgError:
+        return 1.0
+    u = solve_triangular(L, scores / size[:, None], lower=True, check_finite=False)
+    n, own = u.shape[1], np.sum(u**2, axis=0)
+    pairs = n * (n - 1)
+    mean = (float(np.sum(u.sum(axis=1) ** 2)) - own.sum()) / pairs
+    spread = max((float(np.sum((u @ u.T) ** 2)) - float(own @ own)) / pairs, 1e-300)
+    surest, factor = CRITERIA.of_blocks, 1.0
+    for length in _LENGTHS:
+        if n < CRITERIA.fewest_blocks * length:
+            break
+        whole = n // length * length
+        of_blocks = u[:, :whole].reshape(len(u), -1, length).sum(axis=2)
+        count = whole * (length - 1)
+        beyond = float(np.sum(of_blocks**2)) - own[:whole].sum() - count * mean
+        sure = beyond / np.sqrt(2.0 * count * spread)
+        if sure > surest:
+            surest, factor = sure, 1.0 + beyond / own[:whole].sum()
+    return float(factor)

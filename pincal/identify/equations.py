@@ -7,7 +7,7 @@ it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from pincal.identify.batch import Batch, Task
 from pincal.identify.jacobian import block, span
-from pincal.identify.normal import Beforehand, Normal, StationSquares, contribution, reweighted, squares
+from pincal.identify.normal import Batch, Beforehand, Normal, StationSquares, Task, contribution, reweighted, squares
 from pincal.identify.posterior import Balance, Eliminated, Posterior
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
@@ -36,21 +35,22 @@ class Equations:
     """Normal equations of the F free parameters for one noise, C of them left after stations' own were eliminated.
 
     Attributes:
-        form: of the C parameters.
+        balance: what is said of the C parameters, and their priors.
         shared: shape (F,), which parameters these are; with one station all.
         own: those that were eliminated, if any; with one station none.
-        sizes: shape (F,), standard deviations of the priors; inf for none.
-        values: shape (F,), present values.
         remembered: shape (C, C), the part of H that is believed beyond the priors, known from an earlier fit or that curves
             are smooth; None for nothing.
     """
 
-    form: Form
+    balance: Balance
     shared: np.ndarray
     own: tuple[Eliminated, ...]
-    sizes: np.ndarray
-    values: np.ndarray
     remembered: np.ndarray | None = None
+
+    @property
+    def form(self) -> Form:
+        """What is said of the C parameters."""
+        return self.balance.form
 
     def step(self, bounds: np.ndarray, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Return the step that the posterior wants within bounds of the values, shape (F,), and which ones a bound stops.
@@ -60,66 +60,62 @@ class Equations:
             damping: how much surer than the priors it is that parameters stay where they are (Levenberg's): what the
                 readings are sure of moves as far as without, what they hardly see does not.
         """
-        step, held = self._bounded(bounds[self.shared], 1.0 + damping)
-        whole, stopped = np.empty(len(self.values)), np.zeros(len(self.values), bool)
+        at, most, form = self.balance.offsets, bounds[self.shared], self.form
+        # The slope of the priors stays what it is.
+        stiffness = 1.0 + damping
+        balance = Balance(form, self.balance.sizes / np.sqrt(stiffness), at / stiffness)
+        step, held = balance.step, np.zeros(len(at), bool)
+        for _ in range(3):
+            over = ~held & (np.abs(at + step) > most)
+            if not over.any():
+                break
+            held |= over
+            step = np.where(held, np.copysign(most, at + step) - at, step)
+            moved = replace(balance, form=replace(form, g=form.g - form.H[:, held] @ step[held]))
+            step[~held] = moved.part(np.flatnonzero(~held)).step
+        whole, stopped = np.empty(len(self.shared)), np.zeros(len(self.shared), bool)
         whole[self.shared], stopped[self.shared] = step, held
         for part in self.own:
-            at, most = self.values[part.places], bounds[part.places]
+            at, most = part.balance.offsets, bounds[part.places]
             wanted = at + part.step(step)
             whole[part.places] = np.clip(wanted, -most, most) - at
             stopped[part.places] = np.abs(wanted) > most
         return whole, stopped
-
-    def _bounded(self, bounds: np.ndarray, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
-        at, form = self.values[self.shared], self.form
-        # The slope of the priors stays what it is.
-        balance = Balance(form, self.sizes[self.shared] / np.sqrt(stiffness), at / stiffness)
-        step, held = balance.step, np.zeros(len(at), bool)
-        for _ in range(3):
-            over = ~held & (np.abs(at + step) > bounds)
-            if not over.any():
-                break
-            held |= over
-            step = np.where(held, np.copysign(bounds, at + step) - at, step)
-            moved = replace(balance, form=replace(form, g=form.g - form.H[:, held] @ step[held]))
-            step[~held] = moved.part(np.flatnonzero(~held)).step
-        return step, held
 
     def square(self, step: np.ndarray) -> float:
         """Return the square of a step, shape (F,), in units of the noise: how far it moves the readings altogether."""
         across = step[self.shared]
         return float(across @ self.form.H @ across) + sum(part.square(step[part.places], across) for part in self.own)
 
+    def _everywhere(self, of: Callable[[Balance], np.ndarray]) -> np.ndarray:
+        """Return what a balance says of its parameters for all of them, shape (F,)."""
+        found = np.empty(len(self.shared))
+        found[self.shared] = of(self.balance)
+        for part in self.own:
+            found[part.places] = of(part.balance)
+        return found
+
     @property
     def whole(self) -> np.ndarray:
         """The diagonal of all parameters' information before anything was eliminated, shape (F,)."""
-        whole = np.empty(len(self.sizes))
-        whole[self.shared] = self.form.whole
-        for part in self.own:
-            whole[part.places] = part.balance.form.whole
-        return whole
+        return self._everywhere(lambda balance: balance.form.whole)
 
     @property
     def metric(self) -> np.ndarray:
         """How much each parameter matters to readings and prior, shape (F,)."""
-        return np.asarray(np.sqrt(self.whole + self.sizes**-2.0))
-
-    @property
-    def _balance(self) -> Balance:
-        """The shared parameters beside their priors."""
-        return Balance(self.form, self.sizes[self.shared], self.values[self.shared])
+        return self._everywhere(lambda balance: np.sqrt(balance.form.whole + balance.sizes**-2.0))
 
     @cached_property
     def posterior(self) -> Posterior:
         """What data and priors say together."""
-        found = self._balance.posterior
+        found = self.balance.posterior
         known = 0.0 if self.remembered is None else float(np.sum(found.covariance * self.remembered))
         return replace(found, own=self.own, remembered=known)
 
     @cached_property
     def spent(self) -> tuple[float, tuple[float, ...]]:
         """How many parameters the data spend, priors counted: of those that are shared, and of each station's own."""
-        shared = None if self.own else self._balance.spent(self.remembered)
+        shared = None if self.own else self.balance.spent(self.remembered)
         if shared is not None:
             return shared, ()
         return self.posterior.shared_effective, self.posterior.own_effective
@@ -129,7 +125,7 @@ class Equations:
 
         Only those that are shared count: what eliminated parameters do by themselves is left out.
         """
-        balance = self._balance.part(np.flatnonzero(kept[self.shared]))
+        balance = self.balance.part(np.flatnonzero(kept[self.shared]))
         return float((balance.form.g - balance.offsets / balance.sizes**2) @ balance.step)
 
 
@@ -150,8 +146,8 @@ class Linearised:
         sigma: shape (blocks,), the noise for which equations will be wanted, where it is known before the residuals are:
             one pass over several stations then does for both.
         is_doubtful: whether the values may be given up by their squares, so that these come first, in a tenth of the time.
-        past: what batches contributed at the same values, by their number, noise and robust weights.
-        past_normals: the normal equations of each batch at the same values, perhaps with other robust weights.
+        normals: the latest normal equations of batches at these values, by number, perhaps with other robust weights.
+        sums: what batches contribute for the latest noise, and the squares of their residuals.
     """
 
     problem: Problem
@@ -162,27 +158,25 @@ class Linearised:
     executor: Executor | None = None
     sigma: np.ndarray | None = None
     is_doubtful: bool = False
-    past: Mapping[_Key, _Sums] = field(default_factory=dict)
-    past_normals: Sequence[Normal] = ()
+    normals: dict[int, Normal] = field(default_factory=dict)
+    sums: dict[_Key, _Sums] = field(default_factory=dict)
 
     def reweighted(self, robust: np.ndarray) -> Linearised:
         """Return the same point with other robust weights; stations whose weights stay are not computed again."""
-        kept = self._normals if self._are_kept else ()
-        return replace(self, robust=robust, is_doubtful=False, past=dict(self._sums), past_normals=kept)
+        return replace(self, robust=robust, is_doubtful=False)
 
     def narrowed(self, free: np.ndarray) -> Linearised:
         """Return the same point with fewer free parameters, shape (P,); of one station nothing is computed again."""
         if np.array_equal(free, self.free):
             return self
         is_alone, kept = len(self.problem.stations) == 1, np.flatnonzero(free[self.free])
-        normals = [normal.narrowed(kept) for normal in self._normals] if is_alone else ()
-        return replace(self, free=free, past={}, past_normals=normals)
+        return replace(self, free=free, normals={0: self._normals[0].narrowed(kept)} if is_alone else {}, sums={})
 
     def release(self) -> None:
         """Give up the memory of several stations' equations, which are computed again if they are asked for."""
         if len(self.problem.stations) > 1 and self._squares:
-            for name in ("_normals", "_sums", "_equations"):
-                self.__dict__.pop(name, None)
+            for kept in (self.normals, self.sums, self._equations):
+                kept.clear()
 
     @cached_property
     def _are_kept(self) -> bool:
@@ -195,25 +189,18 @@ class Linearised:
     def _batches(self) -> list[Batch]:
         return [part for batch in self.problem.batches for part in batch.alike(self.free)]
 
-    @cached_property
+    @property
     def _normals(self) -> list[Normal]:
         """The normal equations of the stations of each batch."""
-        past = self.past_normals or (None,) * len(self._batches)
-        pairs = [(normal, batch, self.robust[batch.rows]) for normal, batch in zip(past, self._batches, strict=True)]
-        valid = [normal if normal and np.array_equal(normal.robust, robust) else None for normal, _, robust in pairs]
-        fresh = iter(
-            self._done(
-                batch.work(reweighted, self.values, self.free[batch.places[0]], robust, stale)
-                for found, (stale, batch, robust) in zip(valid, pairs, strict=True)
-                if found is None
-            )
+        normals, every = self.normals, range(len(self._batches))
+        robust = [self.robust[batch.rows] for batch in self._batches]
+        todo = [k for k in every if k not in normals or not np.array_equal(normals[k].robust, robust[k])]
+        works = (
+            of.work(reweighted, self.values, self.free[of.places[0]], robust[k], normals.get(k))
+            for k, of in ((k, self._batches[k]) for k in todo)
         )
-        return [next(fresh) if found is None else found for found in valid]
-
-    @cached_property
-    def _sums(self) -> dict[_Key, _Sums]:
-        """What batches contribute for the latest noise, and the squares of their residuals; empty before there is any."""
-        return dict(self.past)
+        normals |= zip(todo, self._done(works), strict=True)
+        return [normals[k] for k in every]
 
     @cached_property
     def _squares(self) -> list[StationSquares]:
@@ -293,11 +280,12 @@ class Linearised:
             if mine.size:
                 eliminated.append(replace(own, places=rank[mine], shared=ours))
         believed = known.H if problem.beliefs.terms else None
-        return Equations(Form(H, g, whole), shared, tuple(eliminated), self.sizes[free], self.values[free], believed)
+        balance = Balance(Form(H, g, whole), self.sizes[places], self.values[places])
+        return Equations(balance, shared, tuple(eliminated), believed)
 
     def _contributions(self, sigma: np.ndarray) -> list[_Sums]:
         """Return what each batch contributes, computed where it is not known for this noise and these robust weights."""
-        batches, sums = self._batches, self._sums
+        batches, sums = self._batches, self.sums
         keys = [(k, sigma[of.blocks].tobytes(), self.robust[of.rows].tobytes()) for k, of in enumerate(batches)]
         todo = [key for key in keys if key not in sums]
         new = [batches[k] for k, _, _ in todo]
@@ -305,7 +293,8 @@ class Linearised:
         known = [Beforehand(of.own, sigma[of.blocks].reshape(len(of.stations), -1), self.sizes[of.places]) for of in new]
         found: Iterable[_Sums]
         if self._are_kept:
-            normals = (self._normals[k] for k, _, _ in todo)
+            every = self._normals
+            normals = (every[k] for k, _, _ in todo)
             found = (
                 (each.contribution(normal, of.values(self.values), may), normal.station_squares(of.ends))
                 for of, normal, may, each in zip(new, normals, free, known, strict=True)

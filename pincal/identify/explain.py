@@ -1,13 +1,16 @@
 """Which parameters the data identify, why not the others, and which combination is identifiable in their place.
 
-Judged at the nominal geometry, so that it is a statement about the robot, the poses and the instrument, not the noise.
+Judged at the nominal geometry, so that it is a statement about the robot, the poses and the instrument, not the noise. Why
+is data, a cause with its figures; here is the one place where it becomes words.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from enum import Enum, StrEnum
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -20,20 +23,118 @@ from pincal.identify.options import known_frames
 from pincal.identify.posterior import posterior
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import NULL, Form
-from pincal.identify.reasons import IDENTIFIED, Cause, Combination, Reason, Status
 from pincal.identify.station import Station
-from pincal.measure.sampling import sample_rows
+from pincal.measure.extrinsics import sample_rows
 from pincal.measure.sensor import KnownParameters
 from pincal.model.effects import BaseFrame
 from pincal.parameters import Parameter
+from pincal.units import format_readable
+
+
+class Status(StrEnum):
+    """What became of a parameter; the values are those of ``result.json``."""
+
+    IDENTIFIED = "identified"
+    PRIOR = "prior"
+    FIXED = "fixed"
+    UNIDENTIFIABLE = "unidentifiable"
+    AT_BOUND = "at bound"
+
+
+class Cause(Enum):
+    """Why a parameter is not identified; the values are how it is said, with the figures of a reason in braces."""
+
+    NONE = ""
+    GIVEN = "given by the user"
+    NOT_NEEDED = "fixed at zero: most lenses need no higher terms"
+    AT_BOUND = "stopped at its bound of {size}"
+    ABSORBS = "±{size} if the parameters it absorbs are held at their estimates"
+    NO_MOMENT = "no static moment about this axis in any pose (axis {axis} parallel to gravity, or no mass beyond it)"
+    NOT_EXCITED = "not excited by any of these poses"
+    NOT_OBSERVED = "has no influence on the measured target"
+    BASE = "the unknown base frame absorbs it"
+    TOOL = "the unknown tool frame{beside} absorb{s} it"
+    FRAMES = "the unknown base and tool frames{beside} absorb it"
+    PARALLEL_AXES = "only {combination} is identifiable (the axes are parallel)"
+    COMBINATION = "only {combination} is identifiable"
+    ALIASED = "indistinguishable from {aliases}{together}"
+    HIDDEN = "indistinguishable from a combination of many other parameters"
+    MASS = "only its product with the compliances is identifiable; the shape of the arm sets the factor"
+    WEAK = "the data narrow the prior of ±{size} only to ±{narrowed}"
+    UNINFORMED = "the data add nothing to the prior of ±{size}"
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A sum ``other + factor * own`` that the data identify where they do not identify its members."""
+
+    other: str
+    factor: float
+    own: str
+
+    def __str__(self) -> str:
+        size = abs(self.factor)
+        times = "" if abs(size - 1.0) < _ONE else f"{size:.3g} x "
+        return f"{self.other} {'+' if self.factor > 0 else '-'} {times}{self.own}"
+
+
+# Relative difference from 1 that three digits of a factor do not show.
+_ONE = 1e-3
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why a parameter is not identified, as data; ``str()`` gives it in words.
+
+    Attributes:
+        cause: the kind of reason.
+        parameters: the others that have the same effect, largest part of it first or as they stand in the model.
+        combination: the sum that is identifiable instead.
+        size: bound, prior standard deviation, or conditional standard deviation of a frame's coordinate [``unit``].
+        narrowed: posterior standard deviation [``unit``].
+        unit: SI unit of the parameter.
+        axis: letter of the axis that a compliance is about; empty for anything else.
+        moment: largest static moment about that axis in these poses [N m].
+        beside: what else is unknown along with the tool frame, such as "the unknown points".
+    """
+
+    cause: Cause
+    parameters: tuple[str, ...] = ()
+    combination: Combination | None = None
+    size: float | None = None
+    narrowed: float | None = None
+    unit: str = ""
+    axis: str = ""
+    moment: float | None = None
+    beside: str = ""
+
+    def __str__(self) -> str:
+        words = self.cause.value.format(
+            aliases=_listed(self.parameters),
+            combination=self.combination,
+            size="" if self.size is None else format_readable(self.size, self.unit),
+            narrowed="" if self.narrowed is None else format_readable(self.narrowed, self.unit),
+            axis=self.axis,
+            together=" together" if len(self.parameters) > 1 else "",
+            beside=f" and {self.beside}" if self.beside else "",
+            s="" if self.beside else "s",
+        )
+        return words if self.moment is None else f"{words} (static moment about this axis: at most {self.moment:.2g} N m)"
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
+
+
+IDENTIFIED = Reason(Cause.NONE)
+"""The reason of a parameter that needs none."""
+
 
 # Part of a column's square that other columns may leave and still have the same effect: 1e-4 of the column itself, far
 # below what any instrument resolves and far above rounding.
 _SAME = 1e-8
 # Eigenvalues of a scaled Gram matrix, relative to the largest, below which they are rounding (its square is 1e-16).
 _RANK = 1e-10
-# Share of a parameter's action below which another one is not worth naming as its counterpart.
-_WORTH_NAMING = 0.05
 # Poses that are looked at; more do not change what can be identified, and take time.
 _ROWS = 2000
 # Stations that are looked at together: what none of several such groups sees, all together hardly see either.
@@ -57,7 +158,10 @@ class ParameterFinding:
 
 def explain(fit: ModelFit) -> tuple[ParameterFinding, ...]:
     """Return a finding on every parameter of a fit."""
-    nominals = _nominals(fit)
+    # At the nominal geometry, of some stations at a time so that the equations stay small.
+    stations = fit.problem.stations
+    cuts = [*range(0, max(len(stations) - 1, 1), _TOGETHER), len(stations)]
+    nominals = [_Nominal.of(fit, stations[a:b]) for a, b in pairwise(cuts)]
     variance = np.zeros(len(fit.values))
     variance[fit.solution.free] = fit.estimate.covariance.variance
     ratio = np.sqrt(variance) / fit.priors.sizes
@@ -108,7 +212,8 @@ def _of_inner(fit: ModelFit, nominals: list[_Nominal], i: int, ratio: float) -> 
         return Status.AT_BOUND, Reason(Cause.AT_BOUND, size=float(fit.priors.bounds[i]), unit=parameter.unit)
     if not fit.solution.free[i]:
         return _not_free(fit, parameter)
-    if parameter.name in _masses(fit):
+    model, _ = fit.arm
+    if parameter.name in {model.names[body.parameter] for body in model.bodies}:
         # At the nominal geometry nothing bends, and neither a mass nor the place of a bearing shows.
         return (Status.PRIOR, Reason(Cause.MASS)) if ratio >= CRITERIA.identified else (Status.IDENTIFIED, IDENTIFIED)
     views = [(nominal, nominal.index[parameter.name]) for nominal in nominals if parameter.name in nominal.index]
@@ -123,12 +228,6 @@ def _of_inner(fit: ModelFit, nominals: list[_Nominal], i: int, ratio: float) -> 
         cause, moment = Cause.WEAK if ratio < CRITERIA.narrowed else Cause.UNINFORMED, _largest_moment(fit, parameter)
         return Status.PRIOR, Reason(cause, size=size, narrowed=size * ratio, unit=parameter.unit, moment=moment)
     return Status.IDENTIFIED, IDENTIFIED
-
-
-def _masses(fit: ModelFit) -> set[str]:
-    """Return the names of the parameters that masses depend on."""
-    model, _ = fit.arm
-    return {model.names[body.parameter] for body in model.bodies}
 
 
 def _not_free(fit: ModelFit, parameter: Parameter) -> tuple[Status, Reason]:
@@ -158,13 +257,6 @@ def _largest_moment(fit: ModelFit, parameter: Parameter) -> float | None:
         moments = station.model.static_moments(np.zeros(station.model.n_parameters), conditions)
         largest.append(float(np.abs(moments[:, column]).max()))
     return max(largest)
-
-
-def _nominals(fit: ModelFit) -> list[_Nominal]:
-    """Return the normal equations at the nominal geometry, of some stations at a time so that they stay small."""
-    stations = fit.problem.stations
-    cuts = list(range(0, max(len(stations) - 1, 1), _TOGETHER))
-    return [_Nominal.of(fit, stations[a:b]) for a, b in zip(cuts, [*cuts[1:], len(stations)], strict=True)]
 
 
 @dataclass(frozen=True)
@@ -221,7 +313,7 @@ class _Nominal:
             factor = float(share[0] * self.scale[i] / self.scale[others[0]])
             return Reason(cause, combination=Combination(self.names[others[0]], factor, self.names[i]))
         if cause is Cause.ALIASED:
-            named = (self.names[j] for j, s in zip(others, share, strict=True) if abs(s) > _WORTH_NAMING)
+            named = (self.names[j] for j, s in zip(others, share, strict=True) if abs(s) > CRITERIA.worth_naming)
             return Reason(cause, tuple(named))
         return Reason(cause, beside="" if cause is Cause.BASE else self.unknowns)
 
@@ -239,7 +331,9 @@ class _Nominal:
         for j in self._same(self.H, i, inner):
             yield [j], Cause.COMBINATION
         yield base + tool, Cause.FRAMES if base else Cause.TOOL
-        for j in self._same(self._beside_frames, i, inner):
+        # H with what base and tool absorb taken out.
+        across = self.H[:, self._extrinsic] @ Form.of(self.H).root(np.array(self._extrinsic, int), _RANK)
+        for j in self._same(self.H - across @ across.T, i, inner):
             yield [j, *base, *tool], Cause.ALIASED
         near = [j for j in inner if abs(self._element[i] - self._element[j]) <= 1]
         yield near, Cause.ALIASED
@@ -267,12 +361,6 @@ class _Nominal:
         place = {owner: i for i, owner in enumerate(dict.fromkeys(owners))}
         return [place[owner] for owner in owners]
 
-    @cached_property
-    def _beside_frames(self) -> np.ndarray:
-        """H with what base and tool absorb taken out."""
-        across = self.H[:, self._extrinsic] @ Form.of(self.H).root(np.array(self._extrinsic, int), _RANK)
-        return np.asarray(self.H - across @ across.T)
-
     @staticmethod
     def _same(H: np.ndarray, i: int, others: list[int]) -> list[int]:
         """Return those of the others that may do by themselves what parameter i does; a quick sieve."""
@@ -283,14 +371,13 @@ class _Nominal:
     def _shares(self, i: int, others: Iterable[int]) -> np.ndarray | None:
         """Return the coefficients by which ``others`` reproduce column i, scaled columns; None if they can't."""
         j = list(others)
-        if not j or not self._may_share(i, j):
+        if not j:
+            return None
+        # A quick sieve, which counts more of their directions.
+        factor, pivots, rank, _ = dpstrf(self.H[np.ix_(j, j)], tol=_RANK, lower=1)
+        seen = np.array(j)[pivots[:rank] - 1]
+        along = solve_triangular(factor[:rank, :rank], self.H[seen, i], lower=True, check_finite=False)
+        if self.H[i, i] - along @ along >= 10.0 * _SAME:
             return None
         share, _ = Form.of(self.H, self.H[:, i]).estimate(np.array(j), _RANK)
         return share if self.H[i, i] - share @ self.H[j, i] < _SAME else None
-
-    def _may_share(self, i: int, others: list[int]) -> bool:
-        """Return whether ``others`` may reproduce column i; a quick sieve, which counts more of their directions."""
-        factor, pivots, rank, _ = dpstrf(self.H[np.ix_(others, others)], tol=_RANK, lower=1)
-        seen = np.array(others)[pivots[:rank] - 1]
-        along = solve_triangular(factor[:rank, :rank], self.H[seen, i], lower=True, check_finite=False)
-        return bool(self.H[i, i] - along @ along < 10.0 * _SAME)

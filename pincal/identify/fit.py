@@ -34,11 +34,6 @@ class Ending(Enum):
     STUCK = "no step reduced the residuals although the solution was not yet stationary"
     BUDGET = f"it did not finish within {MOST_STEPS} steps"
 
-    @property
-    def is_good(self) -> bool:
-        """Whether the fit ended well."""
-        return self in (Ending.SETTLED, Ending.ROUGH, Ending.EXACT)
-
 
 @dataclass(frozen=True)
 class Priors:
@@ -101,7 +96,7 @@ class Solution:
     @property
     def converged(self) -> bool:
         """Whether the fit ended well."""
-        return self.exit.is_good
+        return self.exit in (Ending.SETTLED, Ending.ROUGH, Ending.EXACT)
 
     @property
     def cost(self) -> float:
@@ -199,19 +194,37 @@ class ModelFit:
         index = [order.get(id(effect), known.index(effect)) for effect in effects]
         return tuple(self.problem.parameters[i].name for k in index for i in self.problem.places_at(known[k]))
 
+    def select(self, rows: np.ndarray) -> ModelFit:
+        """Return the fit as it is, of some of its rows, by their places."""
+        solution = replace(self.solution, weights=self.solution.weights[rows])
+        return replace(self, problem=self.problem.select(rows), solution=solution)
+
     @cached_property
     def alone(self) -> tuple[ModelFit, ...]:
         """Each station as a fit of its own, as it stands: where its rows are looked at one by one."""
-        return (self,) if len(self.problem.stations) == 1 else tuple(self._stations_alone())
-
-    def _stations_alone(self) -> Iterator[ModelFit]:
+        if len(self.problem.stations) == 1:
+            return (self,)
+        found = []
         for (station, places, blocks), rows in zip(self.stations, self.problem.rows, strict=True):
+            # The posterior stays that of all.
+            nominal, solution = (
+                replace(
+                    of,
+                    values=of.values[places],
+                    free=of.free[places],
+                    at_bound=of.at_bound[places],
+                    sigma=of.sigma[blocks],
+                    estimated=of.estimated[blocks],
+                    weights=of.weights[rows],
+                )
+                for of in (self.nominal, self.solution)
+            )
             problem, options = Problem((replace(station, name=""),)), self.options.at(station.name)
-            nominal, solution = (_part(of, places, blocks, rows) for of in (self.nominal, self.solution))
             priors = Priors(self.priors.sizes[places], self.priors.bounds[places])
-            noise = Noise(self.noise.declared[blocks])
             solution = replace(solution, equations=equations_of(problem, solution, priors))
-            yield ModelFit(problem, nominal, solution, priors, noise, self.stages, options)
+            noise = Noise(self.noise.declared[blocks])
+            found.append(ModelFit(problem, nominal, solution, priors, noise, self.stages, options))
+        return tuple(found)
 
     @property
     def arm(self) -> tuple[Model, np.ndarray]:
@@ -230,19 +243,6 @@ class ModelFit:
         model = next(of.model for of in self.problem.stations if of.name == station)
         centre, instrument = np.array(options.payload_centre), options.instrument
         return station_of(model, measurements, centre, options.setup, name=station, instrument=instrument)
-
-
-def _part(solution: Solution, places: np.ndarray, blocks: slice, rows: slice) -> Solution:
-    """Return a solution of one station; its posterior stays that of all."""
-    return replace(
-        solution,
-        values=solution.values[places],
-        free=solution.free[places],
-        at_bound=solution.at_bound[places],
-        sigma=solution.sigma[blocks],
-        estimated=solution.estimated[blocks],
-        weights=solution.weights[rows],
-    )
 
 
 def equations_of(problem: Problem, part: Solution, priors: Priors) -> Equations:

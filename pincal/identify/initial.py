@@ -10,9 +10,9 @@ import numpy as np
 
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.beliefs import bounds_of, declared_noise, is_frame, priors_of, released_of, require_named, sensors_own
-from pincal.identify.earlier import Earlier
+from pincal.identify.believed import Earlier
 from pincal.identify.fit import ModelFit, Priors
-from pincal.identify.options import Options
+from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Problem, effects_at
 from pincal.identify.solve import Course, likeliest_values, solve
 from pincal.identify.station import Station, station_of
@@ -21,8 +21,10 @@ from pincal.measure.measurements import Measurements
 from pincal.model.chain import Chain
 from pincal.model.effects import BaseFrame, ToolFrame
 from pincal.model.model import Model
-from pincal.parameters import carried_over
+from pincal.parameters import FRAME_SYMBOLS, carried_over
+from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
+from pincal.robot.se3 import placed as placed_frame
 
 # More rows than these add nothing to a start, or to its short fit; of many stations each takes its part of them, some at
 # least.
@@ -34,21 +36,17 @@ _ALIKE = 1.0 + 1e-6
 
 
 def begin(robot: Robot, tables: Mapping[str, Measurements], options: Options, executor: Executor | None) -> ModelFit:
-    """Return the fit of base and tool alone.
-
-    Args:
-        robot: the arm, taken as nominal.
-        tables: each station's table by its name.
-        options: how to calibrate.
-        executor: computes what each of several stations contributes; default: one after the other, here.
-    """
+    """Return the fit of base and tool alone."""
     if len(tables) == 1:
         tables = {"": next(iter(tables.values()))}
     placed = place(robot, tables, options)
-    stations = [
-        _averaged(station, table, options.at(name))
-        for (station, _), (name, table) in zip(placed, tables.items(), strict=True)
-    ]
+    stations = []
+    for (station, _), (name, table) in zip(placed, tables.items(), strict=True):
+        # Rows weigh as the means that they are where the noise of a single reading is declared. Where it is not, what poses
+        # differ by from the model may be as much their own, and each counts once.
+        if table.readings_per_row is not None and options.at(name).sigma is not None:
+            station = replace(station, weights=station.weights * np.sqrt(table.readings_per_row))
+        stations.append(station)
     problem = Problem(tuple(stations), None if options.earlier is None else Earlier.of(options.earlier))
     require_named(problem, options)
     values = _joined(problem, placed)
@@ -63,16 +61,6 @@ def begin(robot: Robot, tables: Mapping[str, Measurements], options: Options, ex
     return ModelFit(problem, nominal, nominal, priors, noise, (), options)
 
 
-def _averaged(station: Station, table: Measurements, options: Options) -> Station:
-    """Return a station whose rows weigh as the means that they are, where the noise of a single reading is declared.
-
-    Where it is not, what poses differ by from the model may be as much their own, and each counts once.
-    """
-    if table.readings_per_row is None or options.sigma is None:
-        return station
-    return replace(station, weights=station.weights * np.sqrt(table.readings_per_row))
-
-
 def _joined(problem: Problem, placed: Sequence[tuple[Station, np.ndarray]]) -> np.ndarray:
     """Return the values of all parameters of a problem, shape (P,), given those of each station."""
     values = np.zeros(len(problem.parameters))
@@ -82,15 +70,9 @@ def _joined(problem: Problem, placed: Sequence[tuple[Station, np.ndarray]]) -> n
 
 
 def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) -> list[tuple[Station, np.ndarray]]:
-    """Return stations with base and tool about where they are, and the values to start from.
-
-    Args:
-        robot: the arm, taken as nominal.
-        tables: each station's table by its name, "" for one that is alone.
-        options: how to calibrate.
-    """
+    """Return stations with base and tool about where they are, and the values to start from."""
     found, models = [], _Models()
-    for station, values in place_arm(_arm(robot, options), np.zeros(0), tables, options=options):
+    for station, values in place_setups(_arm(robot, options), np.zeros(0), tables, options=options):
         effects = (*station.model.effects, *effects_at(options.effects, station.name))
         model = replace(station.model, effects=effects, equilibrium=options.equilibrium)
         index = {parameter.name: i for i, parameter in enumerate(station.parameters)}
@@ -100,13 +82,7 @@ def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) ->
 
 
 def starts_of(robot: Robot, table: Measurements, options: Options) -> list[tuple[Station, np.ndarray]]:
-    """Return a station at each of its sensor's closed-form placements, not fitted yet, with the values there.
-
-    Args:
-        robot: the arm, taken as nominal.
-        table: the rows of the station.
-        options: how to calibrate.
-    """
+    """Return a station at each of its sensor's closed-form placements, not fitted yet, with the values there."""
     return _candidates(_arm(robot, options), np.zeros(0), table, "", options, _Models())
 
 
@@ -121,25 +97,66 @@ class _Models:
 
     def __init__(self) -> None:
         self._first: dict[tuple[object, ...], Model] = {}
-        self._arms: dict[tuple[str, ...], Model] = {}
+        self._arms: dict[tuple[object, ...], Model] = {}
 
-    def arm(self, arm: Model, targets: tuple[str, ...]) -> Model:
-        """Return the arm with these targets, base and tool at the instrument and the tip."""
-        if targets not in self._arms:
-            nowhere = replace(arm.chain, targets=targets, tool_rotations=np.tile(np.eye(3), (len(targets), 1, 1)))
+    def arm(self, arm: Model, targets: tuple[str, ...], links: tuple[str, str]) -> Model:
+        """Return the arm between two links with these targets, base and tool at the instrument and the tip."""
+        if (targets, links) not in self._arms:
+            tools, ends = np.tile(np.eye(3), (len(targets), 1, 1)), arm.chain.between(*links).ends
+            nowhere = replace(arm.chain, targets=targets, tool_rotations=tools, ends=ends)
             found = arm.with_chain(nowhere.with_references(np.eye(3), nowhere.tool_rotations))
             # Chains about other references share with this one what it has once been asked for.
             assert len(found.chain.nominal) and len(found.chain.drives)
-            self._arms[targets] = found
-        return self._arms[targets]
+            self._arms[targets, links] = found
+        return self._arms[targets, links]
 
     def same(self, model: Model) -> Model:
         """Return the model, sharing with an earlier one that differs by where base and tool stand what both have."""
         frames = tuple(e if isinstance(e, BaseFrame | ToolFrame) else id(e) for e in model.effects)
-        first = self._first.setdefault((model.chain.targets, frames), model)
+        first = self._first.setdefault((model.chain.targets, model.chain.path, frames), model)
         if first is model:
             assert model.parameters and model.of_station is not None
         return first.with_chain(model.chain)
+
+
+def links_of(measurements: Measurements, path: LinkPath) -> tuple[str, str]:
+    """Return the links between which all rows of a table are; default: those of a path."""
+    ends = zip((measurements.from_link, measurements.to_link), (path.start, path.tip), strict=True)
+    start, tip = (default if column is None else str(column[0]) for column, default in ends)
+    return start, tip
+
+
+def place_setups(
+    arm: Model, values: np.ndarray, tables: Mapping[str, Measurements], *, options: Options
+) -> list[tuple[Station, np.ndarray]]:
+    """Return what :func:`place_arm` does, stations of one set-up with the instrument in one place.
+
+    That is where the station with the most rows has it.
+    """
+    by_rows = sorted(tables, key=lambda name: len(tables[name]))
+    largest = {tables[name].setup: name for name in by_rows}
+    first = {n: t for n, t in tables.items() if not t.setup or largest[t.setup] == n}
+    placed = dict(zip(first, place_arm(arm, values, first, options=options), strict=True))
+    for name, table in tables.items():
+        if name not in placed:
+            station, found = placed[largest[table.setup]]
+            own = StationOptions(**vars(options.stations.get(name, StationOptions())) | {"base": _base_of(station, found)})
+            known = replace(options, stations={**options.stations, name: own})
+            ((other, at),) = place_arm(arm, values, {name: table}, options=known)
+            # The same numbers mean the same place about the same reference.
+            chain = other.model.chain.with_references(station.model.chain.base_rotation, other.model.chain.tool_rotations)
+            for k, parameter in enumerate(other.parameters):
+                if parameter.element == "base":
+                    at[k] = found[station.parameters.index(parameter)]
+            placed[name] = other.with_model(other.model.with_chain(chain)), at
+    return [placed[name] for name in tables]
+
+
+def _base_of(station: Station, values: np.ndarray) -> np.ndarray:
+    """Return where a station has the link from which its path starts in the instrument's frame, shape (4, 4)."""
+    index = {parameter.name: i for i, parameter in enumerate(station.parameters)}
+    at = [values[index[name]] if (name := f"base.{symbol}") in index else 0.0 for symbol in FRAME_SYMBOLS]
+    return placed_frame(station.model.chain.base_rotation, np.array(at))
 
 
 def place_arm(
@@ -158,9 +175,12 @@ def place_arm(
     models = _Models()
     candidates = [_candidates(arm, values, table, name, options.at(name), models) for name, table in tables.items()]
     best: list[tuple[float, Station, np.ndarray]] = [(np.inf, *starts[0]) for starts in candidates]
+    # Stations that have something in common besides the robot are placed one by one.
+    is_apart = any(table.setup for table in tables.values()) or len(candidates) == 1
     for k in range(max(map(len, candidates))):
         those = [i for i, starts in enumerate(candidates) if k < len(starts)]
-        settled = _settled([candidates[i][k] for i in those], options)
+        together = [[candidates[i][k]] for i in those] if is_apart else [[candidates[i][k] for i in those]]
+        settled = [one for starts in together for one in _settled(starts, options)]
         for i, (rest, found) in zip(those, settled, strict=True):
             if rest < _ALIKE * best[i][0]:
                 best[i] = rest, candidates[i][k][0], found
@@ -174,7 +194,7 @@ def _candidates(
     if len(measurements) == 0:
         raise MeasurementError(f"{measurements.source}: no rows to calibrate with")
     targets = tuple(str(t) for t in np.unique(measurements.target))
-    arm = models.arm(arm, targets)
+    arm = models.arm(arm, targets, links_of(measurements, arm.chain.path))
     centre, instrument = np.array(options.payload_centre), options.instrument
     rows = station_of(arm, measurements, centre, options.setup, name=name, instrument=instrument)
     some = rows.sample(_ROWS)

@@ -130,8 +130,9 @@ class Jacobian:
                 A.add_gram(r, G[some.start], g[some.start])
             else:
                 found = A._grams_at_once(r, np.diff(ends[some.start : some.stop + 1]))
-                G[some] += found[0]
-                g[some] += found[1]
+                rows, columns = block(at := span(A.places), at)
+                G[some][:, rows, columns] += found[0]
+                g[some][:, at] += found[1]
 
     def _at_once(self, counts: np.ndarray) -> Iterator[slice]:
         """Yield parts that follow each other whose products are taken at once, given how many poses each has."""
@@ -163,7 +164,9 @@ class Jacobian:
         """
         dense, apart = np.ascontiguousarray(self.dense), self.places
         A, group = dense.reshape(len(dense), residuals.size), np.zeros(self.size, int) if groups is None else groups
-        for at in _stretches(group[apart]):
+        # Stretches of columns that follow each other in one group.
+        cuts = [0, *(np.flatnonzero(np.diff(group[apart])) + 1).tolist(), len(apart)]
+        for at in (slice(a, b) for a, b in pairwise(cuts) if a < b):
             own = span(apart[at])
             G[block(own, own)] += A[at] @ A[at].T
         g[span(apart)] += A @ np.ascontiguousarray(residuals).ravel()
@@ -218,12 +221,6 @@ def _padded(of_poses: np.ndarray, counts: np.ndarray) -> np.ndarray:
     at = np.arange(longest)
     rows = np.minimum((np.cumsum(counts) - counts)[:, None] + at, of_poses.shape[-1] - 1)
     return np.asarray(of_poses[..., rows] * (at < counts[:, None]))
-
-
-def _stretches(groups: np.ndarray) -> Iterator[slice]:
-    """Yield the stretches of columns that follow each other in one group."""
-    cuts = [0, *(np.flatnonzero(np.diff(groups)) + 1).tolist(), len(groups)]
-    yield from (slice(a, b) for a, b in pairwise(cuts) if a < b)
 
 
 def span(places: np.ndarray) -> slice | np.ndarray:

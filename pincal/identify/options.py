@@ -71,6 +71,9 @@ class Options:
             its own SI unit or with another (0.001, "1mrad", "0.2urad/Nm"); 0 holds it there, inf leaves it free. Of several
             that match, the last counts.
         zeros: joints with unknown zeros, by names or patterns such as ``"*"``.
+        prior_scale: factors on the priors of a robot's geometry and of its elasticity, those in ``priors`` left out;
+            default: 1, or where no station has an instrument those by which rows of regions that are left out are predicted
+            best.
         serial: whether to test for noise that is correlated along the rows, and weight rows accordingly.
     """
 
@@ -92,6 +95,7 @@ class Options:
     earlier: Estimate | None = None
     priors: Mapping[str, float | str] = field(default_factory=dict)
     zeros: tuple[str, ...] = ()
+    prior_scale: tuple[float, float] | None = None
     serial: bool = True
 
     def __post_init__(self) -> None:
@@ -126,6 +130,11 @@ def _check_numbers(options: Options | StationOptions) -> None:
     for name in ("sigma", "sigma_orientation", "length_bound"):
         if name in held and not SMALLEST <= held[name] <= LARGEST:
             raise BadInputError(f"{name} is {held[name]}; expected a number from {SMALLEST:g} to {LARGEST:g}")
+    for scale in held.get("prior_scale", ()):
+        if not SMALLEST <= scale <= LARGEST:
+            raise BadInputError(
+                f"prior_scale is {held['prior_scale']}; expected two numbers from {SMALLEST:g} to {LARGEST:g}"
+            )
     if "gravity" in held and not is_gravity(held["gravity"]):
         raise BadInputError(f"gravity is {list(held['gravity'])}; expected {GRAVITIES}")
 

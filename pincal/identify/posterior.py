@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky
+from scipy.linalg import cho_solve, cholesky
 from scipy.linalg.lapack import dpotri
 
 from pincal.identify.quadratic import NULL, Form
@@ -152,7 +152,7 @@ class Eliminated:
     def effective(self, covariance: np.ndarray) -> np.ndarray:
         """Return how many parameters the data spend on them, shape () or (S,), for the covariance of all shared ones."""
         mine = covariance[np.ix_(self.shared, self.shared)]
-        variance = _diagonal(self.alone.covariance) + np.sum((self.carried @ mine) * self.carried, axis=-1)
+        variance = np.einsum("...ii->...i", self.alone.covariance) + np.sum((self.carried @ mine) * self.carried, axis=-1)
         # Without a prior a parameter is spent as far as the data determine it.
         return np.asarray(self.alone.frame_rank + np.sum(self.alone.has_prior - variance * self.precision, axis=-1))
 
@@ -215,13 +215,13 @@ class Balance:
     def step(self) -> np.ndarray:
         """The step of the posterior, shape (F,)."""
         (prior, frames), (inverse, _, _), F = self._parts, self._frames, self._follow
-        if self._is_rounded:
+        factor = self._factor()
+        if factor is None:
             return self.posterior.step
         D, g = self.sizes[prior], self.form.g
         reduced = (g[prior] - F.T @ g[frames]) * D - self.offsets[prior] / D
-        factor = cho_factor(self._reduced(), overwrite_a=True, check_finite=False)
         step = np.empty(len(g))
-        step[prior] = D * cho_solve(factor, reduced, check_finite=False)
+        step[prior] = D * cho_solve((factor, True), reduced, check_finite=False)
         step[frames] = inverse @ g[frames] - F @ step[prior]
         return step
 
@@ -232,11 +232,10 @@ class Balance:
             believed: shape (F, F), the part of H that is no data; default: none of it.
         """
         prior, frames = self._parts
-        if self._is_rounded or (believed is not None and np.any(believed[frames])):
+        factor = None if believed is not None and np.any(believed[frames]) else self._factor()
+        if factor is None:
             return None
-        C, failed = dpotri(
-            cholesky(self._reduced(), lower=True, overwrite_a=True, check_finite=False), lower=1, overwrite_c=1
-        )
+        C, failed = dpotri(factor, lower=1, overwrite_c=1)
         if failed:
             return None
         spent = float(self._frames[1]) + float(np.sum(1.0 - np.diag(C)))
@@ -260,7 +259,7 @@ class Balance:
         """Of frames' H the inverse over what is determined, its rank, and variances of (1 m, 1 rad)^2 along the rest."""
         frames = self._parts[1]
         H = self.form.H[..., frames[:, None], frames]
-        scale = 1.0 / np.sqrt(np.maximum(_diagonal(H), 1e-300))
+        scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", H), 1e-300))
         values, vectors = np.linalg.eigh(H * _outer(scale))
         seen = (values > NULL * np.maximum(np.max(values, axis=-1, initial=0.0), 1e-300)[..., None])[..., None, :]
         axes = scale[..., :, None] * vectors
@@ -281,10 +280,17 @@ class Balance:
         known = np.where(np.isfinite(self.sizes), self.sizes, 0.0)
         return np.asarray(NULL * np.max(self.form.whole * known**2, axis=-1, initial=0.0))
 
-    @property
-    def _is_rounded(self) -> bool:
-        """Whether a Cholesky factor would not do."""
-        return bool(self._floor > _ROUNDING) or not len(self._parts[0])
+    def _factor(self) -> np.ndarray | None:
+        """Return the lower Cholesky factor of :meth:`_reduced`; None where rounding forbids.
+
+        Frames that the readings hardly tell apart, as of a planar arm, leave more rounding than the floor knows of.
+        """
+        if self._floor > _ROUNDING or not len(self._parts[0]):
+            return None
+        try:
+            return np.asarray(cholesky(self._reduced(), lower=True, overwrite_a=True, check_finite=False))
+        except np.linalg.LinAlgError:
+            return None
 
     def _reduced(self) -> np.ndarray:
         """Return information in units of the priors plus that of these, without what frames absorb; column-major for LAPACK.
@@ -325,10 +331,6 @@ def eliminate(form: Form, own: np.ndarray, sizes: np.ndarray, offsets: np.ndarra
         carried, step = balance.determined.covariance @ across, balance.determined.step
         left = replace(left, H=left.H - _turned(across) @ carried, g=left.g - _times(_turned(across), step))
     return left.sum(), Eliminated(balance, carried, own, np.arange(len(shared)))
-
-
-def _diagonal(matrix: np.ndarray) -> np.ndarray:
-    return np.diagonal(matrix, axis1=-2, axis2=-1)
 
 
 def _turned(matrix: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""A problem: the sum of stations, and perhaps of what an earlier fit found, over one table of named parameters.
+r"""A problem: the sum of stations, and perhaps of what an earlier fit found, over one table of named parameters.
 
 The robot's parameters are the same at every station; where an instrument stands, its targets and whatever the instrument
 itself has to be asked for belong to one station. With one station the table is that station's own, in its order; with
@@ -7,6 +7,7 @@ several the robot's parameters stand first, then those of each station under its
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.identify.batch import Batch, Work, runs
-from pincal.identify.earlier import Belief, Beliefs, Earlier
+from pincal.identify.believed import Beliefs, Earlier, scale_of_contacts
+from pincal.identify.normal import Batch, Work, runs
 from pincal.identify.station import Station
-from pincal.measure.sampling import sample_rows
+from pincal.measure.extrinsics import sample_rows
 from pincal.measure.sensor import Block
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions, joined_conditions, part_of
@@ -66,26 +67,37 @@ class Problem:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All P parameters; those of one of several stations have its name before their own."""
+        """All P parameters; those of one of several stations have its name before their own, or that of their set-up."""
         first = self.stations[0]
         if len(self.stations) == 1:
             return first.parameters
         # Of all stations the robot's parameters are the same, in the same order.
-        own = (p.at(station.name) for station in self.stations for p in compress(station.parameters, station.is_own))
-        return (*compress(first.parameters, ~first.is_own), *own)
+        return (*compress(first.parameters, ~first.is_own), *self._stations_own[0].values())
+
+    @cached_property
+    def _stations_own(self) -> tuple[dict[tuple[str, int], Parameter], list[list[tuple[str, int]]]]:
+        """What belongs to stations by name and, as candidates may be alike, number of the name there; and these of each."""
+        found, keys = dict[tuple[str, int], Parameter](), list[list[tuple[str, int]]]()
+        for station in self.stations:
+            seen, own = Counter[str](), [p.at(station.owner(p)) for p in compress(station.parameters, station.is_own)]
+            keys.append([])
+            for p in own:
+                keys[-1].append((p.name, seen[p.name]))
+                found.setdefault(keys[-1][-1], p)
+                seen[p.name] += 1
+        return found, keys
 
     @cached_property
     def places(self) -> tuple[np.ndarray, ...]:
         """For each station, where its parameters stand in the table."""
         if len(self.stations) == 1:
             return (np.arange(len(self.stations[0].parameters)),)
-        end = int(np.count_nonzero(~self.stations[0].is_own))
-        places = []
-        for station in self.stations:
-            own = station.is_own
-            local = np.cumsum(~own) - 1
-            local[own] = end + np.arange(np.count_nonzero(own))
-            end += int(np.count_nonzero(own))
+        found, keys = self._stations_own
+        first = int(np.count_nonzero(~self.stations[0].is_own))
+        index, places = {key: first + k for k, key in enumerate(found)}, []
+        for station, own in zip(self.stations, keys, strict=True):
+            local = np.cumsum(~station.is_own) - 1
+            local[station.is_own] = [index[key] for key in own]
             places.append(local)
         return tuple(places)
 
@@ -97,9 +109,10 @@ class Problem:
     @cached_property
     def is_shared(self) -> np.ndarray:
         """Which parameters are left when those of single stations among several are eliminated, shape (P,)."""
-        found = np.ones(len(self.parameters), bool)
-        for station, places in zip(self.stations, self.places, strict=True):
-            found[places] = ~station.is_own | (len(self.stations) == 1)
+        if len(self.stations) == 1:
+            return np.ones(len(self.parameters), bool)
+        found = np.bincount(np.concatenate(self.places), minlength=len(self.parameters)) > 1
+        found[: int(np.count_nonzero(~self.stations[0].is_own))] = True
         return found
 
     @cached_property
@@ -112,14 +125,17 @@ class Problem:
         if self.earlier is not None:
             known = self.earlier.known_zero(np.array([name not in self._index for name in self.earlier.names], bool))
             places = np.array([self._index[name] for name in known.names], int)
-            terms.append(Belief(places, known.mean, known.information, known.sigma))
+            terms.append(replace(known, places=places))
             is_remembered[places] = True
         for effect in self.effects:
             if (information := effect.smoothness()) is not None:
                 places = self.places_at(effect)
                 if np.all(self.is_shared[places] & ~is_remembered[places]):
-                    terms.append(Belief(places, np.zeros(len(places)), information))
-        return Beliefs(tuple(terms), is_remembered)
+                    names = tuple(self.parameters[place].name for place in places)
+                    terms.append(Earlier(names, np.zeros(len(places)), information, None, places))
+        if self.earlier is None and (scale := scale_of_contacts(self.stations, self.places, self.parameters)) is not None:
+            return Beliefs((*terms, scale), is_remembered, not terms)
+        return Beliefs(tuple(terms), is_remembered, not terms)
 
     @cached_property
     def rows(self) -> tuple[slice, ...]:
@@ -202,12 +218,7 @@ class Problem:
         return {name: value for name, value in vars(self).items() if name != "_spans"}
 
     def with_effects(self, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None) -> Problem:
-        """Return the same readings with other effects beside base and tool.
-
-        Args:
-            effects: what may deviate.
-            moment_frame: where moments are taken and bend the arm; default: as it is.
-        """
+        """Return the same readings with other effects beside base and tool."""
         stations = []
         for station in self.stations:
             frames = [effect for effect in station.model.effects if isinstance(effect, BaseFrame | ToolFrame)]

@@ -132,11 +132,6 @@ class Quadratic(Form):
         square, degrees = self.square + other.square, self.degrees + other.degrees
         return Quadratic(H, g, whole, names=names, square=square, degrees=degrees)
 
-    def places(self, names: Sequence[str]) -> np.ndarray:
-        """Return where some parameters stand, shape (n,)."""
-        place = {name: i for i, name in enumerate(self.names)}
-        return np.array([place[name] for name in names], int)
-
     def at(self, values: np.ndarray) -> Quadratic:
         """Return the same squares about another point, ``values`` of shape (F,) away."""
         square = self.square - 2.0 * float(self.g @ values) + float(values @ self.H @ values)

@@ -34,12 +34,6 @@ def select_stepwise(
 ) -> _S:
     """Return what a search comes to: the best candidate is taken in, again and again, until it is not enough.
 
-    Args:
-        state: where it begins.
-        scores: the candidates that are left in a state.
-        taken: the state with one of them taken in.
-        most: how many are taken in at most.
-
     Example:
         >>> def scores(chosen):
         ...     return [Scored(n, -n, n > 2) for n in (1, 2, 3, 5) if n not in chosen]

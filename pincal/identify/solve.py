@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import logging
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from pincal.identify.equations import Linearised
-from pincal.identify.exact import MOST_EXACT, is_exact, polish, rounding
 from pincal.identify.fit import MOST_STEPS, Ending, Priors, Solution
-from pincal.identify.noise import Judge, Judgement, Loss, Noise
+from pincal.identify.noise import MOST_EXACT, Judge, Loss, Noise, is_exact, polish, rounding
 from pincal.identify.problem import Problem
 from pincal.units import readable_unit
 
@@ -88,190 +87,160 @@ def solve(
     Returns:
         The fit; ``exit`` tells how it ended.
     """
-    fit = _Fit(problem, free, priors, Judge(problem, free, noise, course.loss), course)
-    return fit.finish(*fit.run(start))
+    run = _Run(problem, start, free, priors, noise, course)
+    ended = run.until_it_ends()
+    return run.solution(ended)
 
 
 def likeliest_values(
     problem: Problem, start: np.ndarray, free: np.ndarray, priors: Priors, noise: Noise, course: Course = Course()
 ) -> np.ndarray:
     """Return the values of :func:`solve` alone, shape (P,), without what is known of them."""
-    return _Fit(problem, free, priors, Judge(problem, free, noise, course.loss), course).run(start)[0].point.values
+    run = _Run(problem, start, free, priors, noise, course)
+    run.until_it_ends()
+    return run.point.values
 
 
-class _Memory:
-    """What earlier steps of a fit tell of the next one.
-
-    Anderson's acceleration of a slowly converging fit (Walker and Ni 2011), over the last few steps: where residuals are
-    large against what a direction is known by, Gauss-Newton overshoots it again and again by almost the same amount; two
-    such steps tell where it settles. A fit that converges fast is left alone.
+class _Run:
+    """A fit on its way; arguments as of :func:`solve`.
 
     Attributes:
-        damping: of the last step that was taken, less what its success is worth; 0 while whole steps do.
-        was_refused: whether the last point had steps that made things worse.
+        point: the problem at the latest values, rows weighted by robust weights of an earlier point.
+        judged: noise and robust weights by the residuals there.
+        hard: whether outliers are left out rather than weighed down.
+        iterations: number of steps.
+        wanted: how far Gauss-Newton wanted the last one to move predictions, root mean square, in units of the noise.
+        is_short: whether what was taken of it is too short to matter.
+        held: shape (F,), free parameters that a bound stopped.
+        damping: of the last step, less what its success is worth; 0 while whole steps do.
+        was_refused: whether the point before had steps that made things worse.
+        trail: points and the steps that Gauss-Newton wanted there, the latest last, both of shape (F,).
     """
 
-    def __init__(self) -> None:
-        self.damping = 0.0
-        self.was_refused = False
-        self.forget()
+    def __init__(
+        self,
+        problem: Problem,
+        start: np.ndarray | Linearised,
+        free: np.ndarray,
+        priors: Priors,
+        noise: Noise,
+        course: Course,
+    ) -> None:
+        self.problem, self.free, self.priors, self.course = problem, free, priors, course
+        self.judge = Judge(problem, free, noise, course.loss)
+        # Outliers are known if robust weights are.
+        self.hard = isinstance(start, Linearised)
+        if not isinstance(start, Linearised):
+            self.point = self.linearised(start.astype(float), np.ones(len(problem)), None)
+        elif len(problem.stations) == 1:
+            self.point = start.narrowed(free)
+        else:
+            self.point = self.linearised(start.values, start.robust, noise.known)
+        self.judged = self.judge.at(self.point, hard=self.hard)
+        self.iterations, self.wanted, self.is_short, self.held = 0, np.inf, False, np.zeros(int(free.sum()), bool)
+        self.damping, self.was_refused = 0.0, False
+        self.trail: list[tuple[np.ndarray, np.ndarray]] = []
 
-    def forget(self) -> None:
-        """Begin anew."""
-        self._points: list[np.ndarray] = []
-        self._steps: list[np.ndarray] = []
+    def until_it_ends(self) -> Ending:
+        """Take steps until the fit ends; return how."""
+        ended = None
+        while ended is None and self.iterations < MOST_STEPS:
+            self.advance()
+            if label := self.course.label:
+                size = self.readable()
+                log.info("%s: iteration %d, residual %s, step %.1e of the noise", label, self.iterations, size, self.wanted)
+            ended = self.ending()
+            if ended is None:
+                self.reweigh()
+        if not self.course.rough and self.is_beyond_normal_equations():
+            values, extra = polish(self.point, self.priors.bounds, self.judged.sigma)
+            self.point = self.linearised(values, self.point.robust, self.judged.sigma)
+            self.iterations += extra
+            return Ending.EXACT
+        return ended or Ending.BUDGET
 
-    def accelerate(self, at: np.ndarray, step: np.ndarray, metric: np.ndarray) -> np.ndarray:
-        """Return the step to take at the point ``at``, where Gauss-Newton wants ``step``; all of shape (F,)."""
-        self._points = [*self._points[-_MEMORY:], at.copy()]
-        self._steps = [*self._steps[-_MEMORY:], step.copy()]
-        if self.damping or len(self._steps) < 3:
+    def advance(self) -> None:
+        """Take a step."""
+        free, here, before = self.free, self.point, self.judged
+        equations = here.equations(before.sigma)
+        step, self.held = equations.step(self.priors.bounds[free])
+        longer = self.accelerated(step, equations.metric)
+        self.wanted = self.length(equations.square(step))
+        del equations
+        self.point = self.moved(longer, step)
+        self.judged = self.judge.at(self.point, hard=self.hard)
+        self.iterations += 1
+        taken = self.point.values[free] - here.values[free]
+        refused = longer is not step and not np.array_equal(self.point.values[free], here.values[free] + longer)
+        if refused or np.max(np.abs(self.judged.sigma / before.sigma - 1.0)) > _STEADY:
+            self.trail = []
+        shortest = self.course.short if np.any(self.judged.sigma > rounding(self.problem)) else _ROUNDED
+        self.is_short = (
+            self.wanted < shortest or self.length(self.point.equations(self.judged.sigma).square(taken)) < shortest
+        )
+
+    def accelerated(self, step: np.ndarray, metric: np.ndarray) -> np.ndarray:
+        """Return the step to take where Gauss-Newton wants ``step``, both of shape (F,).
+
+        Anderson's acceleration of a slowly converging fit (Walker and Ni 2011), over the last few steps: where residuals are
+        large against what a direction is known by, Gauss-Newton overshoots it again and again by almost the same amount; two
+        such steps tell where it settles. A fit that converges fast is left alone.
+        """
+        self.trail = [*self.trail[-_MEMORY:], (self.point.values[self.free], step.copy())]
+        points, steps = zip(*self.trail, strict=True)
+        if self.damping or len(steps) < 3 or np.linalg.norm(metric * step) < _SLOW * np.linalg.norm(metric * steps[-2]):
             return step
-        if np.linalg.norm(metric * step) < _SLOW * np.linalg.norm(metric * self._steps[-2]):
-            return step
-        dx, ds = np.diff(self._points, axis=0).T, np.diff(self._steps, axis=0).T
+        dx, ds = np.diff(points, axis=0).T, np.diff(steps, axis=0).T
         mix = np.linalg.lstsq(metric[:, None] * ds, metric * step, rcond=1e-8)[0]
         return np.asarray(step - (dx + ds) @ mix)
-
-
-@dataclass(frozen=True)
-class _State:
-    """A point of a fit.
-
-    Attributes:
-        point: the problem at its values, rows weighted by robust weights of an earlier point.
-        judged: noise and robust weights by the residuals here.
-        hard: whether outliers are left out rather than weighed down.
-    """
-
-    point: Linearised
-    judged: Judgement
-    hard: bool
 
     @property
     def is_steady(self) -> bool:
         """Whether the robust weights are those that the residuals call for."""
         return bool(np.max(np.abs(self.judged.robust - self.point.robust)) < _SETTLED)
 
-
-@dataclass(frozen=True)
-class _Step:
-    """The step that led to a point.
-
-    Attributes:
-        wanted: how far Gauss-Newton wanted to move predictions, root mean square, in units of the noise.
-        is_short: whether what was taken of it is too short to matter.
-        held: shape (F,), free parameters that a bound stopped.
-    """
-
-    wanted: float
-    is_short: bool
-    held: np.ndarray
-
-    def end(self, done: Ending) -> Ending:
-        """Return how a fit ended that can go no further: ``done``, unless it still had far to go."""
+    def ending(self) -> Ending | None:
+        """Return how the fit has ended, None if it goes on."""
+        rough = self.course.rough
+        screened = self.judge.loss == "screen" and not self.hard and np.any(self.point.robust != 1.0)
+        if rough and (self.is_short or self.wanted < _ROUGH):
+            done = Ending.ROUGH
+        elif self.is_beyond_normal_equations():
+            done = Ending.ROUGH if rough else Ending.EXACT
+        elif self.is_short and self.is_steady and not screened:
+            done = Ending.SETTLED
+        else:
+            return None
+        # One that can go no further may still have had far to go.
         return done if self.wanted < _ROUGH else Ending.STUCK
 
+    def reweigh(self) -> None:
+        """Take the robust weights that the residuals call for, hard ones once nothing else moves."""
+        if self.is_short and self.is_steady:
+            self.hard = True
+            self.judged = self.judge.at(self.point, hard=True)
+        if not np.array_equal(self.judged.robust, self.point.robust):
+            self.point = self.point.reweighted(self.judged.robust)
 
-@dataclass(frozen=True)
-class _Fit:
-    """The unchanging part of a fit."""
-
-    problem: Problem
-    free: np.ndarray
-    priors: Priors
-    judge: Judge
-    course: Course
-
-    def run(self, start: np.ndarray | Linearised) -> tuple[_State, _Step, int, Ending]:
-        """Return the last point, the step to it, the number of steps and how they ended; arguments as of :func:`solve`."""
-        state, memory, ended = self.begin(start), _Memory(), None
-        for iteration in range(1, MOST_STEPS + 1):
-            state, step = self.advance(state, memory)
-            if label := self.course.label:
-                size = self.readable(state.judged)
-                log.info("%s: iteration %d, residual %s, step %.1e of the noise", label, iteration, size, step.wanted)
-            ended = self.exit_of(state, step)
-            if ended is not None:
-                break
-            state = self.reweighted(state, step)
-        if not self.course.rough and self.is_beyond_normal_equations(state):
-            values, extra = polish(state.point, self.priors.bounds, state.judged.sigma)
-            point = self._linearised(values, state.point.robust, state.judged.sigma)
-            return replace(state, point=point), step, iteration + extra, Ending.EXACT
-        return state, step, iteration, ended or Ending.BUDGET
-
-    def begin(self, start: np.ndarray | Linearised) -> _State:
-        """Return the first point; outliers are known if robust weights are."""
-        if not isinstance(start, Linearised):
-            point = self._linearised(start.astype(float), np.ones(len(self.problem)), None)
-        elif len(self.problem.stations) == 1:
-            point = start.narrowed(self.free)
-        else:
-            point = self._linearised(start.values, start.robust, self.judge.noise.known)
-        hard = isinstance(start, Linearised)
-        return _State(point, self.judge.at(point, hard=hard), hard)
-
-    def advance(self, state: _State, memory: _Memory) -> tuple[_State, _Step]:
-        """Return the next point and the step to it."""
-        free, values = self.free, state.point.values
-        equations = state.point.equations(state.judged.sigma)
-        step, held = equations.step(self.priors.bounds[free])
-        longer = memory.accelerate(values[free], step, equations.metric)
-        wanted = self._length(equations.square(step), state.judged.robust)
-        del equations
-        point = self._moved(state, longer, step, memory)
-        judged = self.judge.at(point, hard=state.hard)
-        refused = longer is not step and not np.array_equal(point.values[free], values[free] + longer)
-        if refused or np.max(np.abs(judged.sigma / state.judged.sigma - 1.0)) > _STEADY:
-            memory.forget()
-        shortest = self.course.short if np.any(judged.sigma > rounding(self.problem)) else _ROUNDED
-        is_short = wanted < shortest
-        if not is_short:
-            taken = point.equations(judged.sigma).square(point.values[free] - values[free])
-            is_short = self._length(taken, judged.robust) < shortest
-        return _State(point, judged, state.hard), _Step(wanted, is_short, held)
-
-    def exit_of(self, state: _State, step: _Step) -> Ending | None:
-        """Return how the fit has ended, None if it goes on."""
-        if self.course.rough and (step.is_short or step.wanted < _ROUGH):
-            return step.end(Ending.ROUGH)
-        if self.is_beyond_normal_equations(state):
-            return step.end(Ending.ROUGH if self.course.rough else Ending.EXACT)
-        screened = self.judge.loss == "screen" and not state.hard and np.any(state.point.robust != 1.0)
-        if step.is_short and state.is_steady and not screened:
-            return step.end(Ending.SETTLED)
-        return None
-
-    def reweighted(self, state: _State, step: _Step) -> _State:
-        """Return the same point with the robust weights that its residuals call for, hard ones once nothing else moves."""
-        judged, hard = state.judged, state.hard
-        if step.is_short and state.is_steady:
-            hard = True
-            judged = self.judge.at(state.point, hard=hard)
-        if np.array_equal(judged.robust, state.point.robust):
-            return _State(state.point, judged, hard)
-        return _State(state.point.reweighted(judged.robust), judged, hard)
-
-    def is_beyond_normal_equations(self, state: _State) -> bool:
+    def is_beyond_normal_equations(self) -> bool:
         """Return whether readings are so exact that J^T J can't hold what they say, and few enough for J itself.
 
         What is believed beyond the priors of each parameter has no part in J.
         """
-        if self.problem.beliefs.terms:
+        if not self.problem.beliefs.is_slope:
             return False
-        whole = state.point.equations(state.judged.sigma).whole
+        whole = self.point.equations(self.judged.sigma).whole
         return is_exact(whole, self.priors.sizes[self.free]) and len(self.problem) * len(whole) <= MOST_EXACT
 
-    def finish(self, state: _State, step: _Step, iterations: int, ended: Ending) -> Solution:
+    def solution(self, ended: Ending) -> Solution:
         """Put the solution together, its noise judged with the parameters really spent."""
-        point, noise = state.point, self.judge.noise
+        point, noise = self.point, self.judge.noise
         spent = point.equations(self.judge.at(point, hard=True).sigma).spent
         degrees = self.judge.degrees(point.robust, *spent)
         estimated = np.maximum(np.sqrt(point.squares / degrees), rounding(self.problem))
         sigma = noise.resolved(estimated, degrees)
         at_bound = np.zeros(len(point.values), bool)
-        at_bound[self.free] = step.held
+        at_bound[self.free] = self.held
         return Solution(
             values=point.values,
             equations=point.equations(sigma),
@@ -280,20 +249,20 @@ class _Fit:
             weights=point.robust,
             chi2=point.chi2(np.where(np.isnan(noise.known), estimated, noise.known)),
             degrees=float(degrees.sum()),
-            iterations=iterations,
+            iterations=self.iterations,
             exit=ended,
             at_bound=at_bound,
             free=self.free,
         )
 
-    def readable(self, judged: Judgement) -> str:
+    def readable(self) -> str:
         """Return the size of the residuals for the log."""
         units = [readable_unit(block.unit) for block in self.problem.blocks]
         return ", ".join(
-            f"{sigma * factor:.5f} {unit}" for sigma, (factor, unit) in zip(judged.estimated, units, strict=True)
+            f"{sigma * factor:.5f} {unit}" for sigma, (factor, unit) in zip(self.judged.estimated, units, strict=True)
         )
 
-    def _linearised(
+    def linearised(
         self, values: np.ndarray, robust: np.ndarray, sigma: np.ndarray | None, *, is_doubtful: bool = False
     ) -> Linearised:
         """Return the problem at values; if ``sigma``, the noise so far, is the declared one, it will be again."""
@@ -302,35 +271,32 @@ class _Fit:
             self.problem, values, self.free, robust, self.priors.sizes, self.course.executor, likely, is_doubtful
         )
 
-    def _length(self, square: float, robust: np.ndarray) -> float:
+    def length(self, square: float) -> float:
         """Return how far a step of this square moves the predictions, root mean square, in units of the noise."""
-        return float(np.sqrt(max(square, 0.0) / self._readings(robust)))
+        return float(np.sqrt(max(square, 0.0) / self.readings(self.judged.robust)))
 
-    def _readings(self, robust: np.ndarray) -> float:
+    def readings(self, robust: np.ndarray) -> float:
         """Return the number of readings that count, 1 if none does."""
         return max(float(self.problem.readings(robust).sum()), 1.0)
 
-    def _moved(self, state: _State, longer: np.ndarray, step: np.ndarray, memory: _Memory) -> Linearised:
+    def moved(self, longer: np.ndarray, step: np.ndarray) -> Linearised:
         """Return the point of the first step that does not make things worse, the largest first.
 
         Args:
-            state: the point to leave.
             longer: the accelerated step, shape (F,).
             step: Gauss-Newton's own.
-            memory: of the fit; its damping is kept up to date.
         """
-        here, sigma, bounds = state.point, state.judged.sigma, self.priors.bounds[self.free]
-        spare = 1e-6 * self._readings(here.robust)
-        trial = _Trial(self, here, sigma, here.objectives(sigma) * (1.0 + 1e-9) + spare, memory)
+        here, sigma, bounds = self.point, self.judged.sigma, self.priors.bounds[self.free]
+        trial = _Trial(self)
         # Few steps lead back here.
         here.release()
         if longer is not step and trial.succeeds(longer):
             return trial.there
-        damping = memory.damping
+        damping = self.damping
         for _ in range(_MOST if np.isfinite(here.sizes[here.free]).any() else 0):
             if damping:
                 step = here.equations(sigma).step(bounds, damping)[0]
-            memory.damping = damping / _LESS if damping > _FIRST else 0.0
+            self.damping = damping / _LESS if damping > _FIRST else 0.0
             if trial.succeeds(step):
                 return trial.there
             # From where a whole step led to, putting it right may lead on into another valley.
@@ -341,10 +307,11 @@ class _Fit:
                 ):
                     return trial.there
             damping = max(_FIRST, _MORE * damping)
-        memory.damping = damping
+        self.damping = damping
         if any(trial.succeeds(step * 0.5**k) for k in range(_HALVINGS)):
             return trial.there
-        return trial.given_up()
+        # Those fits stay here that no step made better.
+        return here if trial.is_open.all() else trial.at(np.zeros(len(step)))
 
 
 class _Trial:
@@ -354,30 +321,28 @@ class _Trial:
 
     Attributes:
         there: the latest point.
+        is_open: which fits still look for a step.
     """
 
-    def __init__(self, fit: _Fit, here: Linearised, sigma: np.ndarray, limits: np.ndarray, memory: _Memory) -> None:
-        self._fit, self._here, self._sigma, self._limits, self._memory = fit, here, sigma, limits, memory
-        self._group, self._is_open, self._is_refused = here.group_of[fit.free], np.ones(len(limits), bool), False
-        self.there = here
+    def __init__(self, run: _Run) -> None:
+        self._run, self._here, self._sigma = run, run.point, run.judged.sigma
+        spare = 1e-6 * run.readings(self._here.robust)
+        self._limits = self._here.objectives(self._sigma) * (1.0 + 1e-9) + spare
+        self._group, self._is_refused = self._here.group_of[run.free], False
+        self.there, self.is_open = self._here, np.ones(len(self._limits), bool)
 
     def succeeds(self, step: np.ndarray) -> bool:
         """Try a step, shape (F,); return whether all fits have one now that does not make them worse."""
-        doubtful = self._is_refused or self._memory.was_refused
-        self.there = self._at(step, is_doubtful=doubtful)
-        self._is_open &= self.there.objectives(self._sigma) > self._limits
-        if self._is_open.any():
+        self.there = self.at(step, is_doubtful=self._is_refused or self._run.was_refused)
+        self.is_open &= self.there.objectives(self._sigma) > self._limits
+        if self.is_open.any():
             self._is_refused = True
             return False
-        self._memory.was_refused = self._is_refused
+        self._run.was_refused = self._is_refused
         return True
 
-    def given_up(self) -> Linearised:
-        """Return the point where those fits stay that no step made better."""
-        return self._here if self._is_open.all() else self._at(np.zeros(len(self._group)))
-
-    def _at(self, step: np.ndarray, *, is_doubtful: bool = False) -> Linearised:
+    def at(self, step: np.ndarray, *, is_doubtful: bool = False) -> Linearised:
         """Return the point where the fits that still look for a step take this one."""
-        here, free, values = self._here, self._fit.free, self.there.values.copy()
-        values[free] = np.where(self._is_open[self._group], here.values[free] + step, values[free])
-        return self._fit._linearised(values, here.robust, self._sigma, is_doubtful=is_doubtful)
+        here, free, values = self._here, self._run.free, self.there.values.copy()
+        values[free] = np.where(self.is_open[self._group], here.values[free] + step, values[free])
+        return self._run.linearised(values, here.robust, self._sigma, is_doubtful=is_doubtful)

@@ -1,15 +1,33 @@
-"""Holding rows back: at random, whole regions of joint space at a time, or stretches of consecutive rows."""
+"""Rows held back, and fits repeated: cross-validation, bootstrap and Monte Carlo, here or on the workers of any executor.
+
+Rows are held back at random, whole regions of joint space at a time, or stretches of consecutive rows. Each repetition is
+one call of a module-level function on picklable arguments with a seed of its own; :mod:`pincal.spread` says which executors
+there are.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.identify.calibrate import fit_tables
+from pincal.identify.fit import ModelFit, Priors, Solution
+from pincal.identify.noise import Noise
+from pincal.identify.options import Options
+from pincal.identify.problem import Problem
+from pincal.identify.regions import distinct_poses, joint_regions
+from pincal.identify.solve import Course, solve
+from pincal.measure.admit import scorable
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, replicate_groups
-from pincal.model.conditions import TURN
+from pincal.robot.robot import Robot
+from pincal.spread import spread
 
 Split = Literal["random", "blocked"]
 Way = Literal["regions", "stretches"]
@@ -92,29 +110,152 @@ def row_groups(measurements: Measurements, *, split: Split, seed: int) -> np.nda
 
     Rows with the same joint positions (replicates, several targets) always share a group.
     """
-    q = _at_one_turn(measurements.q)
-    same = np.unique(np.round(q, 9), axis=0, return_inverse=True)[1].ravel()
     if split == "random":
-        return np.asarray(same)
-    from scipy.cluster.vq import kmeans2
-
-    spread = np.maximum(q.std(axis=0), 1e-9)
-    n = min(_BLOCKS, len(np.unique(same)))
-    labels = kmeans2(q / spread, n, minit="++", rng=np.random.default_rng(seed))[1]
-    return np.unique(labels, return_inverse=True)[1].ravel()
+        return distinct_poses(measurements.q)
+    return joint_regions(measurements.q, _BLOCKS, seed)
 
 
-def _at_one_turn(q: np.ndarray) -> np.ndarray:
-    """Return joint positions, shape (N, n), those of a joint that takes more than a turn folded into one turn.
+@dataclass(frozen=True)
+class CrossValidation:
+    """Errors of rows by fits that never saw them.
 
-    It begins behind the largest gap, so that neighbours stay neighbours. A rail of more than 6 m is folded, too: two far
-    places on it may then be held out together, which does no harm.
+    Attributes:
+        residuals: shape (m, N), reading minus prediction [m, rad, px]; not a number at points that no other fold has.
+        fold: shape (N,), in which fold each row was held out.
     """
-    folded = np.array(q, float)
-    for j in np.flatnonzero(np.ptp(q, axis=0) > TURN) if len(q) else ():
-        angles = np.unique(np.mod(q[:, j], TURN))
-        gap = int(np.argmax(np.diff(angles, append=angles[0] + TURN)))
-        # The middle of the gap, where rounding can't carry a row to the other end.
-        start = angles[gap] + 0.5 * (angles[(gap + 1) % len(angles)] - angles[gap]) % TURN
-        folded[:, j] = np.mod(q[:, j] - start, TURN)
-    return folded
+
+    residuals: np.ndarray
+    fold: np.ndarray
+
+
+def cross_validate(
+    robot: Robot,
+    measurements: Measurements,
+    options: Options,
+    *,
+    folds: int = 5,
+    split: Split = "random",
+    seed: int = 0,
+    executor: Executor | None = None,
+) -> CrossValidation:
+    """Fit ``folds`` times, each time without one part of the rows, and predict that part.
+
+    Args:
+        robot: the arm.
+        measurements: all rows.
+        options: how to calibrate.
+        folds: number of parts.
+        split: rows at random, or clusters in joint space whole.
+        seed: of the division.
+        executor: runs the fits; default: one after the other, here.
+    """
+    groups = row_groups(measurements, split=split, seed=seed)
+    order = np.random.default_rng(seed).permutation(groups.max() + 1)
+    fold = (order % folds)[groups]
+    run = partial(_held_out_residuals, robot, measurements, options, fold)
+    parts = list(spread(run, range(folds), label="fold", executor=executor))
+    residuals = np.empty((len(parts[0]), len(measurements)))
+    for k, part in enumerate(parts):
+        residuals[:, fold == k] = part
+    return CrossValidation(residuals, fold)
+
+
+def _held_out_residuals(robot: Robot, table: Measurements, options: Options, fold: np.ndarray, k: int) -> np.ndarray:
+    fit = fit_tables(robot, table.select(fold != k), options)
+    held = table.select(fold == k)
+    known = scorable(held, fit.options.setup)
+    residuals = np.full((sum(block.size for block in fit.station.sensor.blocks), len(held)), np.nan)
+    residuals[:, known] = fit.readings(held.select(known)).residuals(fit.values)
+    return residuals
+
+
+def bootstrap(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
+    """Refit rows drawn with replacement; the spread of the values needs no model of the noise.
+
+    Args:
+        fit: the calibration.
+        draws: how many refits; as many small tasks for an executor.
+        seed: of all draws, from which the seed of each is derived.
+        executor: runs the refits; default: one after the other, here.
+
+    Returns:
+        Shape (draws, P).
+    """
+    return _drawn(partial(_refit_drawn_rows, fit), draws, seed, executor)
+
+
+def _drawn(
+    refit: Callable[[np.random.SeedSequence], np.ndarray], draws: int, seed: int, executor: Executor | None
+) -> np.ndarray:
+    seeds = np.random.SeedSequence(seed).spawn(draws)
+    return np.array(list(spread(refit, seeds, label="draw", executor=executor)))
+
+
+def _refit_drawn_rows(fit: ModelFit, seed: np.random.SeedSequence) -> np.ndarray:
+    n = len(fit.problem)
+    rows = np.random.default_rng(seed).integers(0, n, n)
+    return _refit(fit, fit.problem.select(rows)).values
+
+
+def bootstrap_stations(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
+    """Refit stations drawn with replacement: their spread includes variation from day to day, unlike resampled rows.
+
+    Arguments as those of :func:`bootstrap`.
+
+    Returns:
+        Shape (draws, P); not a number for the own parameters of stations that were not drawn.
+
+    Raises:
+        BadInputError: if there is only one station.
+    """
+    if len(fit.problem.stations) < 2:
+        raise BadInputError("a bootstrap over stations of one station; expected several, or bootstrap() over its rows")
+    return _drawn(partial(_refit_drawn_stations, fit), draws, seed, executor)
+
+
+def _refit_drawn_stations(fit: ModelFit, seed: np.random.SeedSequence) -> np.ndarray:
+    problem, n = fit.problem, len(fit.problem.stations)
+    drawn = np.random.default_rng(seed).integers(0, n, n)
+    stations = tuple(replace(problem.stations[j], name=f"{k} {problem.stations[j].name}") for k, j in enumerate(drawn))
+    again = Problem(stations)
+
+    def carried(vector: np.ndarray) -> np.ndarray:
+        found = np.empty(len(again.parameters), vector.dtype)
+        for j, places in zip(drawn, again.places, strict=True):
+            found[places] = vector[problem.places[j]]
+        return found
+
+    priors = Priors(carried(fit.priors.sizes), carried(fit.priors.bounds))
+    noise = Noise(tuple(sigma for j in drawn for sigma in fit.noise.declared[problem.block_spans[j]]))
+    values, free = carried(fit.values), carried(fit.solution.free)
+    solution = solve(again, values, free, priors, noise, Course(fit.options.loss))
+    out = np.full(len(fit.values), np.nan)
+    for j, places in zip(drawn, again.places, strict=True):
+        out[problem.places[j]] = solution.values[places]
+    return out
+
+
+def monte_carlo(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
+    """Refit simulated readings of the calibrated model with the noise of the fit: the parametric bootstrap.
+
+    Arguments as those of :func:`bootstrap`.
+
+    Returns:
+        Shape (draws, P).
+    """
+    return _drawn(partial(_refit_simulated, fit), draws, seed, executor)
+
+
+def _refit_simulated(fit: ModelFit, seed: np.random.SeedSequence) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    problem, stations = fit.problem, []
+    for station, places, span in zip(problem.stations, problem.places, problem.block_spans, strict=True):
+        sigma = np.repeat(fit.solution.sigma[span], station.block_sizes)
+        noise = rng.normal(size=(len(sigma), len(station))) * sigma[:, None] / station.weights
+        sensor = station.sensor.shifted(station.coloured(noise) - station.residuals(fit.values[places]))
+        stations.append(replace(station, sensor=sensor))
+    return _refit(fit, replace(problem, stations=tuple(stations))).values
+
+
+def _refit(fit: ModelFit, problem: Problem) -> Solution:
+    return solve(problem, fit.values, fit.solution.free, fit.priors, fit.noise, Course(fit.options.loss))

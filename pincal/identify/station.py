@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+import base64
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.identify.jacobian import Jacobian, SharedColumns
-from pincal.identify.serial import Serial
-from pincal.identify.whitening import whitened_rows
+from pincal.identify.whitening import Serial, whitened_rows
+from pincal.measure.extrinsics import sample_rows
 from pincal.measure.instruments import InstrumentNoise, seen_by
 from pincal.measure.measurements import Measurements, sensor_of
-from pincal.measure.sampling import sample_rows
 from pincal.measure.sensor import Sensor
 from pincal.measure.setup import Setup
 from pincal.model.conditions import part_of
 from pincal.model.effects import Conditions
 from pincal.model.model import Model
-from pincal.parameters import Parameter
+from pincal.parameters import Parameter, is_on_link
 
 # Rows worked on at once: with 60 parameters a piece is about 6 MB.
 PIECE = 4096
@@ -47,6 +49,7 @@ class Station:
         position: shape (N,), where each row stands in the order of measurement, in rows; None where there is none.
         serial: how the noise is correlated along that order; default: it is not.
         trusted: shape (N,), rows that are not to be taken for outliers; default: none.
+        setup: name of the set-up whose instrument it shares with stations between other links; "" if it is its own.
     """
 
     model: Model
@@ -58,6 +61,21 @@ class Station:
     position: np.ndarray | None = None
     serial: Serial | None = None
     trusted: np.ndarray | None = None
+    setup: str = ""
+
+    @property
+    def shares_setup(self) -> bool:
+        """Whether other stations may have parameters of its own, too."""
+        return bool(self.setup) or any(is_on_link(p.element) for p in compress(self.parameters, self.is_own))
+
+    def owner(self, parameter: Parameter) -> str:
+        """Return the name under which one of several stations has a parameter of its own, "" for a part of the robot.
+
+        A place on a link belongs to the robot, a target to the station, and all else to the instrument.
+        """
+        if is_on_link(parameter.element):
+            return ""
+        return self.name if parameter.element in self.model.chain.targets else self.setup or self.name
 
     def split(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the parts of a vector, shape (P,), that belong to the model and to the sensor."""
@@ -173,7 +191,10 @@ class Station:
             yield piece, part.sensor.residuals(poses, own), jacobian
 
     def linearise_shared(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, Jacobian]]:
-        """Yield what :meth:`linearise` does, whitened and with the structure of curves kept, for Gram matrices."""
+        """Yield what :meth:`linearise` does, whitened and with the structure of curves kept, for Gram matrices.
+
+        Joints off the path that have changed what those on it bear have no columns: these are a millionth of their own.
+        """
         # Nothing of a piece is held here while it is worked on.
         for piece in self._pieces():
             yield piece, *self._shared(self._part(piece), piece, values, free)
@@ -182,10 +203,12 @@ class Station:
         """Return residuals and Jacobian of a piece of the rows."""
         of_model, own = self.split(values)
         model_free, own_free = self.split(free)
+        model_free = model_free & part.model.is_felt
         poses, motion, shared = part.model.linearise_shared(
             of_model, part.conditions, free=model_free, rows=self.sensor.twist_rows
         )
         apart = free.copy()
+        self.split(apart)[0][:] = model_free
         for group in shared:
             for parameters, _ in group.families:
                 apart[parameters] = False
@@ -251,7 +274,8 @@ def station_of(
     sensor, whitening = sensor_of(measurements, setup), None
     if instrument is not None:
         whitening = instrument.whitening(seen_by(measurements), sum(block.size for block in sensor.blocks))
-    return Station(model, conditions, sensor, weights, name, whitening, position=_positions(measurements))
+    position = _positions(measurements)
+    return Station(model, conditions, sensor, weights, name, whitening, position=position, setup=measurements.setup)
 
 
 def _positions(measurements: Measurements) -> np.ndarray:
@@ -290,3 +314,42 @@ def conditions_of(model: Model, measurements: Measurements, payload_centre: np.n
         sighted=measurements.position,
         **recorded,
     )
+
+
+def fingerprints(station: Station) -> str:
+    """Return four bytes per row, from its joint positions and readings, as text (base64).
+
+    By them a model knows the rows that it was fitted to without keeping them.
+    """
+    sensor = station.sensor
+    columns = [station.conditions.q, *(np.asarray(getattr(sensor, name)) for name in sensor.per_row)]
+    numbers = [c.reshape(len(station), -1) for c in columns if np.issubdtype(c.dtype, np.floating)]
+    rows = np.ascontiguousarray(np.hstack(numbers)) + 0.0
+    return base64.b64encode(np.array([zlib.crc32(row.tobytes()) for row in rows], "<u4").tobytes()).decode()
+
+
+def together(*marks: str) -> str:
+    """Return the fingerprints of the rows of several."""
+    return base64.b64encode(np.concatenate([_numbers(part) for part in marks]).tobytes()).decode()
+
+
+def count(marks: str) -> int:
+    """Return the number of rows behind fingerprints."""
+    return len(_numbers(marks))
+
+
+def are_fingerprints(text: str) -> bool:
+    """Return whether a text holds fingerprints."""
+    try:
+        return len(base64.b64decode(text, validate=True)) % 4 == 0
+    except ValueError:
+        return False
+
+
+def known_rows(marks: str, station: Station) -> np.ndarray:
+    """Return which rows of a station are among those behind fingerprints, shape (N,); a stranger is with 1 in 10^5."""
+    return np.isin(_numbers(fingerprints(station)), _numbers(marks))
+
+
+def _numbers(marks: str) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(marks), "<u4")

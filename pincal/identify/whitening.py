@@ -1,6 +1,20 @@
-"""Compiled loops that make noise independent and even: among the readings of each row, and along rows in their order."""
+r"""What makes noise independent and even: among the readings of each row, and along rows in their order.
+
+A set-up that drifts, air that moves, a floor that settles: what an instrument reads wrong at one row it mostly reads wrong
+at the next. Each component of a reading then has, beside white noise, an autoregression of first order along the rows,
+
+.. math:: V_{tu} = \sigma^2 \left( (1 - s) \, \delta_{tu} + s \, \varphi^{|t - u|} \right) ,
+
+which with :math:`\varphi` near 1 is a random walk. Its innovations (Kalman 1960) are independent and follow from the
+readings by a recursion, so that rows are weighed in a time that is linear in their number, and all that is made for
+independent rows (fits, score tests, covariances) holds for the innovations.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -87,3 +101,73 @@ def unfiltered(columns, order, decay, gain, scale):
                 out[d, i, row] = known + beyond
                 known += gain[i, k] * beyond
     return out
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Serial:
+    """How the noise of N rows of a station is correlated along their order.
+
+    Attributes:
+        phi: shape (m,), correlation from one place of the order to the next, of each component of a reading.
+        share: shape (m,), part of the variance that is correlated.
+        position: shape (N,), where each row stands in the order.
+        counted: shape (N,), rows that tell of the next ones; an outlier does not.
+        turns: shape (N, 3, 3), rotation of the frame in which it persists, such as a loose target's, in that of the
+            readings; default: it is the same.
+    """
+
+    phi: np.ndarray
+    share: np.ndarray
+    position: np.ndarray
+    counted: np.ndarray
+    turns: np.ndarray | None = None
+
+    def select(self, rows: Any) -> Serial:
+        """Return that of some rows (mask, indices or slice)."""
+        turns = None if self.turns is None else self.turns[rows]
+        return replace(self, position=self.position[rows], counted=self.counted[rows], turns=turns)
+
+    @property
+    def is_in_order(self) -> bool:
+        """Whether the rows stand in the order."""
+        return bool(np.all(np.diff(self.position) >= 0.0))
+
+    @cached_property
+    def _recursion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The order of the rows, shape (N,), and decay, gain and scale of each, shape (m, N)."""
+        order = np.argsort(self.position, kind="stable")
+        gaps = np.diff(self.position[order], prepend=self.position[order[:1]])
+        size = np.sqrt([self._spread(*each) for each in zip(self.phi.tolist(), self.share.tolist(), strict=True)])
+        decay, gain, scale = recursion(self.phi, self.share, gaps, self.counted[order])
+        return order, decay, gain, scale * size[:, None]
+
+    def _spread(self, phi: float, share: float) -> float:
+        """Return the variance of the rows about their mean, in units of that of the process; of a walk it is small."""
+        n = max(len(self.position), 1)
+        # The mean of phi^|i - j| over all pairs of n rows in a closed form.
+        q = 1.0 - phi
+        together = 1.0 if q * n < 1e-6 else 1.0 / n + 2.0 * phi * (n * q - 1.0 + phi**n) / (n * q) ** 2
+        return max(1.0 - share * together - (1.0 - share) / n, 1e-12)
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of the covariance, that of white noise of the same size being 0."""
+        return -2.0 * float(np.sum(np.log(self._recursion[3])))
+
+    def innovations(self, columns: np.ndarray) -> np.ndarray:
+        """Return columns of all rows, shape (D, m, N), as independent and even as those of white noise of the same size."""
+        if self.turns is not None:
+            columns = turned_into(self.turns, columns)
+        return np.asarray(filtered(np.ascontiguousarray(columns), *self._recursion))
+
+    def coloured(self, noise: np.ndarray) -> np.ndarray:
+        """Return independent and even noise, shape (m, N), as readings have it."""
+        found = np.asarray(unfiltered(np.ascontiguousarray(noise[None]), *self._recursion)[0])
+        return found if self.turns is None else turned_into(self.turns.swapaxes(1, 2), found)
+
+
+def turned_into(turns: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return columns, shape (..., m, N), in the frames of N rotations, shape (N, 3, 3), three components at a time."""
+    shape = columns.shape
+    vectors = columns.reshape(*shape[:-2], shape[-2] // 3, 3, shape[-1])
+    return np.asarray(np.einsum("nij,...in->...jn", turns, vectors)).reshape(shape)

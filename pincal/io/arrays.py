@@ -90,6 +90,7 @@ Vector = Annotated[np.ndarray, _numbers(1), ArrayShape(3)]
 Rotation = Annotated[np.ndarray, _numbers(2), ArrayShape(3, 3, check=_check_rotations)]
 Rotations = Annotated[np.ndarray, _numbers(3), ArrayShape("targets", 3, 3, check=_check_rotations)]
 Transform = Annotated[np.ndarray, _numbers(2), ArrayShape(4, 4, check=_check_transforms)]
+BranchTransforms = Annotated[np.ndarray, _numbers(3)]
 Transforms = Annotated[np.ndarray, _numbers(3), ArrayShape("joints", 4, 4, check=_check_transforms)]
 
 

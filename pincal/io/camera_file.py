@@ -38,9 +38,11 @@ class CameraFile(Lens):
         for name in ("fx", "fy"):
             if not getattr(self, name) > 0.0:
                 raise Fault(f"is {getattr(self, name):g} px", "more than 0", key=f".{name}")
-        mount = self.T_tip_camera
-        if mount is not None and not (mount.shape == (4, 4) and _is_rigid(mount)):
-            raise Fault("is no transform", "4 rows of 4, rotation and metres", key=".T_tip_camera")
+        if (mount := self.T_tip_camera) is not None:
+            is_whole = mount.shape == (4, 4) and bool(np.isfinite(mount).all())
+            is_rigid = is_whole and are_rotations(mount[:3, :3], tolerance=_ROTATION)
+            if not is_rigid or not np.array_equal(mount[3], [0.0, 0.0, 0.0, 1.0]):
+                raise Fault("is no transform", "4 rows of 4, rotation and metres", key=".T_tip_camera")
 
     def lens(self) -> Lens:
         """Return the lens."""
@@ -61,8 +63,3 @@ def _matrix(kind: Any, value: Any) -> np.ndarray:
         return array_of(value)
     except Fault:
         raise Fault("is no transform", "4 rows of 4, rotation and metres") from None
-
-
-def _is_rigid(transform: np.ndarray) -> bool:
-    is_turn = are_rotations(transform[:3, :3], tolerance=_ROTATION)
-    return bool(np.isfinite(transform).all() and is_turn and np.array_equal(transform[3], [0.0, 0.0, 0.0, 1.0]))

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import Field, fields
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -14,19 +13,15 @@ import pincal.model.catalogue  # noqa: F401
 from pincal.errors import nearest_first
 from pincal.io.arrays import (
     ArrayShape,
-    LimitNumbers,
-    Matrix,
     Numbers,
     Record,
     Rotation,
     Rotations,
-    Transform,
-    Transforms,
     Vector,
     array_of,
-    shaped,
     unpacked,
 )
+from pincal.io.robot_entry import PathEntry, RobotEntry
 from pincal.io.strict_json import MISSING, MOST_BYTES, Fault, Hook, explained, what_is
 from pincal.measure.lens import Lens
 from pincal.measure.setup import KnownDistance, Setup
@@ -35,82 +30,12 @@ from pincal.model.effect_registry import EFFECTS
 from pincal.model.effects import Effect
 from pincal.model.model import Model
 from pincal.parameters import Parameter
-from pincal.robot.dh import DhFrames
 from pincal.robot.robot import Robot
-from pincal.robot.tree import Coupling, Mimic
 
 # What every effect in a file has.
 EFFECT_SCHEMA: dict[str, Any] = {"type": "object", "properties": {"name": {"type": "string"}}, "required": ["name"]}
 # A file of more is none that pincal wrote: an arm has some ten effects for each of its joints.
 Effects = Annotated[tuple[Effect, ...], msgspec.Meta(max_length=2000)]
-
-
-class FramesEntry(Record, frozen=True, kw_only=True):
-    """The Denavit-Hartenberg frames of a robot, see :class:`pincal.robot.dh.DhFrames`."""
-
-    T_base_first: Transform
-    parameters: Annotated[Matrix, ArrayShape("joints", 6)]
-    T_base_link: Transforms
-    T_last_tip: Transform
-
-
-class RobotEntry(Record, frozen=True, kw_only=True):
-    """A robot in numbers, see :class:`pincal.robot.robot.Robot`; the text of its URDF may be missing.
-
-    Attributes:
-        lower, upper: shape (n,), joint limits [rad or m]; null where there is none.
-    """
-
-    name: str
-    joint_names: Annotated[tuple[str, ...], ArrayShape("joints"), msgspec.Meta(max_length=200)]
-    joint_types: Annotated[tuple[Literal["revolute", "prismatic"], ...], ArrayShape("joints")]
-    lower: Annotated[LimitNumbers, ArrayShape("joints", null=-np.inf)]
-    upper: Annotated[LimitNumbers, ArrayShape("joints", null=np.inf)]
-    base: str
-    tip: str
-    frames: FramesEntry
-    T_link_joint: Transforms
-    masses: Annotated[Numbers, ArrayShape("joints")]
-    centres: Annotated[Matrix, ArrayShape("joints", 3)]
-    massless: tuple[str, ...]
-    gravity: Vector
-    notes: tuple[str, ...]
-    source: str
-    urdf: str | None = None
-    mimics: tuple[Mimic, ...] = ()
-    couplings: tuple[Coupling, ...] = ()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.joint_names:
-            raise Fault("has no entries", "at least one joint", key=".joint_names")
-        driven = {mimic.joint for mimic in self.mimics}
-        for k, mimic in enumerate(self.mimics):
-            if mimic.joint not in self.joint_names or mimic.source not in set(self.joint_names) - driven:
-                raise Fault("names no joints", "one of the arm that follows another one of its own", key=f".mimics[{k}]")
-        for k, one in enumerate(self.couplings):
-            if {one.joint, one.source} - set(self.joint_names) or one.joint == one.source:
-                raise Fault("names no joints", "two of the arm's", key=f".couplings[{k}]")
-        shaped(".frames.T_base_link", self.frames.T_base_link, ArrayShape(len(self.joint_names), 4, 4), {})
-        try:
-            self.urdf_bytes()
-        except UnicodeEncodeError as error:
-            raise Fault(f"is no text ({error.reason})", "the text of a URDF, or null", key=".urdf") from None
-
-    def urdf_bytes(self) -> bytes:
-        """Return the URDF as it was read; bytes that are no UTF-8 are in the file as escapes."""
-        return (self.urdf or "").encode("utf-8", "surrogateescape")
-
-    @classmethod
-    def of_robot(cls, robot: Robot) -> RobotEntry:
-        """Return the entry of a robot."""
-        urdf = robot.urdf.decode("utf-8", "surrogateescape")
-        return cls.like(robot, frames=FramesEntry.like(robot.frames), urdf=urdf)
-
-    def robot(self) -> Robot:
-        """Return the robot."""
-        frames = DhFrames(**msgspec.structs.asdict(self.frames))
-        return Robot(**msgspec.structs.asdict(self) | {"frames": frames, "urdf": self.urdf_bytes()})
 
 
 class ChainEntry(Record, frozen=True, kw_only=True):
@@ -125,6 +50,12 @@ class ChainEntry(Record, frozen=True, kw_only=True):
     targets: Annotated[tuple[str, ...], ArrayShape("targets")]
     tool_rotations: Rotations
     bearing_heights: Annotated[Numbers, ArrayShape("joints")] | None = None
+    ends: PathEntry | None = None
+
+    @classmethod
+    def of_chain(cls, chain: Chain) -> ChainEntry:
+        """Return the entry of a chain."""
+        return cls.like(chain, ends=PathEntry.of_path(chain.ends))
 
 
 class ModelEntry(Record, frozen=True, kw_only=True):
@@ -146,7 +77,7 @@ class ModelEntry(Record, frozen=True, kw_only=True):
     @classmethod
     def of_model(cls, model: Model) -> ModelEntry:
         """Return the entry of a model."""
-        return cls.like(model, robot=RobotEntry.of_robot(model.chain.robot), chain=ChainEntry.like(model.chain))
+        return cls.like(model, robot=RobotEntry.of_robot(model.chain.robot), chain=ChainEntry.of_chain(model.chain))
 
     def model(self) -> Model:
         """Return the model."""
@@ -160,6 +91,7 @@ def model_of(robot: Robot, chain: ChainEntry, effects: tuple[Effect, ...], *, eq
         Fault: below ``key``, if an effect is of a joint or symbol that the robot does not have.
     """
     given, n = msgspec.structs.asdict(chain), robot.n_joints
+    given["ends"] = None if chain.ends is None else chain.ends.path(n, f"{key}.chain.ends")
     if chain.bearing_heights is None:
         given["bearing_heights"] = np.zeros(n)
     elif len(chain.bearing_heights) != n:
@@ -236,24 +168,24 @@ class SetupEntry(Record, frozen=True, kw_only=True):
         )
 
 
-def restored(kind: Any, value: Any) -> Any:
-    """Return the array or effect that a value of a JSON file stands for."""
-    return array_of(value) if kind is np.ndarray else effect_from_entry(value)
-
-
 def restoring() -> Hook:
-    """Return a function like :func:`restored` that also unpacks matrices, all together of no more bytes than a file has."""
+    """Return a function that returns the array or effect that a value of a JSON file stands for.
+
+    Matrices that it unpacks take no more bytes, all together, than a file has.
+    """
     left = MOST_BYTES
 
-    def with_packed(kind: Any, value: Any) -> Any:
+    def restored(kind: Any, value: Any) -> Any:
         nonlocal left
-        if kind is not np.ndarray or not isinstance(value, str):
-            return restored(kind, value)
+        if kind is not np.ndarray:
+            return effect_from_entry(value)
+        if not isinstance(value, str):
+            return array_of(value)
         found = unpacked(value, left)
         left -= found.nbytes
         return found
 
-    return with_packed
+    return restored
 
 
 def plain(value: Any) -> Any:
@@ -274,11 +206,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, Effect):
         return effect_to_entry(value)
     return value.tolist() if isinstance(value, np.ndarray) else msgspec.to_builtins(value)
-
-
-def known_effects() -> Mapping[str, type[Effect]]:
-    """Return the registered effects by name, those of plugins among them."""
-    return EFFECTS.known()
 
 
 def effect_to_entry(effect: Effect) -> dict[str, Any]:
@@ -302,7 +229,7 @@ def effect_from_entry(entry: Any) -> Effect:
     """
     if not isinstance(entry, dict):
         raise Fault(what_is(entry, "an object"), "an object")
-    name, known = entry.get("name"), known_effects()
+    name, known = entry.get("name"), EFFECTS.known()
     if "name" not in entry:
         raise Fault(MISSING, "this key", key=".name")
     if not isinstance(name, str):

@@ -58,12 +58,7 @@ def output_folder(path: Path) -> Iterator[Path]:
 
 
 def not_written_with(model: Path, files: Mapping[str, str]) -> str:
-    """Return the name of a file beside a model that was not written with it; empty if there is none.
-
-    Args:
-        model: path of the ``model.json``.
-        files: what it lists.
-    """
+    """Return the name of a file beside a model that was not written with it; empty if there is none."""
     for name, expected in files.items():
         beside = model.parent / name
         # What people may have edited tells no runs apart; absent files are none of another run.

@@ -125,25 +125,20 @@ def read_bounded(path: str | os.PathLike[str], kind: FileKind) -> bytes:
             content = stream.read(MOST_BYTES + 1)
     except OSError as error:
         raise kind.error(f"{file}: can't be read ({error.strerror}); expected {kind.name}") from None
-    return _bounded(content, kind, file)
+    return bounded(content, kind, file)
 
 
-def decode(content: bytes, wanted: type[_T], kind: FileKind, *, file: str, hook: Hook | None = None) -> _T:
-    """Return the structure that a JSON text describes; see :func:`read_json`.
+def built(content: bytes, wanted: type[_T], kind: FileKind, *, file: str, hook: Hook | None = None) -> _T:
+    """Return the structure that a bounded text describes; see :func:`read_json`.
 
     Example:
         >>> class Point(msgspec.Struct):
         ...     x: float
-        >>> decode(b'{"x": "a"}', Point, MODEL_FILE, file="f.json")
+        >>> built(b'{"x": "a"}', Point, MODEL_FILE, file="f.json")
         Traceback (most recent call last):
         pincal.errors.ModelFileError: f.json: x: is 'a'; expected a number; take the file from a backup or run pincal \
 calibrate again
     """
-    return built(_bounded(content, kind, file), wanted, kind, file=file, hook=hook)
-
-
-def built(content: bytes, wanted: type[_T], kind: FileKind, *, file: str, hook: Hook | None = None) -> _T:
-    """Return the structure that a text of `read_bounded` describes; see :func:`read_json`."""
     try:
         if _SURROGATES.search(content):
             return msgspec.convert(_loaded(content), wanted, dec_hook=hook)
@@ -159,7 +154,7 @@ def built(content: bytes, wanted: type[_T], kind: FileKind, *, file: str, hook: 
         raise kind.fault(file, "", f"cut off or no JSON ({error})", kind.name) from None
 
 
-def _bounded(content: bytes, kind: FileKind, file: str) -> bytes:
+def bounded(content: bytes, kind: FileKind, file: str) -> bytes:
     """Return a text within the limits; what is no finite number in it becomes one out of range, whose place is told."""
     if excess := _excess(content):
         raise kind.fault(file, "", f"too large to be read safely ({excess})", kind.name)
@@ -197,13 +192,7 @@ def _excess(content: bytes) -> str:
 
 
 def explained(error: msgspec.ValidationError, loaded: Callable[[], Any], wanted: Any) -> tuple[str, str, str]:
-    """Return the place of an error of the decoder, what is wrong there and what was expected, in words.
-
-    Args:
-        error: the error.
-        loaded: returns what was read, in Python's types.
-        wanted: the type that was wanted.
-    """
+    """Return the place of an error of the decoder, what is wrong there and what was expected, in words."""
     message = str(error)
     found = _PLACE.search(message)
     place = found["place"].removeprefix("$").removeprefix(".") if found else ""

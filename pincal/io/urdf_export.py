@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pincal.errors import PincalWarning, RobotFileError
 from pincal.io.urdf_text import Origin, append_frame, read_origins, rpy_of, write_origins
-from pincal.model.augmented import joint_placements
+from pincal.model.augmented import link_placements
 from pincal.model.chain import Chain
 from pincal.model.effect import Family
 from pincal.model.effects import GEOMETRIC, Conditions
 from pincal.model.model import Model
+from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
+from pincal.robot.se3 import translation
 from pincal.robot.tree import MOVING_TYPES, UrdfJoint, UrdfTree
 from pincal.robot.urdf_file import parse_urdf
 
@@ -77,57 +80,115 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
     if not text:
         raise RobotFileError("the model holds no URDF; expected its text: give the file that the robot was loaded from")
     tree = parse_urdf(text, source=robot.source)
-    values = model.own(np.asarray(values, float))
-    before, after = _placements(model, np.zeros(model.n_parameters)), _placements(model, values)
-    segments, old = _segments(tree, robot), read_origins(text, tree.source)
-    edited, tip, notes = (
-        write_origins(text, _origins(segments, old, before, after), tree.source),
-        robot.tip,
-        rigid_notes(model),
-    )
-    if not segments[-1] and np.abs(after[-1] - before[-1]).max() > _TIP_MOVED:
-        edited, tip = _with_tip(edited, tree, robot, np.linalg.inv(before[-1]) @ after[-1])
+    paths, values = [robot.between(*pair) for pair in ((None, None), *robot.links)], model.own(np.asarray(values, float))
+    ends = [link for path in paths for link, joint, _ in path.ends if joint >= 0]
+    segments, old = _segments(tree, robot, ends), read_origins(text, tree.source)
+    before, after = (_placements(model, of, paths) for of in (np.zeros(model.n_parameters), values))
+    pins, open_pins = _pin_origins(tree, model, values, old)
+    edited = write_origins(text, _origins(segments, old, before, after) | pins, tree.source)
+    tip, notes = robot.tip, rigid_notes(model)
+    if open_pins:
+        notes = (*notes, f"loops are as the URDF closes them at {', '.join(open_pins)}; where they do is in model.json only")
+    is_moved = {end: np.abs(after[end] - before[end]).max() > _TIP_MOVED for end in ends if not segments[end]}
+    if is_moved.pop(tip, False):
+        edited, tip = _with_tip(edited, tree, robot, np.linalg.inv(before[tip]) @ after[tip])
         notes = (*notes, f"no fixed joint holds {robot.tip}; link {tip} was inserted behind it as the calibrated tip")
+    held = [end for end, moved in is_moved.items() if moved]
+    if held:
+        notes = (*notes, f"no fixed joint holds {', '.join(held)}; where calibration moved them is in model.json only")
     new = read_origins(edited, tree.source)
     changed = tuple(name for name in old if not np.array_equal(new[name].matrix, old[name].matrix))
-    return UrdfExport(edited, tip, changed, notes, _check(edited, tip, model, values))
+    lost = (*held, *ends, tip) if open_pins else held
+    return UrdfExport(edited, tip, changed, notes, _check(edited, tip, model, values, lost=lost))
 
 
-def _placements(model: Model, values: np.ndarray) -> np.ndarray:
-    """Return the moving joints each in the one before, and the tip in the last, shape (n + 1, 4, 4)."""
-    joints, tip = joint_placements(model, values)
-    return np.concatenate([joints, tip[None]])
+def _placements(model: Model, values: np.ndarray, paths: Sequence[LinkPath]) -> dict[str, np.ndarray]:
+    """Return each moving joint, and the links at the ends of paths, in the joint frame that carries it, (4, 4)."""
+    joints, behind = link_placements(model, values)
+    found = dict(zip(model.chain.robot.joint_names, joints, strict=True))
+    for path in paths:
+        found |= {link: behind[joint + 1] @ T for link, joint, T in path.ends}
+    return found
 
 
-def _segments(tree: UrdfTree, robot: Robot) -> list[list[UrdfJoint]]:
-    """Return the joints from base to tip, cut behind each moving one: the last list holds those behind the last."""
-    segments: list[list[UrdfJoint]] = [[]]
-    for joint in tree.path(robot.base, robot.tip):
-        segments[-1].append(joint)
-        if joint.kind in MOVING_TYPES:
-            segments.append([])
-    names = tuple(segment[-1].name for segment in segments[:-1])
-    if names != robot.joint_names:
+def _segments(tree: UrdfTree, robot: Robot, ends: Collection[str]) -> dict[str, list[UrdfJoint]]:
+    """Return the joints that lead to each joint of the robot, itself the last, and to the links at the ends of paths."""
+    known = {joint.name: joint for joint in tree.joints}
+    missing = [name for name in robot.joint_names if name not in known]
+    if robot.is_serial and not robot.links:
+        names = tuple(joint.name for joint in tree.path(robot.base, robot.tip) if joint.kind in MOVING_TYPES)
+        if names != robot.joint_names:
+            raise RobotFileError(
+                f"{tree.source}: moving joints {', '.join(names)} between {robot.base!r} and {robot.tip!r}; "
+                f"expected those of the model, {', '.join(robot.joint_names)}: give the URDF it was calibrated with"
+            )
+    if missing:
         raise RobotFileError(
-            f"{tree.source}: moving joints {', '.join(names)} between {robot.base!r} and {robot.tip!r}; "
-            f"expected those of the model, {', '.join(robot.joint_names)}: give the URDF it was calibrated with"
+            f"{tree.source}: no joint {missing[0]!r}; expected those of the model, {', '.join(robot.joint_names)}: give the "
+            "URDF it was calibrated with"
         )
-    return segments
+    return {n: [*_way_to(tree, robot, known[n].parent), known[n]] for n in robot.joint_names} | {
+        end: _way_to(tree, robot, end) for end in ends
+    }
+
+
+def _way_to(tree: UrdfTree, robot: Robot, link: str) -> list[UrdfJoint]:
+    """Return the fixed joints that lead to a link from the joint of the robot that carries it, or from the base."""
+    way = tree.above(link)
+    before = [k for k, joint in enumerate(way) if joint.name in robot.joint_names]
+    first = before[-1] + 1 if before else next((k for k, joint in enumerate(way) if joint.parent == robot.base), len(way))
+    return list(way[first:])
 
 
 def _origins(
-    segments: list[list[UrdfJoint]], old: dict[str, Origin], before: np.ndarray, after: np.ndarray
+    segments: Mapping[str, list[UrdfJoint]],
+    old: dict[str, Origin],
+    before: Mapping[str, np.ndarray],
+    after: Mapping[str, np.ndarray],
 ) -> dict[str, Origin]:
     """Return the new origin of the last joint of each segment, those ahead of it left as they are."""
     new = {}
-    for segment, nominal, calibrated in zip(segments, before, after, strict=True):
+    for end, segment in segments.items():
         if segment:
-            ahead = np.eye(4)
-            for joint in segment[:-1]:
-                ahead = ahead @ old[joint.name].matrix
-            to_joint, name = np.linalg.inv(ahead), segment[-1].name
-            new[name] = _moved(old[name], to_joint @ nominal, to_joint @ calibrated)
+            to_joint, name = np.linalg.inv(_product(old, segment[:-1])), segment[-1].name
+            new[name] = _moved(old[name], to_joint @ before[end], to_joint @ after[end])
     return new
+
+
+def _pin_origins(
+    tree: UrdfTree, model: Model, values: np.ndarray, old: dict[str, Origin]
+) -> tuple[dict[str, Origin], list[str]]:
+    """Return the new origins of what closes loops, and the names of closures that the URDF can't move."""
+    chain, new, held = model.chain, dict[str, Origin](), list[str]()
+    placed = [(model.rigid_coordinates(x), link_placements(model, x)[1]) for x in (np.zeros(model.n_parameters), values)]
+    for closure in chain.robot.closures:
+        side = closure.pinned(chain.robot.parents)
+        pin = [chain.pin(chain.pins.index(closure), symbol) for symbol in "xy"] if side else []
+        for (link, joint, T), here, role in zip(closure.path.ends, (-1, 1), ("parent", "child"), strict=True):
+            shifts = [translation(x[pin[0]], x[pin[1]], 0.0) if side == here else np.eye(4) for x, _ in placed]
+            before, after = (behind[joint + 1] @ T @ shift for (_, behind), shift in zip(placed, shifts, strict=True))
+            moved, name = after @ np.linalg.inv(before), f"{closure.name}.{role}_origin"
+            way = _way_to(tree, chain.robot, link)
+            on_link = _product(old, way)
+            if name in old or (here < 0 and closure.name in old):
+                name = name if name in old else closure.name
+                T_old = old[name].matrix
+                new[name] = _moved(old[name], T_old, np.linalg.inv(on_link) @ moved @ on_link @ T_old)
+            elif way and way[-1].child == link and closure.name in old:
+                # The second joint of a link that is fixed to another: that is where its place is written.
+                ahead = np.linalg.inv(_product(old, way[:-1]))
+                new[way[-1].name] = _moved(old[way[-1].name], ahead @ on_link, ahead @ moved @ on_link)
+            elif np.abs(moved - np.eye(4)).max() > _TIP_MOVED or closure.name not in old:
+                held.append(closure.name)
+    return new, list(dict.fromkeys(held))
+
+
+def _product(old: dict[str, Origin], way: Sequence[UrdfJoint]) -> np.ndarray:
+    """Return where fixed joints, one after the other, place the link behind them, shape (4, 4)."""
+    found = np.eye(4)
+    for joint in way:
+        found = found @ old[joint.name].matrix
+    return found
 
 
 def _moved(old: Origin, before: np.ndarray, after: np.ndarray) -> Origin:
@@ -149,12 +210,7 @@ def _with_tip(text: bytes, tree: UrdfTree, robot: Robot, T_tip_calibrated: np.nd
 
 
 def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
-    """Say what a file of the rigid geometry leaves to ``model.json``.
-
-    Args:
-        model: the model.
-        what: the format of the file.
-    """
+    """Say what a file of the rigid geometry leaves to ``model.json``."""
     names = [effect.name for effect in model.effects]
     elastic = [
         effect.name
@@ -183,28 +239,33 @@ def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _check(text: bytes, tip: str, model: Model, values: np.ndarray) -> float:
-    """Return how far the text's tip is from the calibrated geometry at most; refuse what is more than rounding."""
-    robot = model.chain.robot
+def _check(text: bytes, tip: str, model: Model, values: np.ndarray, *, lost: Collection[str]) -> float:
+    """Return how far the text's tips are from the calibrated geometry at most; refuse what is more than rounding."""
+    robot, error = model.chain.robot, 0.0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PincalWarning)
-        written = Robot.from_urdf(text, tip=tip, base=robot.base)
+        written = Robot.from_tree(parse_urdf(text, source=robot.source), replace(robot.request, tip=tip))
     q = robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0))
-    difference = written.forward_kinematics(q)[:, :3] - rigid_tips(model, values, q)
-    error = float(np.linalg.norm(difference[:, :, 3], axis=1).max())
-    if not np.abs(difference).max() <= FK_TOLERANCE:
-        raise RobotFileError(
-            f"{robot.source}: the calibrated URDF would put {tip} up to {error:.3g} m from where the model does, "
-            f"expected at most {FK_TOLERANCE:g} m: give the URDF that the robot was calibrated with"
-        )
+    for start, last in ((robot.path.start, robot.tip), *robot.links):
+        if {start, last}.isdisjoint(lost):
+            path = robot.between(start, last)
+            there = written.between(*(tip if link == robot.tip else link for link in (start, last)))
+            difference = written.forward_kinematics(written.following(q), there)[:, :3] - rigid_tips(model, values, q, path)
+            error = max(error, float(np.linalg.norm(difference[:, :, 3], axis=1).max()))
+            if not np.abs(difference).max() <= FK_TOLERANCE:
+                raise RobotFileError(
+                    f"{robot.source}: the calibrated URDF would put {last} up to {error:.3g} m from where the model does, "
+                    f"expected at most {FK_TOLERANCE:g} m: give the URDF that the robot was calibrated with"
+                )
     return error
 
 
-def rigid_tips(model: Model, values: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return the tip in the base frame, shape (N, 3, 4), by the rigid part of the model, not by its placements."""
+def rigid_tips(model: Model, values: np.ndarray, q: np.ndarray, path: LinkPath | None = None) -> np.ndarray:
+    """Return the tip of a path where it starts, shape (N, 3, 4), by the rigid part of the model, not by its placements."""
     robot = model.chain.robot
-    chain = Chain.of(robot, moment_frame=model.chain.moment_frame)
+    chain = Chain.of(robot, moment_frame=model.chain.moment_frame, path=path)
     rigid = Model(chain, GEOMETRIC)
     deviations = model.rigid_coordinates(values) - model.chain.nominal
-    found = [deviations[chain.joint(robot.joint_names.index(p.element), p.symbol)] for p in rigid.parameters]
-    return rigid.predict(np.array(found), Conditions.at(q))
+    at = Conditions.at(q)
+    found = [deviations[term.coordinate] for effect in GEOMETRIC for term in effect.terms(chain, at, None)]
+    return rigid.predict(np.array(found), at)

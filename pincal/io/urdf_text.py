@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
@@ -19,6 +18,9 @@ from pincal.robot.urdf_file import parse_xml
 UNCHANGED = 1e-15
 # Rounding of the product of three rotations, by which equally good angles may differ.
 _ROUNDING = 2e-16
+
+# What holds origins, and the tags of these.
+_ORIGINS = {"joint": ("origin",), "constraint": ("parent_origin", "child_origin")}
 
 _TAG = re.compile(rb"<[^\s/>]+(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
 _ATTRIBUTE = re.compile(rb"([^\s=<>/\"']+)\s*=\s*(\"[^\"]*\"|'[^']*')")
@@ -60,13 +62,22 @@ def rpy_of(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:
 
 
 def read_origins(text: bytes, source: str) -> dict[str, Origin]:
-    """Return the origin of each joint; the identity of one that has none."""
-    origins = {}
-    for joint in parse_xml(text, source).iterfind("joint"):
-        origin = joint.find("origin")
-        numbers = [("0 0 0" if origin is None else origin.get(key, "0 0 0")).split() for key in ("xyz", "rpy")]
-        origins[joint.get("name")] = Origin(*np.array(numbers, float))
+    """Return the origin of each joint, and those of constraints as ``NAME.parent_origin`` and ``NAME.child_origin``.
+
+    It is the identity where there is none.
+    """
+    origins, root = {}, parse_xml(text, source)
+    for holder, tags in _ORIGINS.items():
+        for element in root.iterfind(holder):
+            for tag in tags:
+                origin = element.find(tag)
+                numbers = [("0 0 0" if origin is None else origin.get(key, "0 0 0")).split() for key in ("xyz", "rpy")]
+                origins[_key(element.get("name", ""), tag)] = Origin(*np.array(numbers, float))
     return origins
+
+
+def _key(name: str, tag: str) -> str:
+    return name if tag == "origin" else f"{name}.{tag}"
 
 
 def write_origins(text: bytes, origins: Mapping[str, Origin], source: str) -> bytes:
@@ -74,7 +85,7 @@ def write_origins(text: bytes, origins: Mapping[str, Origin], source: str) -> by
 
     Args:
         text: a URDF that :func:`pincal.robot.urdf_file.parse_urdf` accepts.
-        origins: joint -> its new origin; a number that has not changed keeps its text.
+        origins: new ones by the names of :func:`read_origins`; a number that has not changed keeps its text.
         source: what to call the text in an error.
 
     Raises:
@@ -88,7 +99,7 @@ def write_origins(text: bytes, origins: Mapping[str, Origin], source: str) -> by
         changes = {key: value for key, (value, old) in pairs.items() if np.any(np.abs(value - old) >= UNCHANGED)}
         if changes:
             at = places.origins.get(name)
-            edits.append(_inserted(text, places.joints[name], changes) if at is None else _replaced(text, at, changes))
+            edits.append(_inserted(text, *places.holders[name], changes) if at is None else _replaced(text, at, changes))
     for start, end, piece in sorted(edits, reverse=True):
         text = text[:start] + piece + text[end:]
     return text
@@ -113,9 +124,9 @@ def append_frame(text: bytes, *, parent: str, joint: str, link: str, origin: Ori
 
 @dataclass
 class _Places:
-    """Byte offsets in a text: joints' start tags, their origins, and the end tag of the root."""
+    """Byte offsets in a text: start tags of what holds each origin, with its tag, origins, and the end tag of the root."""
 
-    joints: dict[str, int] = field(default_factory=dict)
+    holders: dict[str, tuple[int, str]] = field(default_factory=dict)
     origins: dict[str, int] = field(default_factory=dict)
     end: int = 0
 
@@ -123,17 +134,17 @@ class _Places:
 def _places(text: bytes, source: str) -> _Places:
     """Find the joints below the root; those of transmissions and controllers are others."""
     places, above = _Places(), list[str]()
-    joint = ""
+    name = ""
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal joint
+        nonlocal name
         at = parser.CurrentByteIndex
-        if above == ["robot"] and tag == "joint":
-            joint = attributes["name"]
-            places.joints[joint] = at
-        elif above == ["robot", "joint"] and tag == "origin":
-            places.origins.setdefault(joint, at)
+        if above == ["robot"] and tag in _ORIGINS:
+            name = attributes.get("name", "")
+            places.holders |= {_key(name, held): (at, held) for held in _ORIGINS[tag]}
+        elif len(above) == 2 and tag in _ORIGINS.get(above[1], ()):
+            places.origins.setdefault(_key(name, tag), at)
         above.append(tag)
 
     def end(tag: str) -> None:
@@ -150,8 +161,9 @@ def _places(text: bytes, source: str) -> _Places:
 
 
 def _check_bytes(text: bytes, places: _Places, source: str) -> None:
-    tags: list[tuple[bytes, Any]] = [(b"<joint", places.joints.values()), (b"<origin", places.origins.values())]
-    if not all(text.startswith(tag, at) for tag, found in tags for at in found):
+    at = [at for at, _ in places.holders.values()] + list(places.origins.values())
+    tags = tuple(f"<{tag}".encode() for holder, held in _ORIGINS.items() for tag in (holder, *held))
+    if not all(text.startswith(tags, place) for place in at):
         raise RobotFileError(f"{source}: can't be edited in its encoding; save it as UTF-8 first")
 
 
@@ -187,10 +199,10 @@ def _replaced(text: bytes, at: int, changes: Mapping[str, np.ndarray]) -> tuple[
     return at, at + len(tag), piece[:close].rstrip() + added.encode() + piece[close:] if added else piece
 
 
-def _inserted(text: bytes, joint: int, changes: Mapping[str, np.ndarray]) -> tuple[int, int, bytes]:
-    """Return where to insert an origin into a joint that has none, indented as what follows, and its text."""
-    start = joint + len(_tag_at(text, joint))
+def _inserted(text: bytes, holder: int, tag: str, changes: Mapping[str, np.ndarray]) -> tuple[int, int, bytes]:
+    """Return where to insert an origin into what has none, indented as what follows, and its text."""
+    start = holder + len(_tag_at(text, holder))
     blanks = _BLANKS.match(text, start)
     assert blanks is not None
     words = "".join(f' {key}="{_words(values)}"' for key, values in changes.items())
-    return start, start, blanks.group() + f"<origin{words}/>".encode()
+    return start, start, blanks.group() + f"<{tag}{words}/>".encode()

@@ -1,6 +1,6 @@
 """Which rows of a table can be fitted or judged by, after all checks that need no fit.
 
-Rows that can tell nothing are left out with a warning, and all others are still processed; the rules are the sensors'. What
+Rows without information are left out with a warning, and all others are still processed; the rules are the sensors'. What
 can't be right, such as degrees, millimetres or swapped joints, is an error; what is odd but possible is a warning.
 """
 
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pincal.errors import MeasurementError, PincalWarning, nearest_first, warn
+from pincal.errors import MeasurementError, PincalWarning, few, nearest_first, warn
 from pincal.measure.measurements import Measurements, sensor_like, sensor_of
 from pincal.measure.sensor import Excluded, Grouped, Plausible
 from pincal.measure.setup import Setup
@@ -67,11 +67,11 @@ def admit(
         for name, setup in setups.items():
             table = usable_rows(tables[name], setup)
             if len(tables) > 1:
-                # The other stations tell the joint offsets.
+                # The other stations determine the joint offsets.
                 check_placeable(table, setup)
             else:
-                told = f"to determine the poses of instrument and tool and {robot.n_joints} joint offsets"
-                _check_count(table, setup, joints=robot.n_joints, told=told, better=50)
+                purpose = f"to determine the poses of instrument and tool and {robot.n_joints} joint offsets"
+                _check_count(table, setup, joints=robot.n_joints, purpose=purpose, better=50)
             check_table(robot, table)
             found[name] = table
     return Admitted(found, tuple(notes), tuple(dict.fromkeys(idle)))
@@ -99,7 +99,7 @@ def noted() -> Iterator[list[str]]:
 
 
 def usable_rows(measurements: Measurements, setup: Setup) -> Measurements:
-    """Return the rows that can tell something; each reason to leave rows out causes a `PincalWarning`.
+    """Return the rows that carry information; each reason to leave rows out causes a `PincalWarning`.
 
     Left out are points behind the camera, sockets that were touched only once, unknown points that were seen only once, and
     unknown anchors of fewer than four distances.
@@ -158,9 +158,8 @@ def _kept(measurements: Measurements, excluded: Iterable[Excluded]) -> Measureme
         kept &= ~part.rows
         if part.rows.any():
             lines = measurements.rows[part.rows]
-            listed = ", ".join(str(line) for line in lines[:_LISTED]) + (" ..." if len(lines) > _LISTED else "")
-            text = f"{measurements.source}: {len(lines)} rows {part.reason} and are left out: lines {listed}"
-            warn(text)
+            listed = few(lines, _LISTED)
+            warn(f"{measurements.source}: {len(lines)} rows {part.reason} and are left out: lines {listed}")
     return measurements if kept.all() else measurements.select(kept)
 
 
@@ -185,20 +184,20 @@ def _check_distances(setup: Setup, tables: Sequence[Measurements]) -> tuple[str,
 
 
 def check_placeable(measurements: Measurements, setup: Setup) -> None:
-    """Refuse a table that could not tell where instrument and tool of a known robot stand, and check it by one reading.
+    """Refuse a table that could not locate instrument and tool of a known robot, and check it by one reading.
 
     Raises:
         MeasurementError: saying how many rows are needed.
     """
-    told = "to determine the poses of instrument and tool of a new station with redundancy"
-    _check_count(measurements, setup, joints=1, told=told, better=10)
+    purpose = "to determine the poses of instrument and tool of a new station with redundancy"
+    _check_count(measurements, setup, joints=1, purpose=purpose, better=10)
 
 
-def _check_count(measurements: Measurements, setup: Setup, *, joints: int, told: str, better: int) -> None:
-    """Refuse a table that could not even tell where instrument and tool stand, and so many joint offsets."""
+def _check_count(measurements: Measurements, setup: Setup, *, joints: int, purpose: str, better: int) -> None:
+    """Refuse a table that could not determine the poses of instrument and tool, and so many joint offsets."""
     sensor = sensor_like(measurements, setup)
     tool = len(sensor.tool_symbols) * (len(np.unique(measurements.target)) if len(measurements) else 1)
-    # What a camera's lens is like takes no rows beyond: any one of them tells two readings of it.
+    # What a camera's lens is like takes no rows beyond: each of them gives two readings of it.
     own = sum(parameter.unit == "m" for parameter in sensor.parameters)
     poses = len(np.unique(measurements.q, axis=0))
     fewest = -(-(tool + joints) // 6) + 1
@@ -211,7 +210,7 @@ def _check_count(measurements: Measurements, setup: Setup, *, joints: int, told:
     if len(measurements) < needed:
         raise MeasurementError(
             f"{measurements.source}: {len(measurements)} {measurements.kind} measurements; expected at least {needed} "
-            f"{told}, and better {better} or more"
+            f"{purpose}, and better {better} or more"
         )
 
 
@@ -235,12 +234,29 @@ def check_table(robot: Robot, measurements: Measurements, *, minimum: int = 2) -
         MeasurementError: as the other functions of this module.
     """
     check_rows(measurements, minimum=minimum)
-    check_joint_values(measurements.of_joints(robot), robot.lower, robot.upper, robot.joint_types)
+    check_joints_of(robot, measurements)
     check_reach(measurements, robot.reach)
 
 
+def check_joints_of(robot: Robot, measurements: Measurements) -> None:
+    """Refuse joint positions that can't be this robot's, by :func:`check_joint_values` and as its loops have it.
+
+    Raises:
+        MeasurementError: if a loop can't be closed at those of a row.
+    """
+    rows = measurements.of_joints(robot)
+    check_joint_values(rows, robot.lower, robot.upper, robot.joint_types)
+    if robot.linkage is None or (is_closed := robot.linkage.closed(rows.q)[1]).all():
+        return
+    drives = ", ".join(robot.joint_names[i] for i in robot.linkage.drivers)
+    raise MeasurementError(
+        f"{rows.source}, line {rows.rows[~is_closed][0]}: the robot's loops can't be closed at these positions of {drives}; "
+        f"so in {np.sum(~is_closed)} rows: check zeros, signs and units"
+    )
+
+
 def check_reach(measurements: Measurements, reach_m: float) -> None:
-    """Check that readings are in metres, as far as the reach of the flange [m] tells; the rules are the sensor's.
+    """Check that readings are in metres, as far as the reach of the flange [m] shows; the rules are the sensor's.
 
     Raises:
         MeasurementError: for values farther apart than the arm can reach, or closer together than the motion of the joints
@@ -267,10 +283,9 @@ def check_rows(measurements: Measurements, *, minimum: int) -> None:
         raise MeasurementError(f"{source}: all {count} rows have the same joint values; expected different poses")
     lines = _duplicate_lines(measurements)
     if lines:
-        first = ", ".join(str(line) for line in lines[:_LISTED_LINES]) + (", ..." if len(lines) > _LISTED_LINES else "")
         warn(
-            f"{source}: {len(lines)} rows repeat an earlier row in every column (line {first}); copies add "
-            "weight but no information: delete them unless they were measured"
+            f"{source}: {len(lines)} rows repeat an earlier row in every column (line {few(lines, _LISTED_LINES)}); "
+            "copies add weight but no information: delete them unless they were measured"
         )
 
 
@@ -299,7 +314,7 @@ def check_joint_values(measurements: Measurements, lower: ArrayLike, upper: Arra
         joint_types: "revolute" or "prismatic" for each joint.
 
     Raises:
-        MeasurementError: for values that can only be degrees or millimetres though no unit says so, or two columns that are
+        MeasurementError: for values that can only be degrees or millimetres though no unit is given, or two columns that are
             swapped.
     """
     q, slides = measurements.q, np.array([kind == "prismatic" for kind in joint_types])

@@ -15,14 +15,14 @@ SAME = 1e-5
 """
 # A joint that moved by less may still be on the side from which it came before [rad, m]: no robot's gear has as much play.
 _LEAST = 1e-3
-# How tables say where sides come from, if their own columns tell them.
+# The stated origin of sides that are given by columns of their own.
 BY_COLUMNS = "the columns approach_<joint>"
 # One that moved by less stood still [rad, m]: rounding of the same position.
 _STILL = 1e-9
 
 
 def moves_by_order(q: np.ndarray) -> np.ndarray:
-    """Return each joint's last move with its sign, as the row before tells it, 0 in the first row (unknown), shape (N, n).
+    """Return each joint's last move with its sign, relative to the row before, 0 in the first row (unknown), shape (N, n).
 
     A joint that stands where it stood keeps its move, as where several targets are measured in one pose, and so do all
     joints of a pose that is read again, whatever their encoders scatter by. An arm that went by another pose on its way
@@ -56,7 +56,7 @@ def moves_of_table(q: np.ndarray, *, time: np.ndarray | None, station: np.ndarra
 
     Args:
         q: joint positions [rad], prismatic [m], shape (N, n).
-        time: of the rows [s], shape (N,), which then says the order, as of poses that were measured again and put back in
+        time: of the rows [s], shape (N,), which then gives the order, as of poses that were measured again and put back in
             their place; None for the order of the rows.
         station: of the rows, shape (N,), each with an order and a zero of time of its own; None for one.
     """
@@ -70,7 +70,7 @@ def moves_of_table(q: np.ndarray, *, time: np.ndarray | None, station: np.ndarra
 
 
 def tells_order(time: np.ndarray | None, q: np.ndarray) -> bool:
-    """Return whether times, shape (N,), say in which order poses were taken: no two of different joints share one."""
+    """Return whether times, shape (N,), give the order in which poses were taken: no two of different joints share one."""
     if time is None or not np.ptp(time):
         return False
     order = np.argsort(time, kind="stable")
@@ -87,7 +87,7 @@ def completed(
         given: the columns that there are, shape (N,) each, by joint.
         joints: the n joints.
         moves: their last moves, shape (N, n).
-        by_time: whether times said the order.
+        by_time: whether times gave the order.
         source: the table's name.
 
     Returns:
@@ -106,7 +106,7 @@ def completed(
 def agreeing(moves: np.ndarray, sides: Mapping[str, np.ndarray], joints: Sequence[str]) -> np.ndarray:
     """Return last moves, shape (N, n), without those of joints that came from another side by their own column.
 
-    Such a joint went by another pose on its way, so that the rows do not tell its move; it is 0 then.
+    Such a joint went by another pose on its way, so that its move is unknown; it is 0 then.
     """
     found = moves.copy()
     for i, joint in enumerate(joints):
@@ -116,6 +116,6 @@ def agreeing(moves: np.ndarray, sides: Mapping[str, np.ndarray], joints: Sequenc
 
 
 def note_on_sides(source: str, origin: str) -> str | None:
-    """Return what a report says of where sides come from, given that in words; None where there are no guesses."""
+    """Return the report's note on where sides come from, given that in words; None where there are no guesses."""
     guessed = origin and origin != BY_COLUMNS
     return f"{source}: the direction of approach is {origin}" if guessed else None

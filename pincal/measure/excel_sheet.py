@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pincal.errors import MeasurementError, warn
+from pincal.errors import MeasurementError, few, needed, warn
 from pincal.measure.heading import TableHead, find_heading, names_joints
 from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
 
@@ -50,7 +50,7 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
     """
     import polars as pl
 
-    lines = _lines(path, sheet, joints)
+    title, lines = _lines(path, sheet, joints)
     if not lines:
         raise MeasurementError(f"{path.name}: is empty; expected a header line and one line a pose")
     found = find_heading([["" if cell is None else str(cell) for cell in cells] for _, cells in lines[:_LOOKED_AT]], joints)
@@ -62,20 +62,18 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
         if len(cells) > count:
             raise MeasurementError(
                 f"{path.name}, line {row}: {len(cells)} cells; expected {count} as in the header, line {top}; "
-                "delete what stands above it, or begin it with #"
+                "delete the lines above it, or begin them with #"
             )
     columns = [_series([cells[i] if i < len(cells) else None for _, cells in body], str(i)) for i in range(count)]
-    return FrameSheet(path, found.labels, False, pl.LazyFrame(columns), np.array([row for row, _ in body], int))
+    rows = np.array([row for row, _ in body], int)
+    return FrameSheet(path, found.labels, False, pl.LazyFrame(columns), rows, worksheet=title, header_line=top)
 
 
-def _lines(path: Path, named: str | None, joints: Collection[str]) -> list[tuple[int, tuple[Any, ...]]]:
-    """Return number and cells of each line that has some, comments left out; tell of what else the workbook has."""
-    try:
+def _lines(path: Path, named: str | None, joints: Collection[str]) -> tuple[str, list[tuple[int, tuple[Any, ...]]]]:
+    """Return a worksheet's name, and number and cells of each line that has some; report what else the workbook has."""
+    install = "'pincal[excel]', or save the table as CSV"
+    with needed("openpyxl", f"{path.name}: Excel files", install=install, error=MeasurementError):
         import openpyxl
-    except ImportError as error:
-        raise MeasurementError(
-            f"{path.name}: Excel files need openpyxl; run pip install 'pincal[excel]', or save the table as CSV"
-        ) from error
     try:
         with zipfile.ZipFile(path) as parts:
             check_unpacked(path, sum(part.file_size for part in parts.infolist()))
@@ -89,25 +87,26 @@ def _lines(path: Path, named: str | None, joints: Collection[str]) -> list[tuple
                 if found := list(_filled(sheet, path)):
                     first = first or (sheet, found)
                     others.append(sheet)
-                    if named is not None or _has_joints(found, joints):
+                    texts = ([str(cell) for cell in cells if cell is not None] for _, cells in found[:_LOOKED_AT])
+                    if named is not None or any(names_joints(cells, joints) for cells in texts):
                         first = sheet, found
                         others += sheets[sheets.index(sheet) + 1 :]
                         break
             if first is None:
-                return []
-            _tell_hidden(first[0], {row for row, _ in first[1]}, path.name)
+                return "", []
+            _tell_hidden(first[0], {row for row, _ in first[1]}, path.name, is_wanted=named is not None)
             others.remove(first[0])
             if named is None and others:
-                _tell_others(first[0], others, path.name)
-            return first[1]
+                listed = ", ".join(sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in others)
+                warn(
+                    f"{path.name}: worksheet {first[0].title} is read; worksheets {listed} are not read (--sheet NAME reads "
+                    "another one)"
+                )
+            return first[0].title, first[1]
     except (OSError, MeasurementError):
         raise
     except Exception as error:  # Whatever a broken archive does to the libraries below.
         raise MeasurementError(f"{path.name}: can't be read ({error}); expected an Excel workbook") from error
-
-
-def _has_joints(lines: Sequence[tuple[int, tuple[Any, ...]]], joints: Collection[str]) -> bool:
-    return any(names_joints([str(cell) for cell in cells if cell is not None], joints) for _, cells in lines[:_LOOKED_AT])
 
 
 def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
@@ -116,7 +115,7 @@ def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
     Raises:
         MeasurementError: for more lines than Excel has, or blank cells beyond measure.
     """
-    # What a file says of its own size may be wrong, and rows beyond it would be lost.
+    # The size that a file states may be wrong, and rows beyond it would be lost.
     sheet.reset_dimensions()
     name, cells = path.name, 0
     for row, values in enumerate(sheet.iter_rows(values_only=True), start=1):
@@ -131,11 +130,10 @@ def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
         yield row, tuple(values[:count])
 
 
-def _tell_hidden(sheet: Any, rows: set[int], name: str) -> None:
-    """Warn of a worksheet that is hidden, and of those of its rows that are."""
-    if sheet.sheet_state != "visible":
-        text = f"{name}: the visible worksheets are empty; the hidden one {sheet.title} is read"
-        warn(text)
+def _tell_hidden(sheet: Any, rows: set[int], name: str, *, is_wanted: bool) -> None:
+    """Warn of a worksheet that is hidden, unless it was asked for, and of those of its rows that are."""
+    if sheet.sheet_state != "visible" and not is_wanted:
+        warn(f"{name}: the visible worksheets are empty; the hidden one {sheet.title} is read")
     # In this mode openpyxl keeps none of the attributes of rows.
     with sheet._get_source() as source:
         text = source.read()
@@ -145,17 +143,10 @@ def _tell_hidden(sheet: Any, rows: set[int], name: str) -> None:
         if _HIDDEN.search(tag[1]) and (row := int(number[1]) if number else place) in rows:
             hidden.append(row)
     if hidden:
-        first = ", ".join(map(str, hidden[:_LISTED])) + (", ..." if len(hidden) > _LISTED else "")
         warn(
-            f"{name}: {len(hidden)} rows of worksheet {sheet.title} are hidden, by a filter perhaps (line {first}), and "
-            "read like the others; delete them to leave them out"
+            f"{name}: {len(hidden)} rows of worksheet {sheet.title} are hidden, by a filter perhaps (line "
+            f"{few(hidden, _LISTED)}), and read like the others; delete them to leave them out"
         )
-
-
-def _tell_others(read: Any, others: Sequence[Any], name: str) -> None:
-    """Warn of the worksheets that are not read."""
-    listed = ", ".join(sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in others)
-    warn(f"{name}: worksheet {read.title} is read; worksheets {listed} are not read (--sheet NAME reads another one)")
 
 
 def _has_cells(cells: Sequence[Any]) -> bool:

@@ -1,18 +1,18 @@
-"""What the columns of a table can hold, quantities made of one column or several; and what the user says of them."""
+"""What the columns of a table can hold, quantities made of one column or several; and how the user wants them read."""
 
 from __future__ import annotations
 
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.recorded import RECORDABLE
-from pincal.robot.tree import Mimic
+from pincal.robot.robot import Robot
 from pincal.units import SMALLEST
 
 
@@ -28,6 +28,9 @@ class Rule:
 
 FINITE = Rule("a finite number", np.isfinite)
 POSITIVE = Rule(f"a number > 0, at least {SMALLEST:g}", lambda value: np.isfinite(value) & (value >= SMALLEST))
+NOT_NEGATIVE = Rule(
+    f"0 or a number > 0, at least {SMALLEST:g}", lambda value: np.isfinite(value) & ((value == 0.0) | (value >= SMALLEST))
+)
 SIGN = Rule("-1, 0 or 1", lambda value: np.isin(value, (-1, 0, 1)))
 
 
@@ -38,12 +41,12 @@ class Field:
     Attributes:
         name: of the array that holds it.
         columns: their names, units left out, in the order of the components.
-        quantity: what they hold, which says the units they may have: "length", "angle", "pixel", "noise", "mass", "time",
+        quantity: what they hold, which gives the units they may have: "length", "angle", "pixel", "noise", "mass", "time",
             "temperature", "number" or "name".
         rule: which values are valid; names always are.
         is_unit: whether the components are those of a unit vector, to be normalised.
         mistakes: how its columns get mixed up: in words, and what the right values are then.
-        mirror: what the values are in the frame whose y points the other way; None where that can't be said.
+        mirror: what the values are in the frame whose y points the other way; None where that is undefined.
     """
 
     name: str
@@ -68,12 +71,28 @@ _RECORDED = {name: variable.quantity for name, variable in RECORDABLE.items() if
 CONDITIONS = {"point": POINT} | {
     name: Field(name, (name,), quantity) for name, quantity in ({"target": "name"} | _RECORDED | {"station": "name"}).items()
 }
-"""What a table can say of a pose beside the readings."""
+CONDITIONS |= {f"{end}_link": Field(f"{end}_link", (end,), "name") for end in ("from", "to")}
+"""What a table can state of a pose in addition to the readings."""
+
+FIRST, SECOND = (Field(name, (name,), "name") for name in ("first", "second"))
+"""The points of a contact, each ``LINK:NAME``."""
 
 SIGMA = Field("sigma", ("sigma",), "noise", POSITIVE)
 """The standard deviation of a row's reading."""
 TABLE_ENDINGS = (".csv", ".tsv", ".txt", ".parquet")
 """What the name of a table that is written may end in."""
+
+
+def link_of(point: str, *, where: str) -> str:
+    """Return the link that a point is on.
+
+    Raises:
+        MeasurementError: for a name that is not LINK:NAME.
+    """
+    link, _, name = point.rpartition(":")
+    if not link.strip() or not name.strip():
+        raise MeasurementError(f"{where}: point {point!r}; expected LINK:NAME, such as tool0:ball")
+    return link.strip()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,13 +104,13 @@ class TableOptions:
         columns: names of columns in the table and what they hold, with a unit if the header lacks one: ``{"J1":
             "joint_a1 [deg]"}``.
         orientation: convention of the orientation's columns, one of
-            :data:`pincal.measure.orientation.CONVENTIONS`; default: as the header says.
+            :data:`pincal.measure.orientation.CONVENTIONS`; default: as in the header.
         joints: a file of its own with the joint positions, whose rows are found by a column that both files have, by time
-            while the pose is held still, or by order; a `PincalWarning` says by which.
+            while the pose is held still, or by order; a `PincalWarning` states by which.
         sheet: worksheet of a workbook; default: the first that has columns of joints.
-        rows_in_order: whether rows stand in the order in which they were measured, or of their times, which says from
+        rows_in_order: whether rows stand in the order in which they were measured, or of their times, which gives from
             which side joints arrived that have no column for it, see :mod:`pincal.measure.approach`.
-        shares_log: whether other tables have theirs from the same file, so that the order of its rows tells nothing.
+        shares_log: whether other tables have theirs from the same file, so that the order of its rows has no meaning.
     """
 
     ignore: Sequence[str] = ()
@@ -105,7 +124,7 @@ class TableOptions:
 
 # Where the joints stood as well, and by what factor that minus the fitted positions is commanded minus read back.
 OTHERS = {"commanded": 1.0, "read": -1.0}
-# What columns of their own tell of each joint.
+# What has a column for each joint.
 OF_EACH_JOINT = tuple(name for name, variable in RECORDABLE.items() if variable.column == f"{name}_<joint>")
 
 
@@ -116,25 +135,42 @@ class Schema:
     Attributes:
         fields: the quantities that are understood.
         joint_names: the joints, each with a column of its own and perhaps one for the direction of approach and for the
-            position commanded or read back beside it.
-        joint_types: "revolute" or "prismatic" for each joint, which says the units it may have; all revolute if empty.
-        mimics: the joints that follow another one; they may be absent, as their position follows from that one's.
+            position commanded or read back in addition.
+        joint_types: "revolute" or "prismatic" for each joint, which determines the units it may have; all revolute if empty.
+        own_joints: those with positions of their own; all if empty. The others may be absent.
+        following: puts the others where they follow, in positions of shape (N, n).
+        resting: joints that may be absent, with the positions where they rest then [rad or m].
         may_lack_joints: whether a table without any joint is allowed.
-        options: what the user says of it.
+        options: what the user declares of it.
     """
 
     fields: tuple[Field, ...]
     joint_names: tuple[str, ...] = ()
     joint_types: tuple[str, ...] = ()
-    mimics: tuple[Mimic, ...] = ()
+    own_joints: tuple[str, ...] = ()
+    following: Callable[[np.ndarray], np.ndarray] = np.copy
+    resting: Mapping[str, float] = field(default_factory=dict)
     may_lack_joints: bool = False
     options: TableOptions = field(default_factory=TableOptions)
 
+    def __post_init__(self) -> None:
+        if not self.own_joints:
+            object.__setattr__(self, "own_joints", self.joint_names)
+
+    def of_robot(self, robot: Robot) -> Schema:
+        """Return the schema with the joints of a robot."""
+        return replace(
+            self,
+            joint_names=robot.joint_names,
+            joint_types=robot.joint_types,
+            own_joints=tuple(robot.joint_names[i] for i in robot.own_joints),
+            following=robot.following,
+        )
+
     @property
-    def own_joints(self) -> tuple[str, ...]:
-        """The joints that follow none, whose columns are needed."""
-        driven = {mimic.joint for mimic in self.mimics}
-        return tuple(name for name in self.joint_names if name not in driven)
+    def needed_joints(self) -> tuple[str, ...]:
+        """The joints whose columns are needed."""
+        return tuple(name for name in self.own_joints if name not in self.resting)
 
     def quantities(self, *, source: str) -> dict[str, str]:
         """Return the physical quantity of every column that a table may have; joints that clash with a field are refused."""

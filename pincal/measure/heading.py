@@ -11,7 +11,11 @@ from dataclasses import dataclass
 
 from pincal.units import SIZES
 
-NUMBERED = re.compile(r"(j|joint|a|axis|q|actual_q|actualq|theta|rax)[ _.-]?(\d{1,2})", re.IGNORECASE)
+NUMBERED = re.compile(
+    r"(j|joint(?:[ _]?angle|[ _]?pos(?:ition)?)?|a|axis(?:[ _]?angle)?|achse|gelenk|angle|q|actual_q|actualq|theta|rax)"
+    r"[ _.-]?(\d{1,2})",
+    re.IGNORECASE,
+)
 """What programs call the joints of an arm when they number them, blanks and signs before the number left out."""
 
 # Units as people write them out.
@@ -38,7 +42,7 @@ _NO_UNITS = (
     "hh:mm:ss",
     "date",
 )
-# Names that tell the row of names, beside those of joints.
+# Names by which the row of names is recognised, in addition to those of joints.
 _KNOWN = ("x", "y", "z", "qx", "qy", "qz", "qw", "distance", "socket", "point", "u", "v", "cx", "cy", "cz", "plane", "gauge")
 # A row with less of its cells filled is a title, not a header.
 _FILLED = 0.6
@@ -94,7 +98,7 @@ def find_heading(rows: Sequence[Sequence[str]], joints: Collection[str] = ()) ->
 
     Args:
         rows: cells.
-        joints: names of joints, which tell the row of names from others.
+        joints: names of joints, which distinguish the row of names from others.
 
     Example:
         >>> rows = [["KR 16, cell 3"], ["A1", "A2", "x", "y"], ["deg", "deg", "mm", "mm"], ["1", "2", "3", "4"]]

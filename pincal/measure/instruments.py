@@ -1,4 +1,4 @@
-"""How the noise of an instrument that reads ranges and angles grows with the distance, as data sheets say it.
+"""How the noise of an instrument that reads ranges and angles grows with the distance, as in data sheets.
 
 A laser tracker is most exact along its line of sight; across it, an error of an angle counts the more the farther the target
 is. A row's covariance follows from where the target is seen, so positions have to be in the instrument's own frame.
@@ -129,7 +129,7 @@ def seen_by(table: Measurements) -> np.ndarray:
     """Return the positions of a table that the noise of an instrument follows, shape (N, 3) [m].
 
     Raises:
-        MeasurementError: if it holds none, or says how large the noise of its rows is.
+        MeasurementError: if it holds none, or declares the noise of its rows.
     """
     if table.position is None:
         raise MeasurementError(

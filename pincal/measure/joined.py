@@ -1,7 +1,7 @@
 """An instrument's table and a log of the joints from a file of its own, made one table.
 
 Rows belong together by a column that both have, by time while the pose is held still, or by their order where the counts
-agree; whichever it is, a `PincalWarning` tells.
+agree; a `PincalWarning` states which.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pincal.errors import MeasurementError, warn
-from pincal.measure.header import name_of
+from pincal.measure.labels import name_of
 from pincal.measure.sheet import FrameSheet, Sheet, SheetColumn
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def held_rows(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return a row for each pose that is held still, if a table is a log in which the arm moves; else the table.
 
-    Numbers are means over the middle half of the pose, names those in the middle. A `PincalWarning` tells of it.
+    Numbers are means over the middle half of the pose, names those in the middle. A `PincalWarning` reports it.
 
     Args:
         values: columns in SI units, shape (N,) each; with a time.
@@ -128,7 +128,7 @@ def held_rows(
     found = {name: _pooled(v, np.column_stack([first, last])) for name, v in values.items()}
     if "qx" in values:
         turned = np.column_stack([values[name] for name in ("qx", "qy", "qz", "qw")])
-        means = [_mean_turn(turned[a : b + 1]) for a, b in zip(first, last, strict=True)]
+        means = [mean_turn(turned[a : b + 1]) for a, b in zip(first, last, strict=True)]
         found |= dict(zip(("qx", "qy", "qz", "qw"), np.array(means).T, strict=True))
     warn(
         f"{source}: a log of {len(rows)} rows at {1.0 / np.median(steps):.0f} Hz is cut into the {len(poses)} poses that "
@@ -137,7 +137,8 @@ def held_rows(
     return found, rows[first]
 
 
-def _mean_turn(quaternions: np.ndarray) -> np.ndarray:
+def mean_turn(quaternions: np.ndarray) -> np.ndarray:
+    """Return the mean of quaternions of either sign, shape (4,) for (N, 4)."""
     mean = np.where((quaternions @ quaternions[0] < 0.0)[:, None], -quaternions, quaternions).mean(axis=0)
     return np.asarray(mean / np.linalg.norm(mean))
 
@@ -198,17 +199,21 @@ def join(table: Sheet, log: Log, time: np.ndarray | None, *, known: Collection[s
         table: readings.
         log: joints.
         time: of the table's rows [s], shape (N,); None if it has none.
-        known: columns with a meaning of their own, by which rows can't be told.
+        known: columns with a meaning of their own, which do not identify rows.
         has: those of them that the table has.
 
     Raises:
-        MeasurementError: if nothing, or more than one thing, says which rows belong together.
+        MeasurementError: if nothing, or more than one thing, determines which rows belong together.
     """
     import polars as pl
 
     columns = [SheetColumn(i, str(i), label, "", "name") for i, label in enumerate(table.labels)]
     frame, lines = table.read(columns)
-    keys = _common(table, log.sheet, known)
+    # Labels of the table that the log has, too, and that mean nothing else, with their place in the log.
+    places = {label.casefold(): i for i, label in enumerate(log.sheet.labels) if label}
+    folded = {name.casefold() for name in known}
+    free = [label for label in table.labels if name_of(label).casefold() not in folded]
+    keys = {label: places[label.casefold()] for label in free if label.casefold() in places}
     pairs = _agreed(_by_columns(table, frame, log, lines=lines, keys=keys), _by_time(log, time), table=table, log=log)
     pairs = pairs or (None if log.is_shared else _by_order(log, frame.height))
     if pairs is None:
@@ -216,8 +221,7 @@ def join(table: Sheet, log: Log, time: np.ndarray | None, *, known: Collection[s
     left = frame.height - len(pairs.rows)
     rest = f"; {left} rows between two poses are left out" if left else ""
     source = log.sheet.path.name
-    text = f"{table.path.name}: {len(pairs.rows)} rows have their joints from {source} {pairs.words}{rest}"
-    warn(text)
+    warn(f"{table.path.name}: {len(pairs.rows)} rows have their joints from {source} {pairs.words}{rest}")
     kept = [i for i, label in enumerate(table.labels) if label not in keys]
     taken = [pl.Series(name, _pooled(v, pairs.samples)) for name, v in log.values.items() if name not in has]
     whole = pl.DataFrame([*(frame.to_series(i)[pairs.rows] for i in kept), *taken])
@@ -234,16 +238,8 @@ def _pooled(values: np.ndarray, samples: np.ndarray) -> np.ndarray:
     return np.asarray((total[last + 1] - total[first]) / (last + 1 - first) + values[0])
 
 
-def _common(table: Sheet, log: Sheet, known: Collection[str]) -> dict[str, int]:
-    """Return labels of the table that the log has, too, and that mean nothing else, with their place in the log."""
-    places = {label.casefold(): i for i, label in enumerate(log.labels) if label}
-    folded = {name.casefold() for name in known}
-    free = [label for label in table.labels if name_of(label).casefold() not in folded]
-    return {label: places[label.casefold()] for label in free if label.casefold() in places}
-
-
 def _by_columns(table: Sheet, frame: pl.DataFrame, log: Log, *, lines: np.ndarray, keys: Mapping[str, int]) -> _Pairs | None:
-    """Pair rows by the columns that both have and that tell each row its pose; several have to agree."""
+    """Pair rows by the columns that both have and that identify the pose of each row; several have to agree."""
     found: dict[str, np.ndarray] = {}
     for label, place in keys.items():
         cells = log.sheet.read([SheetColumn(place, "key", label, "", "name")])[0]["key"]
@@ -275,29 +271,24 @@ def _agreed(by_column: _Pairs | None, by_time: _Pairs | None, *, table: Sheet, l
     """Return the pairs by column, else those by time; counters of rows are no names of poses.
 
     Raises:
-        MeasurementError: if column and time tell different joints.
+        MeasurementError: if column and time give different joints.
     """
     if by_column is None:
         return by_time
-    one = by_column.samples if by_time is None else by_column.samples[by_time.rows]
-    other = _around(log, by_column) if by_time is None else by_time.samples
-    first, second = (_pooled_rows(log.q, samples) for samples in (one, other))
-    if np.abs(first - second).max(initial=0.0) > _SAME:
+    if by_time is not None:
+        one, other = by_column.samples[by_time.rows], by_time.samples
+    elif log.held:
+        # The samples just before and after.
+        one, other = by_column.samples, np.clip(by_column.samples + np.array([-1, 1]), 0, len(log.q) - 1)
+    else:
+        return by_column
+    if any(np.abs(_pooled(q, one) - _pooled(q, other)).max(initial=0.0) > _SAME for q in log.q.T):
         time = "its time" if by_time is not None else "the motion of the arm, which does not hold still there"
         raise MeasurementError(
             f"{table.path.name}: joints from {log.sheet.path.name} {by_column.words} contradict {time}; expected one pose a "
             "row: ignore the column if it only counts rows, or correct the times"
         )
     return by_column
-
-
-def _around(log: Log, pairs: _Pairs) -> np.ndarray:
-    """Return the samples just before and after those of each pair where the log is a recording, shape (M, 2)."""
-    return np.asarray(np.clip(pairs.samples + np.array([-1, 1]), 0, len(log.q) - 1)) if log.held else pairs.samples
-
-
-def _pooled_rows(q: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    return np.asarray(np.column_stack([_pooled(column, samples) for column in q.T]))
 
 
 def _as_keys(series: pl.Series) -> list[str]:
@@ -310,7 +301,7 @@ def _as_keys(series: pl.Series) -> list[str]:
 
 
 def _places(keys: Sequence[str], q: np.ndarray) -> dict[str, tuple[int, int]] | None:
-    """Return first and last sample of each key; None if the keys tell no poses apart."""
+    """Return first and last sample of each key; None if the keys do not distinguish poses."""
     found: dict[str, tuple[int, int]] = {}
     for i, key in enumerate(keys):
         first, last = found.get(key, (i, i - 1))

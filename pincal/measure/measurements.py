@@ -19,7 +19,7 @@ from pincal.recorded import RECORDED, Recorded
 from pincal.robot.robot import Robot
 from pincal.units import expected_number, is_possible
 
-# What a table has beside its readings.
+# What a table has in addition to its readings.
 _OF_JOINTS = {name: variable.quantity for name, variable in RECORDED.items() if variable.of_joints}
 _ARRAYS = ("q", *_OF_JOINTS, "rows", *CONDITIONS, "sigma", "readings_per_row")
 
@@ -31,7 +31,7 @@ class Measurements(Recorded):
     The readings of pincal's own sensors are attributes as well.
 
     Example:
-        >>> poses = measurements_from_arrays(["a", "b"], [[0.0, 1.0], [0.5, 1.0]], distance=[1.2, 1.3])
+        >>> poses = measurements(["a", "b"], [[0.0, 1.0], [0.5, 1.0]], distance=[1.2, 1.3])
         >>> poses, poses.kind, poses.select(poses.q[:, 0] > 0.1).distance
         (Measurements('arrays': 2 rows, distance, joints a b), 'distance', array([1.3]))
     """
@@ -53,6 +53,10 @@ class Measurements(Recorded):
     """Payload [kg], shape (N,)."""
     station: np.ndarray | None = None
     """Name of the set-up of instrument and targets that each row belongs to, shape (N,)."""
+    from_link: np.ndarray | None = None
+    """Name of the link from which each row's reading is seen, shape (N,); default: the robot's base."""
+    to_link: np.ndarray | None = None
+    """Name of the link that each row's reading is about, shape (N,); default: the robot's tip."""
     sigma: np.ndarray | None = None
     """Standard deviation of the row [m], shape (N,)."""
     readings_per_row: np.ndarray | None = None
@@ -61,6 +65,8 @@ class Measurements(Recorded):
     """The units that the header gave, by column; what is not in it was taken as SI."""
     approach_from: str = ""
     """Where ``approach`` comes from, in words, as far as it is known."""
+    setup: str = ""
+    """Name of the set-up whose instrument it shares with rows between other links; empty if it is one of its own."""
 
     def __post_init__(self) -> None:
         for name, array in self._present().items():
@@ -143,7 +149,8 @@ class Measurements(Recorded):
 
     def of_joints(self, robot: Robot) -> Measurements:
         """Return the table with the positions of the URDF's joints in place of what the controller reports."""
-        return replace(self, q=robot.from_reported(self.q)) if robot.couplings else self
+        q = robot.from_reported(self.q)
+        return self if q is self.q else replace(self, q=q)
 
     def _with(self, columns: Mapping[str, np.ndarray]) -> Measurements:
         readings = {name: columns[name] for name in self.readings}
@@ -154,8 +161,8 @@ class Measurements(Recorded):
         return {name: getattr(self, name) for name in _ARRAYS if getattr(self, name) is not None}
 
 
-def measurements_from_arrays(
-    joint_names: Sequence[str],
+def measurements(
+    joints: Robot | Sequence[str],
     q: ArrayLike,
     *,
     rows: ArrayLike | None = None,
@@ -166,27 +173,54 @@ def measurements_from_arrays(
     """Build measurements from arrays in SI units, which are checked and copied.
 
     Args:
-        joint_names: names of the n joints.
-        q: joint positions [rad], prismatic [m], shape (N, n).
+        joints: the robot, or the names of its n joints.
+        q: joint positions [rad], prismatic [m], shape (N, n); of a robot, joints that follow from others may be left out.
         rows: line numbers for messages, shape (N,); by default 2, 3, ... as if read from a file.
         source: name of the data for messages.
         units: units that were stated explicitly, by column name; an entry marks a column as intended.
-        **columns: target, payload, temperature, time, station, approach, droop, move, sigma, point and the fields of a
-            sensor (position, quaternion, distance, anchor, socket, camera_point, pixel, ...), shaped as in `Measurements`;
-            None is absent.
+        columns: what was measured and recorded, by name, and fields of custom sensors; None is absent:
+
+            - position: of the target in the instrument's frame [m], shape (N, 3).
+            - quaternion: orientation of the tool in the instrument's frame, x y z w, shape (N, 4); with ``position``.
+            - distance: from the instrument's point, or the row's anchor, to the target [m], shape (N,).
+            - anchor: name of the point that a distance is measured from, shape (N,).
+            - socket: name of the fixed point that held the tool point, shape (N,).
+            - camera_point: point of the calibration object in the camera's frame [m], shape (N, 3); with ``point``.
+            - pixel: the same point in the image [px], shape (N, 2); with ``point``.
+            - point: name of the point of the calibration object, shape (N,).
+            - plane: name of the plane that the probe touched, shape (N,).
+            - gauge: reading of a dial gauge against this plane [m], shape (N,); with ``plane``.
+            - target: name of the target on the tool, shape (N,); default: one.
+            - payload: mass at the tip [kg], shape (N,).
+            - temperature: in deg C, shape (N,).
+            - time: in s, shape (N,).
+            - station: name of the set-up that a row belongs to, shape (N,).
+            - approach: direction from which each joint arrived, -1, 0 (unknown) or 1, shape (N, n).
+            - droop: commanded minus read-back position of each joint [rad], prismatic [m], shape (N, n).
+            - move: last move of each joint with its sign [rad], prismatic [m], 0 where it is not known, shape (N, n).
+            - sigma: standard deviation of the row [m], shape (N,).
 
     Returns:
         The measurements; target is "tool" (of a camera's readings "camera") unless given, quaternions are normalised.
 
     Raises:
         MeasurementError: for an unknown column, a wrong shape, an invalid value, or two kinds of measurement.
+
+    Example:
+        >>> measurements(["shoulder", "elbow"], [[0.1, 0.2], [0.3, 0.4]], position=[[1, 0, 0], [0, 1, 0]])
+        Measurements('arrays': 2 rows, position, joints shoulder elbow)
     """
+    if isinstance(joints, Robot):
+        q = np.asarray(q, float)
+        if joints.dependent and q.ndim == 2 and q.shape[1] == len(joints.own_joints):
+            q = joints.spread(q)
+        joints = joints.joint_names
     fields = known_fields()
     unknown = [name for name in columns if name not in (*_OF_JOINTS, *fields)]
     if unknown:
         known = ", ".join(nearest_first(unknown, [*_OF_JOINTS, *fields]))
         raise MeasurementError(f'{source}: unknown column "{unknown[0]}"; known columns: {known}')
-    names, given = tuple(joint_names), {"q": q, "rows": rows, **columns}
+    names, given = tuple(joints), {"q": q, "rows": rows, **columns}
     arrays = {
         name: _as_array(name, value, fields.get(name), source=source) for name, value in given.items() if value is not None
     }
@@ -218,7 +252,7 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
         counts = [np.ones(len(table), int) if table.readings_per_row is None else table.readings_per_row for table in tables]
         tables = [replace(table, readings_per_row=count) for table, count in zip(tables, counts, strict=True)]
     if any(table.move is not None for table in tables):
-        # No column of a file: of rows whose order nobody told the last moves are unknown.
+        # No column of a file: of rows without a declared order the last moves are unknown.
         tables = [table if table.move is not None else replace(table, move=np.zeros(table.q.shape)) for table in tables]
     first = tables[0]
     for other in tables[1:]:
@@ -247,8 +281,9 @@ def validated(
     check_fields(given, source=source)
     sensor = sensor_class(given)
     arrays.setdefault("target", np.broadcast_to(np.array("tool" if sensor is None else sensor.default_target), count))
+    read = {} if sensor is None else {field.name: field for field in sensor.fields}
     for name, array in arrays.items():
-        _check_values(name, array, fields.get(name), arrays["rows"], source=source)
+        _check_values(name, array, read.get(name, fields.get(name)), arrays["rows"], source=source)
     for name in given:
         if fields[name].is_unit:
             arrays[name] = arrays[name] / np.linalg.norm(arrays[name], axis=1, keepdims=True)
@@ -313,57 +348,6 @@ def sensor_like(measurements: Measurements, setup: Setup) -> Sensor:
     return sensor_of(measurements.select(slice(0, 1)), setup.over(measurements))
 
 
-def measurements(
-    joints: Robot | Sequence[str],
-    q: ArrayLike,
-    *,
-    source: str = "arrays",
-    **columns: ArrayLike | None,
-) -> Measurements:
-    """Build measurements from arrays in SI units, which are checked and copied.
-
-    Args:
-        joints: the robot, or the names of its n joints.
-        q: joint positions [rad], prismatic [m], shape (N, n); of a robot, joints that mimic another may be left out.
-        source: name of the data for messages.
-        columns: what was measured and recorded, by name, and fields of custom sensors; None is absent:
-
-            - position: of the target in the instrument's frame [m], shape (N, 3).
-            - quaternion: orientation of the tool in the instrument's frame, x y z w, shape (N, 4); with ``position``.
-            - distance: from the instrument's point, or the row's anchor, to the target [m], shape (N,).
-            - anchor: name of the point that a distance is measured from, shape (N,).
-            - socket: name of the fixed point that held the tool point, shape (N,).
-            - camera_point: point of the calibration object in the camera's frame [m], shape (N, 3); with ``point``.
-            - pixel: the same point in the image [px], shape (N, 2); with ``point``.
-            - point: name of the point of the calibration object, shape (N,).
-            - plane: name of the plane that the probe touched, shape (N,).
-            - gauge: reading of a dial gauge against this plane [m], shape (N,); with ``plane``.
-            - target: name of the target on the tool, shape (N,); default: one.
-            - payload: mass at the tip [kg], shape (N,).
-            - temperature: in deg C, shape (N,).
-            - time: in s, shape (N,).
-            - station: name of the set-up that a row belongs to, shape (N,).
-            - approach: direction from which each joint arrived, -1, 0 (unknown) or 1, shape (N, n).
-            - droop: commanded minus read-back position of each joint [rad], prismatic [m], shape (N, n).
-            - move: last move of each joint with its sign [rad], prismatic [m], 0 where it is not known, shape (N, n).
-            - sigma: standard deviation of the row [m], shape (N,).
-
-    Raises:
-        MeasurementError: for an unknown column, a wrong shape, an invalid value, or two kinds of measurement.
-
-    Example:
-        >>> measurements(["shoulder", "elbow"], [[0.1, 0.2], [0.3, 0.4]], position=[[1, 0, 0], [0, 1, 0]])
-        Measurements('arrays': 2 rows, position, joints shoulder elbow)
-    """
-    given: dict[str, Any] = {"source": source, **columns}
-    if isinstance(joints, Robot):
-        rows = np.asarray(q, float)
-        if joints.mimics and rows.ndim == 2 and rows.shape[1] == len(joints.own_joints):
-            rows = joints.spread(rows)
-        return measurements_from_arrays(joints.joint_names, rows, **given)
-    return measurements_from_arrays(joints, q, **given)
-
-
 def _signature() -> inspect.Signature:
     """Return the signature of ``measurements`` with all columns, for whoever looks it up or completes it."""
     plain = inspect.signature(measurements)
@@ -374,3 +358,5 @@ def _signature() -> inspect.Signature:
 
 
 measurements.__signature__ = _signature()  # type: ignore[attr-defined]
+measurements_from_arrays = measurements
+"""The other name of :func:`measurements`."""

@@ -1,19 +1,198 @@
-"""JSON, YAML, NumPy's .npz and MATLAB's .mat as sheets: lists of records, or columns of numbers and lists."""
+"""JSON, YAML, NumPy's .npz and MATLAB's .mat as sheets: lists of records, or columns of numbers and lists.
+
+Which columns the numbers of a list are follows from its name and its length.
+
+Samples of hand-eye calibrations (MoveIt, easy_handeye) hold the pose of an object in a camera for each pose of the robot.
+A camera that stands still sees an object on the hand: its pose is read like that of a tool. A camera on the hand sees an
+object that stands still: read the other way round it is the pose of the camera in the frame of the object. Which of them
+it is, the samples show: the motions of hand and object belong together in one of the two ways only.
+"""
 
 from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pincal.errors import MeasurementError, needed, warn
-from pincal.measure.handeye import tracked_poses
 from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
-from pincal.measure.vectors import IS_OF_CONTROLLER, TURNED, vector_labels
+
+JOINTS = re.compile(
+    r"(joints?|joint_?(positions?|values?|angles?|states?|pos)|(actual_?)?q|qpos|angles?|state)(_deg|_rad)?", re.I
+)
+"""What lists of joint positions are called."""
+PLACE = re.compile(r"(position|pos|xyz|translation|point|p|t|trans|tvec|target|place|measured)(_mm|_m)?", re.I)
+TURNED = re.compile(r"(orientation|rotation|quaternions?|quat|q|ori|rot|R)(_?(xyzw|wxyz))?", re.I)
+POSE = re.compile(r".*(pose|transform|T|matrix|wrt).*", re.I)
+IS_OF_CONTROLLER = re.compile(r"robot|effector_wrt_world|(actual_)?tcp(_pose)?|flange|ee_pos(e)?|end_?effector", re.I)
+"""What the pose is called that a controller computes from the joints: it is no measurement."""
+_UNIT = re.compile(r".*[_ \[(](deg|rad|mm|cm|m)[\])]?")
+_AXES = ("x", "y", "z")
+_QUATERNION = ("qx", "qy", "qz", "qw")
+_ORDER = "quaternions in lists are read in the order x y z w; if that is wrong, call them wxyz"
+
+
+def vector_labels(
+    path: str, values: np.ndarray, names: Sequence[str] | None = None
+) -> tuple[tuple[str, ...], list[np.ndarray], str]:
+    """Return labels and columns of N lists or matrices, and a note on what was taken for what, empty without any.
+
+    Args:
+        path: where they stand in the file.
+        values: shape (N, ...).
+        names: those of joints, where the file has them.
+
+    Example:
+        >>> vector_labels("tool.pose", np.zeros((2, 7)))[0]
+        ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')
+    """
+    key = path.split(".")[-1]
+    if not JOINTS.fullmatch(key) and any(IS_OF_CONTROLLER.fullmatch(part) for part in path.split(".")):
+        return *_numbered(path, values), ""
+    if values.shape[1:] == (4, 4) or (values.shape[1:] == (16,) and POSE.fullmatch(key)):
+        matrices = values.reshape(-1, 4, 4)
+        return (*_AXES, *_QUATERNION), [*matrices[:, :3, 3].T, *quaternions_of(matrices[:, :3, :3]).T], ""
+    if values.shape[1:] == (3, 3):
+        return _QUATERNION, [*quaternions_of(values).T], ""
+    if values.ndim != 2:
+        return *_numbered(path, values), ""
+    labels, note = _plain(key, values.shape[1], names)
+    if not labels:
+        return *_numbered(path, values), ""
+    unit = match[1] if (match := _UNIT.fullmatch(key)) else ""
+    return tuple(f"{label} [{unit}]" if unit and label[0] != "q" else label for label in labels), [*values.T], note
+
+
+def _plain(key: str, count: int, names: Sequence[str] | None) -> tuple[tuple[str, ...], str]:
+    """Return the labels of so many numbers; none if undetermined."""
+    if names is not None and len(names) == count and (JOINTS.fullmatch(key) or "state" in key or "position" in key):
+        return tuple(map(str, names)), ""
+    if count == 3 and PLACE.fullmatch(key):
+        return _AXES, ""
+    if count == 4 and TURNED.fullmatch(key):
+        return (("qw", "qx", "qy", "qz"), "") if "wxyz" in key.casefold() else (_QUATERNION, _ORDER)
+    if count == 3 and key.casefold() in ("rotvec", "rvec", "rotation_vector"):
+        return ("rx", "ry", "rz"), ""
+    if count == 3 and key.casefold() in ("rpy", "euler"):
+        return ("roll", "pitch", "yaw"), ""
+    if count in (6, 7) and POSE.fullmatch(key) and not JOINTS.fullmatch(key):
+        return ((*_AXES, "rx", "ry", "rz"), "") if count == 6 else ((*_AXES, *_QUATERNION), _ORDER)
+    if count == 2 and key.casefold() in ("uv", "pixel", "pixels", "image"):
+        return ("u", "v"), ""
+    if JOINTS.fullmatch(key):
+        return tuple(f"joint_{i + 1}" for i in range(count)), ""
+    return (), ""
+
+
+def quaternions_of(matrices: np.ndarray) -> np.ndarray:
+    """Return quaternions x y z w of rotation matrices, shape (N, 3, 3); nan for those that are none."""
+    from scipy.spatial.transform import Rotation
+
+    found = np.full((len(matrices), 4), np.nan)
+    product = np.einsum("nij,nkj->nik", matrices, matrices)
+    right = np.isfinite(matrices).all(axis=(1, 2)) & (np.abs(product - np.eye(3)).max(axis=(1, 2)) < 1e-2)
+    right &= np.linalg.det(np.where(right[:, None, None], matrices, np.eye(3))) > 0
+    found[right] = Rotation.from_matrix(matrices[right]).as_quat() if right.any() else found[right]
+    return found
+
+
+def _numbered(path: str, values: np.ndarray) -> tuple[tuple[str, ...], list[np.ndarray]]:
+    flat = values.reshape(len(values), -1)
+    return tuple(f"{path}.{i}" for i in range(flat.shape[1])), [*flat.T]
+
+
+_OF_ROBOT = ("effector_wrt_world", "robot")
+_OF_OBJECT = ("object_wrt_sensor", "tracking", "optical")
+# Residual of one way over that of the other, below which the samples distinguish them.
+_CLEAR = 0.3
+
+
+@dataclass(frozen=True)
+class TrackedPoses:
+    """Poses as they are read.
+
+    Attributes:
+        matrices: shape (N, 4, 4).
+        groups: the parts of the file that they are made of.
+    """
+
+    matrices: np.ndarray
+    groups: tuple[str, str]
+
+
+def tracked_poses(columns: Mapping[str, np.ndarray], *, is_on_hand: bool | None, source: str) -> TrackedPoses | None:
+    """Return the poses that a tracking system read, None where a file has no samples of a hand-eye calibration.
+
+    Args:
+        columns: values by their place in the file, shape (N, ...).
+        is_on_hand: whether the camera is on the hand, where the file states it.
+        source: the file, for messages.
+
+    Raises:
+        MeasurementError: if nothing shows whether the camera is on the hand.
+    """
+    parts = {path.split(".")[0] for path in columns}
+    robot, seen = (next((name for name in names if name in parts), None) for names in (_OF_ROBOT, _OF_OBJECT))
+    if robot is None or seen is None:
+        return None
+    hand, object_ = (_matrices(columns, name, source=source) for name in (robot, seen))
+    said = "as the file says"
+    if is_on_hand is None:
+        fixed, moved = _misfit(hand, object_), _misfit(hand, np.linalg.inv(object_))
+        if min(fixed, moved) > _CLEAR * max(fixed, moved):
+            raise MeasurementError(
+                f"{source}: {len(hand)} samples do not show whether the camera is on the hand ({moved:.3g} rad) or stands "
+                f"still ({fixed:.3g} rad); expected more samples that turn about different axes"
+            )
+        is_on_hand, said = moved < fixed, "as the samples show"
+    where = "on the hand, and the object stands still" if is_on_hand else "standing still, and the object is on the hand"
+    warn(f"{source}: {len(hand)} samples of a hand-eye calibration with the camera {where}, {said}; {robot} is not used")
+    return TrackedPoses(np.linalg.inv(object_) if is_on_hand else object_, (robot, seen))
+
+
+def _matrices(columns: Mapping[str, np.ndarray], group: str, *, source: str) -> np.ndarray:
+    """Return the poses of a part of a file, shape (N, 4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    found = dict[str, np.ndarray]()
+    for path, values in columns.items():
+        if path.split(".")[0] == group:
+            inner = "pose" + path.removeprefix(group)
+            if values.ndim > 1:
+                labels, parts, _ = vector_labels(inner, values)
+                found |= dict(zip(labels, parts, strict=True))
+            else:
+                *_, above, leaf = ("", *inner.split("."))
+                found["q" * above.startswith(("rot", "ori")) + leaf] = values
+    try:
+        place, turned = (
+            np.column_stack([np.asarray(found[n], float) for n in ns]) for ns in ("xyz", ("qx", "qy", "qz", "qw"))
+        )
+        rotations = Rotation.from_quat(turned).as_matrix()
+    except (KeyError, ValueError, TypeError) as error:
+        raise MeasurementError(f"{source}: {group} is no pose in each sample; expected translation and rotation") from error
+    matrices = np.tile(np.eye(4), (len(place), 1, 1))
+    matrices[:, :3, :3], matrices[:, :3, 3] = rotations, place
+    if np.isnan(quaternions_of(rotations)).any() or not np.isfinite(place).all():
+        raise MeasurementError(f"{source}: {group} is no pose in each sample; expected finite numbers")
+    return matrices
+
+
+def _misfit(hand: np.ndarray, target: np.ndarray) -> float:
+    """Return how far the turns of two bodies from sample to sample are from those of one body [rad]."""
+    from scipy.spatial.transform import Rotation
+
+    turns = [
+        Rotation.from_matrix(np.einsum("nji,njk->nik", T[:-1, :3, :3], T[1:, :3, :3])).as_rotvec() for T in (hand, target)
+    ]
+    found = Rotation.align_vectors(*turns)[0] if len(turns[0]) else Rotation.identity()
+    return float(np.sqrt(np.mean((turns[0] - found.apply(turns[1])) ** 2))) if len(turns[0]) else 0.0
+
 
 _YAML = (".yaml", ".yml", ".samples")
 # How deep what is measured may nest, and values that a record may have.
@@ -40,7 +219,7 @@ def open_nested(path: Path, kind: str) -> Sheet:
 
     Args:
         path: the file.
-        kind: as :func:`nested_kind` says.
+        kind: as returned by :func:`nested_kind`.
 
     Raises:
         MeasurementError: for a file that can't be read, or that holds no table.

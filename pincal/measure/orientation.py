@@ -12,7 +12,7 @@ name       columns            unit     rotation
 =========  =================  =======  ======================================================================
 
 A unit in the header replaces that of the table above. Columns that are named by their axes (rx ry rz, roll pitch yaw) may
-also hold the angles of another convention, and q1 q2 q3 q4 a quaternion in the order x y z w, if the user says so.
+also hold the angles of another convention, and q1 q2 q3 q4 a quaternion in the order x y z w, if the user declares it.
 
 .. [KUKA] KUKA System Software 8.3, Operating and Programming Instructions for System Integrators: A, B, C as rotations about
    the Z, Y and X axis, each about the axes as turned before.
@@ -38,7 +38,7 @@ _FULL_TURN = 6.3
 
 @dataclass(frozen=True)
 class Convention:
-    """How columns tell an orientation.
+    """How columns give an orientation.
 
     Attributes:
         name: what the user calls it.
@@ -116,12 +116,12 @@ _ALL = (
 CONVENTIONS: Mapping[str, Convention] = {convention.name: convention for convention in _ALL}
 """The conventions by the names of the option ``--orientation``."""
 
-# Columns that tell by their names which axis they belong to, so that they serve every convention of their kind.
+# Columns named by their axes, so that they serve every convention of their kind.
 _BY_NUMBER = ("q1", "q2", "q3", "q4")
 
 
 def find_orientation(names: Collection[str], said: str | None, *, taken: Collection[str], source: str) -> Convention | None:
-    """Return the columns that tell an orientation in another way than a quaternion qx qy qz qw; None without any.
+    """Return the columns that give an orientation in another way than a quaternion qx qy qz qw; None without any.
 
     Args:
         names: the table's columns, without units.
@@ -173,5 +173,15 @@ def _as_said(free: Collection[str], said: str, *, source: str) -> Convention:
             return replace(convention, columns=columns, order=other.order if by_name else convention.order)
     raise MeasurementError(
         f"{source}: no columns {' '.join(convention.columns)} for the orientation {said!r} ({convention.words}); the table "
-        f"has {', '.join(free)}; say which with --columns 'NAME={convention.columns[0]},...'"
+        f"has {', '.join(free)}; name them with --columns 'NAME={convention.columns[0]},...'"
+    )
+
+
+def looks_like_place(names: Collection[str]) -> bool:
+    """Return whether columns may be a position: three differ by x, y and z at an end, or one is little more than that."""
+    small = {name.casefold() for name in names}
+    ends = ([f"{name[:-1]}{axis}" for axis in "xyz"] for name in small if name.endswith("x"))
+    starts = ([f"{axis}{name[1:]}" for axis in "xyz"] for name in small if name.startswith("x"))
+    return any(len(name) < 3 and set(name) & set("xyz") for name in small) or any(
+        small.issuperset(three) for three in (*ends, *starts)
     )

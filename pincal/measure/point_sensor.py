@@ -13,7 +13,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, few
 from pincal.measure.extrinsics import RANK, Extrinsics
 from pincal.measure.fields import TableRows
 from pincal.measure.sensor import Constraints, Excluded, Grouped, OwnParameters, Sensor
@@ -34,6 +34,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
         fewest: the readings of one unknown point from which on some are left over to judge the robot by.
         judges_new_points: whether a point that the calibration did not have is judged by the mean of its own rows, of which
             it then needs two.
+        in_link_frame: whether points are places on the link from which the path starts, whose frame is the base then.
         points: the named points.
         index: shape (N,), each row's point.
     """
@@ -41,6 +42,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     thing: ClassVar[str]
     fewest: ClassVar[int]
     judges_new_points: ClassVar[bool] = False
+    in_link_frame: ClassVar[bool] = False
 
     points: NamedPoints
     index: np.ndarray
@@ -48,12 +50,11 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     @property
     @abstractmethod
     def other_parameters(self) -> tuple[Parameter, ...]:
-        """The sensor's own parameters beside points."""
+        """The sensor's own parameters other than points."""
 
     @property
     @final
     def row_groups(self) -> np.ndarray:
-        """The point of each row."""
         return self.index
 
     @property
@@ -66,12 +67,11 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     @final
     def base_symbols(self) -> tuple[str, ...]:
         """All if any point is known in a frame of its own; else the robot's base is that frame."""
-        return FRAME_SYMBOLS if self.points.known.any() else ()
+        return FRAME_SYMBOLS if self.points.known.any() and not self.in_link_frame else ()
 
     @property
     @final
     def own_words(self) -> str:
-        """The points that are not known."""
         return "" if self.points.known.all() else "the unknown points"
 
     @final
@@ -96,7 +96,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
         """Yield what the kind of reading, and the points that are known, leave open."""
         known = int(self.points.known.sum())
         yield from self.unobservable_with(known)
-        if known and self.points.are_in_line:
+        if known and self.points.are_in_line and not self.in_link_frame:
             some = "fewer than three of the named points are known" if known < 3 else "the known points stand in a line"
             yield f"{some}, so a rotation of the base about them is undetermined: give one more, off their line"
 
@@ -152,16 +152,17 @@ class PointSensor(Sensor, OwnParameters, Grouped):
 
     @final
     def start_with_points(self, places: np.ndarray, tools: np.ndarray, *, rest: np.ndarray | None = None) -> Extrinsics:
-        """Return where all stands for points in the robot's base frame; the known ones say where the base is.
+        """Return where all stands for points in the robot's base frame; the known ones determine the base.
 
         Args:
             places: shape (K, 3), the points [m].
             tools: shape (targets, 4, 4).
-            rest: values of own parameters beside the points.
+            rest: values of own parameters other than the points.
         """
         points = self.points
         seen = points.known & np.isin(np.arange(len(places)), self.index)
-        base = transform(*align(places[seen], points.given[seen])) if seen.any() else np.eye(4)
+        is_fixed = self.in_link_frame or not seen.any()
+        base = np.eye(4) if is_fixed else transform(*align(places[seen], points.given[seen]))
         moved = places @ base[:3, :3].T + base[:3, 3]
         own = moved[~points.known].ravel()
         return Extrinsics(base, tools, own if rest is None else np.concatenate([own, rest]))
@@ -178,8 +179,7 @@ def poor_groups(names: np.ndarray, fewest: int, known: Collection[str] = ()) -> 
     """Return rows of things with too few of them, shape (N,), and their names; known things need none."""
     found, inverse, count = np.unique(names, return_inverse=True, return_counts=True)
     poor = (count < fewest) & np.array([str(name) not in known for name in found], bool)
-    listed = ", ".join(str(name) for name in found[poor][:_LISTED]) + (" ..." if poor.sum() > _LISTED else "")
-    return poor[inverse], listed
+    return poor[inverse], few(found[poor], _LISTED)
 
 
 def rows_of_new(table: TableRows, setup: Setup, *, enough: int | None = None) -> tuple[np.ndarray, str]:
@@ -210,7 +210,7 @@ def index_of(table: TableRows, points: NamedPoints, *, may_be_new: bool = False)
         row = int(np.flatnonzero(names == new[0])[0])
         raise MeasurementError(
             f"{table.source}, line {table.rows[row]}: point {new[0]!r} was not among those of the "
-            f"calibration; expected {', '.join(points.names[:8])}{' ...' if len(points.names) > 8 else ''}"
+            f"calibration; expected {few(points.names, _LISTED)}"
         )
     index = np.array([place[str(name)] if str(name) in place else -1 - new.index(str(name)) for name in found], int)
     return index[inverse]

@@ -33,8 +33,8 @@ _SAME_LOAD, _SAME_CLIMATE = 1e-3, 4.0
 def by_pose(table: Measurements) -> Measurements:
     """Return a table with one row for each pose: the mean of its readings, joints and conditions.
 
-    A reading that stands in the table again, to the last digit, is a copy and counts once. ``readings_per_row`` says of how
-    many readings a row is the mean; a table in which no pose was measured twice is returned as it is.
+    A reading that occurs in the table again, to the last digit, is a copy and counts once. ``readings_per_row`` counts the
+    readings of which a row is the mean; a table in which no pose was measured twice is returned as it is.
 
     Example:
         >>> from pincal.measure.measurements import measurements_from_arrays

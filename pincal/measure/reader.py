@@ -14,25 +14,20 @@ from pathlib import Path
 import numpy as np
 
 from pincal.errors import MeasurementError, warn
-from pincal.measure import bag_sheet, excel_sheet, parquet_sheet
 from pincal.measure.approach import BY_COLUMNS, agreeing, completed, moves_of_table, tells_order
-from pincal.measure.fields import CONDITIONS, OF_EACH_JOINT, OTHERS, Field, Schema, TableOptions
-from pincal.measure.header import (
-    check_joints,
-    is_named,
-    matched,
-    renamed,
-    rotations,
-    spelled,
-    understood,
-    unignored,
-    with_joints,
-)
+from pincal.measure.excel_sheet import ENDINGS, open_excel
+from pincal.measure.fields import CONDITIONS, FIRST, OF_EACH_JOINT, OTHERS, SECOND, Field, Schema, TableOptions, link_of
+from pincal.measure.header import check_joints, matched, rotations, understood, with_joints
 from pincal.measure.joined import Log, held_rows, join
+from pincal.measure.labels import is_named, renamed, spelled, unignored
 from pincal.measure.nested_sheet import nested_kind, open_nested
-from pincal.measure.sheet import FrameSheet, Sheet, read_cells
+from pincal.measure.orientation import Convention
+from pincal.measure.recordings import is_bag, is_dataset, open_bag, open_dataset, open_parquet
+from pincal.measure.sheet import FrameSheet, Sheet, SheetColumn, read_cells
 from pincal.measure.text_sheet import open_text
 
+# A motion that tells in which direction joints follow others [rad or m].
+_SMALL = 1e-4
 # Formats that other programs can turn into one that is read.
 _OTHERS = (".xls", ".xlsb", ".ods", ".numbers")
 
@@ -58,18 +53,18 @@ def open_sheet(
         MeasurementError: for a file that is empty, binary, or not of this format.
     """
     ending = path.suffix.lower()
-    if bag_sheet.is_bag(path):
-        return bag_sheet.open_bag(path, ignore=ignore, only_joints=only_joints, joints=joints)
-    if parquet_sheet.is_dataset(path):
-        return parquet_sheet.open_dataset(path)
+    if is_bag(path):
+        return open_bag(path, ignore=ignore, only_joints=only_joints, joints=joints)
+    if is_dataset(path):
+        return open_dataset(path)
     with path.open("rb") as file:
         head = file.read(4)
     if ending == ".parquet" or head == b"PAR1":
-        return parquet_sheet.open_parquet(path)
+        return open_parquet(path)
     if kind := nested_kind(path):
         return open_nested(path, kind)
-    if ending in excel_sheet.ENDINGS or head == b"PK\x03\x04":
-        return excel_sheet.open_excel(path, sheet=sheet, joints=joints)
+    if ending in ENDINGS or head == b"PK\x03\x04":
+        return open_excel(path, sheet=sheet, joints=joints)
     if ending in _OTHERS:
         raise MeasurementError(f"{path.name}: {ending} is not read; save the table as .xlsx or CSV")
     return open_text(path, joints)
@@ -103,12 +98,18 @@ class Cells:
         rows: shape (N,), line of each row in its file, the header being line 1.
         units: the units that the header gave, by column.
         approach_from: where directions of approach come from, in words; empty where there are none.
+        sheet: where they stand.
+        columns: which of them were read.
+        orientation: how they give an orientation, if not by a quaternion.
     """
 
     arrays: dict[str, np.ndarray]
     rows: np.ndarray
     units: dict[str, str]
-    approach_from: str = ""
+    approach_from: str
+    sheet: Sheet
+    columns: tuple[SheetColumn, ...]
+    orientation: Convention | None
 
 
 def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | None = None) -> Cells:
@@ -149,11 +150,13 @@ def cells_of(sheet: Sheet, schema: Schema, *, is_part: bool = False, was_joined:
         values = {name: value for name, value in values.items() if name not in header.orientation.columns}
         values |= zip(rotations(schema.fields).columns, found.T, strict=True)
     joints = header.joints
-    for mimic in schema.mimics:
-        if mimic.joint in joints and mimic.joint not in values:
-            values[mimic.joint] = mimic.multiplier * values[mimic.source] + mimic.offset
-            if (approach := values.get(f"approach_{mimic.source}")) is not None:
-                values.setdefault(f"approach_{mimic.joint}", np.sign(mimic.multiplier) * approach)
+    resting = [name for name in schema.resting if name in joints and name not in values]
+    values |= {name: np.full(len(rows), schema.resting[name]) for name in resting}
+    if resting:
+        at = ", ".join(f"{name} at {schema.resting[name]:g}" for name in resting)
+        warn(f"{path.name}: no column for {len(resting)} joints off the paths of these rows, which rest: {at}")
+    if joints and (missing := [name for name in joints if name not in values]):
+        values |= _followers(schema, values, missing)
     if joints and header.readings and "time" in values and not is_part and not schema.may_lack_joints:
         values, rows = held_rows(values, rows, joints, was_joined=was_joined, source=path.name)
     droop = _droop(values, joints, source=path.name)
@@ -174,7 +177,21 @@ def cells_of(sheet: Sheet, schema: Schema, *, is_part: bool = False, was_joined:
     for of in schema.fields:
         if any(name in values for name in of.columns):
             arrays[of.name] = _whole(of, values, source=path.name)
-    return Cells(arrays, rows, {column.name: column.unit for column in header.columns if column.unit}, origin)
+    units = {column.name: column.unit for column in header.columns if column.unit}
+    return Cells(arrays, rows, units, origin, sheet, header.columns, header.orientation)
+
+
+def _followers(schema: Schema, values: Mapping[str, np.ndarray], missing: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return the columns of joints that follow from others: their positions, and where theirs are known directions."""
+    joints, nothing = schema.joint_names, np.zeros(len(values[schema.own_joints[0]]))
+    q = np.column_stack([values.get(name, nothing) for name in joints])
+    found = schema.following(q)
+    columns = {name: found[:, joints.index(name)] for name in missing}
+    if any(f"approach_{name}" in values for name in joints):
+        step = np.column_stack([values.get(f"approach_{name}", nothing) for name in joints])
+        moved = schema.following(q + _SMALL * step) - found
+        columns |= {f"approach_{name}": np.sign(np.round(moved[:, joints.index(name)] / _SMALL, 3)) for name in missing}
+    return columns
 
 
 def _part(sheet: Sheet, part: range) -> Sheet:
@@ -187,7 +204,7 @@ def _droop(values: dict[str, np.ndarray], joints: Sequence[str], *, source: str)
     """Take the second positions of joints out of the values; return commanded minus read back, shape (N, n), if any.
 
     Raises:
-        MeasurementError: if both are beside the joints' own columns.
+        MeasurementError: if both are given in addition to the joints' own columns.
     """
     given = {kind: [name for name in joints if f"{kind}_{name}" in values] for kind in OTHERS}
     kinds = [kind for kind, names in given.items() if names]
@@ -264,6 +281,31 @@ def joint_columns(path: str | os.PathLike[str], names: Iterable[str], options: T
     return tuple(dict.fromkeys(name for name, _ in filter(None, found)))
 
 
+def links_of_rows(path: str | os.PathLike[str], options: TableOptions) -> list[tuple[str | None, str | None]]:
+    """Return the pairs of links that the rows of a table are between, None where it names none, without its readings.
+
+    Raises:
+        MeasurementError: for a file that can't be read, or a point that is not LINK:NAME.
+    """
+    fields = [CONDITIONS[f"{end}_link"] for end in ("from", "to")] + [FIRST, SECOND]
+    path = Path(path)
+    with typed_errors(path):
+        sheet = open_sheet(path, ignore=options.ignore, sheet=options.sheet)
+        labels = renamed(sheet.labels, options.columns, source=path.name, others=sheet.labels)
+    names = {name for part in fields for name in part.columns}
+    if not any((spelled(label, dict.fromkeys(names, "name")) or ("",))[0] in names for label in labels):
+        return [(None, None)]
+    schema = Schema(tuple(fields), options=replace(options, ignore=("*", *options.ignore), joints=None))
+    cells = read_table(path, schema)
+    ends: list[list[str | None]]
+    if FIRST.name in cells.arrays and SECOND.name in cells.arrays:
+        ends = [[link_of(str(point), where=path.name) for point in cells.arrays[end.name]] for end in (FIRST, SECOND)]
+    else:
+        columns = (cells.arrays.get(f"{end}_link") for end in ("from", "to"))
+        ends = [[None] * len(cells.rows) if column is None else list(map(str, column)) for column in columns]
+    return list(dict.fromkeys(zip(*ends, strict=True))) or [(None, None)]
+
+
 def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
     """Return a table joined with the log that the user names, and how to read it then."""
     options, source = schema.options, sheet.path.name
@@ -276,7 +318,7 @@ def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
         labels = unignored(renamed(log.labels, options.columns, source=path.name, others=sheet.labels), options.ignore)
         labels = with_joints(labels, schema, quantities, source=path.name)
         columns, unknown = matched(labels, told, {}, source=path.name)
-        check_joints([name for name in schema.own_joints if name not in columns], unknown, log)
+        check_joints([name for name in schema.needed_joints if name not in columns], unknown, log)
         values, _ = read_cells(log, tuple(columns.values()))
     mine = unignored(renamed(sheet.labels, options.columns, source=source, others=log.labels), options.ignore)
     found, _ = matched(mine, quantities, {}, source=source)

@@ -10,13 +10,12 @@ from collections.abc import Collection, Mapping
 
 from pincal.errors import MeasurementError
 from pincal.measure.fields import CONDITIONS, SIGMA, Field
-from pincal.measure.sensor import Block, Foreseeable, Sensor
-from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor
+from pincal.measure.sensor import Block, Sensor, Simulatable
+from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor, FixedCameraSensor
 from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
-from pincal.measure.sensors.fixed_camera import FixedCameraSensor
+from pincal.measure.sensors.link_contact import LinkContactSensor, LinkDistanceSensor
 from pincal.measure.sensors.plane import GaugeSensor, PlaneContactSensor
-from pincal.measure.sensors.pose import PoseSensor
-from pincal.measure.sensors.position import PositionSensor
+from pincal.measure.sensors.pose import PoseSensor, PositionSensor
 from pincal.measure.sensors.socket import ContactSensor
 from pincal.plugins import Registry
 
@@ -30,7 +29,7 @@ def _check(sensor: type[Sensor]) -> None:
     others = [field for other in SENSORS.registered().values() for field in other.fields]
     for field in sensor.fields:
         for other in (*others, *CONDITIONS.values(), SIGMA):
-            if set(field.columns) & set(other.columns) and field != other:
+            if set(field.columns) & set(other.columns) and (field.name, field.quantity) != (other.name, other.quantity):
                 raise TypeError(
                     f"sensor {sensor.__name__}: the columns {field} are known as {other.name!r} ({other}, "
                     f"{other.quantity}); choose other names"
@@ -45,7 +44,7 @@ SENSORS = Registry[Sensor](
 register_sensor = SENSORS.register
 """Add a sensor, as a decorator or by a call."""
 
-_DISTANCES = (DistanceSensor, AnchoredDistanceSensor)
+_DISTANCES = (DistanceSensor, AnchoredDistanceSensor, LinkDistanceSensor, LinkContactSensor)
 _CAMERAS = (CameraPointSensor, CameraPixelSensor, FixedCameraSensor)
 for _sensor in (PositionSensor, PoseSensor, *_DISTANCES, ContactSensor, *_CAMERAS, PlaneContactSensor, GaugeSensor):
     register_sensor(_sensor)
@@ -73,9 +72,9 @@ def columns_of(kind: str) -> tuple[str, ...]:
     return tuple(column for field in sensor.fields for column in field.columns)
 
 
-def simulatable() -> Mapping[str, type[Foreseeable]]:
+def simulatable() -> Mapping[str, type[Simulatable]]:
     """Return the sensors, by their kind, for which measurements can be designed."""
-    return {sensor.kind: sensor for sensor in SENSORS.known().values() if issubclass(sensor, Foreseeable)}
+    return {sensor.kind: sensor for sensor in SENSORS.known().values() if issubclass(sensor, Simulatable)}
 
 
 def sensor_class(fields: Collection[str]) -> type[Sensor] | None:
@@ -91,9 +90,13 @@ def check_fields(fields: Collection[str], *, source: str) -> None:
         MeasurementError: naming the columns that don't go together, or the missing ones.
     """
     sensors = SENSORS.known().values()
-    first = dict.fromkeys(sensor.fields[0] for sensor in sensors if sensor.fields[0].name in fields)
-    if len(first) > 1:
-        found = " and ".join(str(field) for field in first)
+    chosen = sensor_class(fields)
+    read = {} if chosen is None else {field.name: field for field in chosen.fields}
+    # What one sensor reads in addition to the first field of its own may be the first field of another.
+    mains = {sensor.fields[0].name: sensor.fields[0] for sensor in sensors if sensor.fields[0].name in fields}
+    apart = [field for name, field in mains.items() if name not in read]
+    if len(mains) > 1 and (chosen is None or apart):
+        found = " and ".join(map(str, mains.values() if chosen is None else [chosen.fields[0], *apart]))
         raise MeasurementError(f"{source}: two kinds of measurement ({found}); expected one, ignore the others")
     for sensor in sensors:
         main, *others = sensor.fields

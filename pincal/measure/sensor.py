@@ -4,11 +4,12 @@ A sensor knows the target's pose in the instrument's frame and nothing of robots
 goes through :class:`Sensor`, so that a sensor needs no other place than its own file.
 
 What only some sensors have is a class of its own to inherit from: :class:`OwnParameters`, :class:`KnownParameters`,
-:class:`Grouped`, :class:`Foreseeable`, :class:`Plausible`.
+:class:`Grouped`, :class:`Divided`, :class:`Simulatable`, :class:`Plausible`.
 """
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -69,7 +70,7 @@ class Constraints:
 
 @dataclass(frozen=True)
 class Excluded:
-    """Rows that can tell nothing.
+    """Rows without information.
 
     Attributes:
         rows: shape (N,), which rows.
@@ -98,9 +99,11 @@ class Sensor(ABC):
         default_target: name of the target in a table that names none.
         reads_pose: whether the first three components are the target's position in the instrument's axes and further ones
             its orientation, so that repeated poses have an accuracy and a repeatability as ISO 9283 defines them.
-        pose_limit: where many rows can share a pose and yet tell no more than its six coordinates, completes the message
+        pose_limit: where many rows can share a pose and yet give no more than its six coordinates, completes the message
             "3 poses ...".
         has_camera: whether a known camera can be given.
+        is_of_joints: whether a row reads nothing but the joints where something touches, see
+            :func:`pincal.identify.believed.slope_of_contacts`.
         is_on_tool: whether the sensor itself sits on the tool, so that its mount can be given.
         deviation_end: where an arrow from the predicted position ends that is as long as the reading deviates.
     """
@@ -116,6 +119,7 @@ class Sensor(ABC):
     reads_pose: ClassVar[bool] = False
     pose_limit: ClassVar[str] = ""
     has_camera: ClassVar[bool] = False
+    is_of_joints: ClassVar[bool] = False
     is_on_tool: ClassVar[bool] = False
     deviation_end: ClassVar[str] = "measured"
 
@@ -259,7 +263,6 @@ class Additive(Sensor):
 
     @final
     def shifted(self, change: np.ndarray) -> Self:
-        """Return readings that differ by ``change``, shape (m, N)."""
         name = self.fields[0].name
         shifted: dict[str, Any] = {name: getattr(self, name) + (change[0] if len(change) == 1 else change.T)}
         return replace(self, **shifted)  # type: ignore[type-var]
@@ -298,7 +301,7 @@ class KnownParameters(ABC):
     @property
     @abstractmethod
     def doubt(self) -> str:
-        """What to say if the readings contradict the values that were given."""
+        """The message if the readings contradict the values that were given."""
 
 
 class Grouped(ABC):
@@ -316,11 +319,11 @@ class Grouped(ABC):
 
     @abstractmethod
     def facts(self, own: np.ndarray) -> Constraints | None:
-        """Return what is known of the own parameters beside the readings, such as the distance of two sockets, or None."""
+        """Return what is known of the own parameters from elsewhere, such as the distance of two sockets, or None."""
 
     @abstractmethod
     def unusable_rows(self) -> Iterator[Excluded]:
-        """Yield rows that can tell nothing; later ones are judged without the earlier ones."""
+        """Yield rows without information; later ones are judged without the earlier ones."""
 
     @classmethod
     @abstractmethod
@@ -328,11 +331,24 @@ class Grouped(ABC):
         """Yield rows by which a calibration that knew ``setup`` can't be judged."""
 
 
-class Foreseeable(ABC):
+class Divided(ABC):
+    """A sensor whose rows may belong to several stations, as they are between different links, or read differently."""
+
+    @classmethod
+    @abstractmethod
+    def parts(cls, table: Any) -> Iterator[tuple[str, Any]]:
+        """Yield what kind of rows each part has, in a word, and the part, a table with its links.
+
+        Raises:
+            MeasurementError: for rows that do not name the links.
+        """
+
+
+class Simulatable(ABC):
     """A sensor whose readings follow from the target's pose alone, so that measurements can be designed beforehand.
 
     Attributes:
-        needs_instrument: whether what readings tell depends on where the instrument stands.
+        needs_instrument: whether the information of readings depends on where the instrument is.
         needs_places: whether the target is held at places, which are the sensor's own parameters, one after the other.
     """
 
@@ -342,7 +358,7 @@ class Foreseeable(ABC):
 
     @classmethod
     @abstractmethod
-    def foreseen(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Sensor:
+    def simulated(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Sensor:
         """Return what an instrument without errors reads of poses.
 
         Args:
@@ -363,3 +379,18 @@ class Plausible(ABC):
         Raises:
             MeasurementError: naming the unit that seems to be meant.
         """
+
+
+class _Foreseeable(Simulatable):
+    @classmethod
+    def simulated(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Sensor:
+        """Return what the class calls foreseen."""
+        found: Sensor = cls.foreseen(poses, places)  # type: ignore[attr-defined]
+        return found
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Foreseeable":
+        warnings.warn("Foreseeable.foreseen is now Simulatable.simulated", DeprecationWarning, stacklevel=2)
+        return _Foreseeable
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""What is known of a measuring setup beside the table: named points, distances between them, the camera."""
+"""What is known of a measuring setup in addition to the table: named points, distances between them, the camera."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pincal.parameters import ANYWHERE, Parameter
 
 PointPlace = tuple[float, float, float]
 
-# An artefact is made, and measured, to about this [m], unless its maker says otherwise.
+# An artefact is made, and measured, to about this [m], unless its maker states otherwise.
 GAP_SIGMA = 1e-5
 # Width of a row of points, over its length, below which they stand in a line.
 _LINE = 1e-3
@@ -106,7 +106,7 @@ class NamedPoints:
         return bool(spread[1] <= _LINE * max(spread[0], 1e-300))
 
 
-# Size of real distortions, used as prior where the image can't tell.
+# Size of real distortions, used as prior where images do not determine them.
 _DISTORTION_SIZE = {"k1": 0.3, "k2": 0.3, "k3": 0.3, "p1": 0.01, "p2": 0.01}
 # Distortion that is looked for in an unknown camera; k3 only matters to fisheyes.
 _USUAL = (*PINHOLE, "k1", "k2", "p1", "p2")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from pincal.errors import MeasurementError, warn
+from pincal.errors import MeasurementError, few, warn
 from pincal.units import expected_number, in_si, is_possible
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class Sheet(ABC):
 
     Attributes:
         path: the file.
-        labels: what the header says, one entry per column.
+        labels: those of the header, one entry per column.
         decimal_comma: whether numbers may have a comma instead of a point.
         takes_unknown: whether columns that nobody asked for belong there, such as the joints of a gripper.
     """
@@ -101,11 +101,15 @@ class FrameSheet(Sheet):
         frame: the cells; its columns stand in the order of the labels, whatever their names.
         rows: shape (N,), line of each row; default: counted as if there were a header.
         start: row of a file at which the frame begins, the first being 0.
+        worksheet: of a workbook, its name.
+        header_line: line of the names in it.
     """
 
     frame: pl.LazyFrame
     rows: np.ndarray | None = None
     start: int = 0
+    worksheet: str = ""
+    header_line: int = 0
 
     def part(self, rows: range) -> FrameSheet:
         """Return some rows of a file, the first being 0."""
@@ -126,7 +130,6 @@ class FrameSheet(Sheet):
         return frame, np.arange(self.start + 2, self.start + frame.height + 2) if self.rows is None else self.rows
 
     def first_cells(self, index: int, count: int) -> list[str]:
-        """Return the first cells; of lists none."""
         import polars as pl
 
         if self.frame.collect_schema().dtypes()[index].is_nested():
@@ -144,7 +147,7 @@ def read_cells(
         sheet: the table.
         columns: those that are needed.
         readings: those of them that hold what was measured: rows where one is empty are left out with a `PincalWarning`.
-        flag: a column that says whether a row's reading is valid: those where it is not are left out likewise.
+        flag: a column that states whether a row's reading is valid: those where it is not are left out likewise.
 
     Raises:
         MeasurementError: for a table without rows, or a cell that is invalid.
@@ -161,10 +164,10 @@ def read_cells(
     return {column.name: column.values(cells.pop(column.name)) for column in columns}, rows
 
 
-# What stands in a cell where nothing was read, in small letters, and what says that a reading is not valid.
+# What stands in a cell where nothing was read, in small letters, and what marks a reading as invalid.
 _NOTHING = r'^(""|n/?a|n\.a\.|nan|null|none|invalid|lost|no data|-+|[*]+|[?]+|#+|#n/a|#value!|#num!|#div/0!)?$'
 _INVALID = r"^(false|no|n|nok|bad|lost|.*(invalid|not ok|fail|error|broken|block|reject|outlier|no (signal|target|beam)).*)$"
-# Columns whose 0 says that a reading is not valid.
+# Columns whose 0 marks a reading as invalid.
 _ZERO_IS_INVALID = ("valid", "is_valid", "isvalid", "ok", "visible", "tracked")
 # Lines that a note names.
 _NAMED = 5
@@ -195,8 +198,7 @@ def _with_readings(
     for reason, which in lost.items():
         if (which & ~gone).any():
             lines = rows[which & ~gone]
-            listed = ", ".join(map(str, lines[:_NAMED])) + (", ..." if len(lines) > _NAMED else "")
-            warn(f"{sheet.path.name}: {len(lines)} of {len(rows)} rows {reason} and are left out: line {listed}")
+            warn(f"{sheet.path.name}: {len(lines)} of {len(rows)} rows {reason} and are left out: line {few(lines, _NAMED)}")
         gone |= which
     if gone.all():
         raise MeasurementError(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -21,22 +22,29 @@ from pincal.measure.fields import CONDITIONS, TABLE_ENDINGS, Schema, TableOption
 from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays, validated
 from pincal.measure.reader import joint_columns, read_columns, read_table, typed_errors
 from pincal.measure.registry import expected_columns, known_fields
-from pincal.robot.tree import Mimic
+from pincal.measure.sensor import Divided
+from pincal.robot.robot import Robot
+from pincal.robot.tree import Mimic, mimicked
 
 __all__ = ["Measurements", "concatenate", "joint_columns", "measurements_from_arrays", "read_columns"]
 __all__ += ["read_measurements", "row_parts", "write_table"]
 
+# What a set-up is called that has no name.
+_UNNAMED = "setup"
+# The ends of the path that a row's reading is about.
+LINK_ENDS = ("from", "to")
 # Rows that are worked on at once where not all fit into memory: some hundred MB with all that a fit makes of them.
 MOST_ROWS = 200_000
 
 
 def read_measurements(
     path: str | os.PathLike[str],
-    joint_names: Sequence[str],
+    robot: Robot | Sequence[str],
     *,
     require: Literal["measurement", "joints"] = "measurement",
     joint_types: Sequence[str] | None = None,
     mimics: Sequence[Mimic] = (),
+    resting: Mapping[str, float] | None = None,
     part: range | None = None,
     **options: Any,
 ) -> Measurements:
@@ -45,11 +53,13 @@ def read_measurements(
     Args:
         path: the file; the ending of its name gives the format, text by default. Of text, separator, decimal comma and
             encoding are recognised.
-        joint_names: the n joints whose columns are needed.
+        robot: the robot, or the names of its n joints; of a robot, joints that follow from others need no column.
         require: "joints" needs no measurement and leaves out all columns that are neither a joint nor a condition (target,
             point, payload, temperature, time, station, approach).
-        joint_types: "revolute" or "prismatic" for each joint, which decides the units it may have; default: all revolute.
-        mimics: the mimic joints, which may have no column (``robot.mimics``).
+        joint_types: "revolute" or "prismatic" for each of named joints, which decides the units it may have; default: all
+            revolute.
+        mimics: those of named joints that mimic others, which may have no column (``robot.mimics``).
+        resting: joints that may have no column, with the positions where they rest then [rad or m].
         part: rows of a Parquet file to read, the first being 0, as :func:`row_parts` yields them; default: all.
         options: how the table is to be read: ignore, columns, orientation, joints, sheet, rows_in_order and shares_log, as
             in :class:`pincal.measure.fields.TableOptions`.
@@ -60,20 +70,24 @@ def read_measurements(
     Raises:
         MeasurementError: for a file that can't be read, or a column, unit or value that is invalid.
     """
-    source, names = Path(path).name, tuple(joint_names)
-    only_joints, said = (
-        require == "joints",
-        TableOptions(**{name: value for name, value in options.items() if value is not None}),
-    )
+    source, only_joints = Path(path).name, require == "joints"
+    said = TableOptions(**{name: value for name, value in options.items() if value is not None})
     schema = Schema(
         fields=tuple((CONDITIONS if only_joints else known_fields()).values()),
-        joint_names=names,
-        joint_types=tuple(joint_types or ()),
-        mimics=tuple(mimics),
+        resting=dict(resting or {}),
         options=replace(said, ignore=("*", *said.ignore)) if only_joints else said,
     )
+    if isinstance(robot, Robot):
+        schema = schema.of_robot(robot)
+    else:
+        names, driven = tuple(robot), {mimic.joint for mimic in mimics}
+        own = tuple(name for name in names if name not in driven)
+        following = partial(mimicked, names=names, mimics=mimics)
+        schema = replace(
+            schema, joint_names=names, joint_types=tuple(joint_types or ()), own_joints=own, following=following
+        )
     cells = read_table(path, schema, part=part)
-    measurements = validated(names, cells.arrays | {"rows": cells.rows}, source=source, units=cells.units)
+    measurements = validated(schema.joint_names, cells.arrays | {"rows": cells.rows}, source=source, units=cells.units)
     measurements = replace(measurements, approach_from=cells.approach_from)
     if not only_joints and measurements.sensor is None:
         raise MeasurementError(f"{source}: no measurement in the table; expected columns {expected_columns()}")
@@ -134,7 +148,8 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray],
 def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measurements]:
     """Return the rows of each station, in the order in which stations appear.
 
-    A table is a station unless it has a column ``station``; rows of one name may then come from several tables.
+    A table is a station unless it has a column ``station``; rows of one name may then come from several tables. Rows between
+    other links are a station of their own, named by the set-up and these links.
 
     Args:
         tables: tables with the names that they have as stations if they have no such column.
@@ -148,6 +163,7 @@ def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measure
         >>> {name: len(rows) for name, rows in stations_of([("days", days), ("later", days.select([0]))]).items()}
         {'mo': 3, 'tu': 1}
     """
+    tables = [pair for name, table in tables for pair in _by_links(name, table)]
     whole: dict[str, Measurements] = {}
     parts: dict[str, list[Measurements]] = {}
     for name, table in tables:
@@ -162,6 +178,31 @@ def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measure
     for name in whole.keys() & {name for name, found in parts.items() if found}:
         raise _same_name(name, whole[name], parts[name][0])
     return {name: whole[name] if name in whole else _joined(name, found) for name, found in parts.items()}
+
+
+def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurements]]:
+    """Yield a table, or its rows between each two links, with the names that these have as stations."""
+    sensor = table.sensor
+    parts = list(sensor.parts(table)) if sensor is not None and issubclass(sensor, Divided) else [("", table)]
+    found: list[tuple[list[str], Measurements]] = []
+    for kind, part in parts:
+        columns = [of for end in LINK_ENDS if (of := getattr(part, f"{end}_link")) is not None]
+        if not columns:
+            found.append(([kind], part))
+            continue
+        links, inverse = np.unique(np.array(columns), axis=1, return_inverse=True)
+        # In the order in which they appear.
+        found += [([*links[:, k], kind], part.select(inverse == k)) for k in dict.fromkeys(inverse.tolist())]
+    for own, rows in found:
+        # What all have in common needs no mention.
+        marks = [
+            mark
+            for mark, others in zip(own, zip(*(each for each, _ in found), strict=True), strict=True)
+            if len(set(others)) > 1
+        ]
+        ending = "".join(f":{mark}" for mark in marks).removeprefix("" if name else ":")
+        station = None if rows.station is None else np.array([f"{each}{ending}" for each in rows.station.tolist()])
+        yield f"{name}{ending}", replace(rows, station=station, setup=(name or _UNNAMED) if ending else rows.setup)
 
 
 def _rows_of(table: Measurements, station: str) -> Measurements:

@@ -51,7 +51,6 @@ class TextSheet(Sheet):
         return _read_regular(self, columns) or _read_lines(self, columns)
 
     def first_cells(self, index: int, count: int) -> list[str]:
-        """Return the first cells."""
         return [row[index] if index < len(row) else "" for row in self._first_rows[:count]]
 
     @cached_property
@@ -71,7 +70,7 @@ def open_text(path: Path, joints: Collection[str] = ()) -> Sheet:
 
     Args:
         path: the file.
-        joints: names of joints, which tell the row of names from others.
+        joints: names of joints, which distinguish the row of names from others.
 
     Raises:
         MeasurementError: for a binary or an empty file, or one without names of columns.
@@ -110,8 +109,12 @@ def _heading(head: bytes, joints: Collection[str]) -> tuple[TableHead, list[int]
         except csv.Error:
             continue
         if texts and texts[0].startswith("#"):
+            # A first column may be called #, too.
+            is_name = len(rows) > 1 and len(rows[0]) == len(rows[1]) and rows[0][0].strip() == "#"
             named = [cell.strip() for cell in [rows[0][0].lstrip("# "), *rows[0][1:]] if cell.strip(" #")]
-            is_header = len(rows) > 1 and len(named) == len(rows[1]) and all(map(is_number, rows[1]))
+            named = ["#", *named] if is_name else named
+            numbers_below = sum(map(is_number, rows[1])) if len(rows) > 1 else 0
+            is_header = len(rows) > 1 and len(named) == len(rows[1]) and numbers_below > len(named) - 1 - is_name
             rows, first = ([named, *rows[1:]], 0) if is_header else (rows[1:], 1)
         else:
             first = 0

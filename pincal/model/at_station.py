@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -75,21 +75,31 @@ def own_effects(candidates: Iterable[Candidate], station: str) -> Iterator[AtSta
         yield from (AtStation(form, station) for form in candidate.forms if form.scope == "station")
 
 
-def changed_effects(effects: Iterable[Effect], situation: PoseSet, station: str) -> Iterator[Effect]:
-    """Yield what a model has of single joints as what is other at a station.
+def changed_effects(
+    effects: Collection[Effect], situation: PoseSet, tested: Sequence[Candidate], station: str
+) -> list[AtStation]:
+    """Return what may be other at a station: of what a model has of single joints, and drives' curves.
 
     These are drives' zeros, causes with a name, and curves of drives, from coarse to fine as far as the station's poses,
-    the situation, carry them.
+    the situation with its candidates, carry them; of drives that have no curve in the model, the coarsest.
     """
-    joints = situation.joints
+    found, joints = list[AtStation](), situation.joints
     for effect in effects:
         at = effect.locus
         if effect.uses_moments or effect.scope == "station" or at.station is not None:
             continue
         if effect.family is Family.GEOMETRY and at.acts_on == "drive":
-            yield from (AtStation(effect, station, joint) for joint in joints)
+            found += (AtStation(effect, station, joint) for joint in joints)
         elif isinstance(effect, Curve) and at.joint is not None:
             forms = (candidate.forms for candidate in type(effect).candidates(situation))
-            yield from (AtStation(form, station) for some in forms for form in some if form.locus.joint == at.joint)
+            found += (AtStation(form, station) for some in forms for form in some if form.locus.joint == at.joint)
         elif effect.family is Family.CAUSE and at.joint is not None:
-            yield AtStation(effect, station)
+            found.append(AtStation(effect, station))
+    return list(dict.fromkeys([*found, *(AtStation(form, station) for form in drive_forms(effects, tested))]))
+
+
+def drive_forms(effects: Iterable[Effect], tested: Iterable[Candidate]) -> list[Effect]:
+    """Return the simplest forms of those candidates by which a drive errs with its own position and has no curve yet."""
+    with_curves = [effect.locus.joint for effect in effects if isinstance(effect, Curve)]
+    forms = (form for of in tested for form in of.forms[:1] if form.locus.joint not in with_curves)
+    return [form for form in forms if form.locus.acts_on == "drive" and form.locus.follows == form.locus.joint]

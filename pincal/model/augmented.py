@@ -74,8 +74,19 @@ def joint_placements(model: Model, values: np.ndarray) -> tuple[np.ndarray, np.n
         Shape (n, 4, 4): joint frame i at q = 0 in the joint frame that carries it, or in the base frame; and shape (4, 4):
         the tip in the joint frame that carries it.
     """
-    placed, tip, _ = _placements(model.chain, model.rigid_coordinates(values), joint_mounts(model.chain))
-    return placed, tip
+    placed, behind = link_placements(model, values)
+    return placed, behind[model.chain.path.tip_joint + 1] @ model.chain.path.T_joint_tip
+
+
+def link_placements(model: Model, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the calibrated geometry puts the URDF's joint frames, as above, and what stands behind them.
+
+    Returns:
+        Shape (n, 4, 4), as :func:`joint_placements`; and shape (n + 1, 4, 4): the base frame, then the link frame of each
+        joint in its URDF joint frame, in which a link on it has a fixed place.
+    """
+    placed, behind, _ = _placements(model.chain, model.rigid_coordinates(values), joint_mounts(model.chain))
+    return placed, behind
 
 
 def joint_mounts(chain: Chain) -> np.ndarray:
@@ -85,20 +96,19 @@ def joint_mounts(chain: Chain) -> np.ndarray:
 
 
 def _placements(chain: Chain, coordinates: np.ndarray, mounts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return relative placements of the joints, the tip in its joint frame, and the turning frames in the base."""
+    """Return relative placements of the joints, the link frames in theirs behind the base's, and turning frames."""
     robot, n = chain.robot, chain.robot.n_joints
-    placed, turning = np.empty((n, 4, 4)), np.empty((n, 4, 4))
-    # What stands behind each joint's frame before what it carries, and these frames in the base.
-    steps, frames = {-1: np.eye(4)}, {-1: np.eye(4)}
+    placed, turning, behind = np.empty((n, 4, 4)), np.empty((n, 4, 4)), np.tile(np.eye(4), (n + 1, 1, 1))
+    frames = {-1: np.eye(4)}
     for i, parent in enumerate(robot.parents):
         at = {symbol: coordinates[k] for symbol, k in chain.joint_coordinates(i).items()}
-        axis = steps[parent] @ robot.frames.before(i) @ translation(at.get("x", 0.0), at.get("y", 0.0), 0.0)
+        axis = behind[parent + 1] @ robot.frames.before(i) @ translation(at.get("x", 0.0), at.get("y", 0.0), 0.0)
         axis = axis @ rotation("x", at["s_x"]) @ rotation("y", at["s_y"]) @ rotation("z", at["theta"])
         placed[i] = axis @ mounts[i]
         turning[i] = frames[parent] @ axis
         frames[i] = turning[i] @ mounts[i]
-        steps[i] = np.linalg.inv(mounts[i]) @ translation(at["a"], 0.0, at["d"]) @ rotation("x", at["alpha"])
-    return placed, steps[chain.path.tip_joint] @ chain.path.T_joint_tip, turning
+        behind[i + 1] = np.linalg.inv(mounts[i]) @ translation(at["a"], 0.0, at["d"]) @ rotation("x", at["alpha"])
+    return placed, behind, turning
 
 
 def pinocchio_model(model: Model, values: np.ndarray) -> pin.Model:

@@ -16,11 +16,13 @@ stay small and never meet a singularity. The joint position of a prismatic joint
 
 A path between any two links of a tree goes up from the first to where both hang on and down to the other. On the way up the
 transforms stand inverted and in reverse order; the coordinates are the same. The first joint of a branch, which hangs on a
-link whose frame another joint continues, has Tr(x) Tr(y) before its A_i: with s_x and s_y they place its axis.
+link whose frame another joint continues, has Tr(x) Tr(y) before its A_i: with s_x and s_y they place its axis. So has a pin
+that closes a loop, where it is on a link that goes on beyond it; at the end of a rod it has none, as a is the rod's length.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import pairwise
@@ -31,6 +33,7 @@ import numpy as np
 from pincal.model.kernel_inputs import BLOCK, FRAME, MOUNT, Layout, Route
 from pincal.model.latest import Evaluations
 from pincal.parameters import FRAME_SYMBOLS
+from pincal.robot.closure import Closure
 from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
 
@@ -46,6 +49,8 @@ _KIND = {
     "s_x": 0, "s_y": 1, "theta": 2, "gamma_z": 2, "h": 5, "gamma_y": 1, "gamma_x": 0, "d": 5, "a": 3, "alpha": 0,
     "rx": 0, "ry": 1, "rz": 2, "x": 3, "y": 4, "z": 5,
 }  # fmt: skip
+# Paths of one robot that are kept.
+_MOST_PATHS = 64
 # A joint nearer than this to the origin of its frame is there [m].
 _AT_ORIGIN = 1e-6
 # Columns of DhFrames.parameters.
@@ -118,6 +123,15 @@ class Chain:
             known[moment_frame].__dict__["_in_frames"] = known
         return known[moment_frame]
 
+    def between(self, start: str, tip: str) -> Chain:
+        """Return the same robot's chain between two links, see :meth:`pincal.robot.robot.Robot.between`."""
+        if (start, tip) == (self.path.start, self.path.tip):
+            return self
+        paths = self.kept.about("paths", self.robot, most=_MOST_PATHS)
+        if (start, tip) not in paths:
+            paths[start, tip] = self.robot.between(start, tip)
+        return replace(self, ends=paths[start, tip])
+
     def with_references(self, base_rotation: np.ndarray, tool_rotations: np.ndarray) -> Chain:
         """Return the same chain about other reference orientations of base and tools."""
         return replace(self, base_rotation=np.array(base_rotation), tool_rotations=np.array(tool_rotations))
@@ -130,16 +144,31 @@ class Chain:
     @property
     def size(self) -> int:
         """Number K of coordinates."""
-        return int(self._static["starts"][-1]) + FRAME
+        return int(self._static["starts"][-1]) + MOUNT * len(self.pins) + FRAME
 
     @property
     def symbols(self) -> tuple[str, ...]:
         """The symbol of each coordinate, e.g. "theta"; which joint it belongs to follows from its place."""
-        return _symbols(self.moment_frame, self.robot.n_joints, self.robot.frames.branches)
+        return _symbols(*self._shape)
+
+    @cached_property
+    def _shape(self) -> tuple[MomentFrame, int, tuple[int, ...], int]:
+        return self.moment_frame, self.robot.n_joints, self.robot.frames.branches, len(self.pins)
 
     @property
     def _static(self) -> dict[str, Any]:
-        return _order(self.moment_frame, self.robot.n_joints, self.robot.frames.branches)
+        return _order(*self._shape)
+
+    @cached_property
+    def pins(self) -> tuple[Closure, ...]:
+        """What closes loops at a place of its own on a link, beside the length of a rod."""
+        return tuple(closure for closure in self.robot.closures if closure.pinned(self.robot.parents))
+
+    @cached_property
+    def mounts(self) -> frozenset[str]:
+        """Names of the coordinates that say where an arm is mounted on a link that bears another one as well."""
+        names = (self.robot.joint_names[i] for i in self.robot.frames.branches)
+        return frozenset(f"{name}.{symbol}" for name in names for symbol in (*MOUNT_SYMBOLS, "d", "theta", "s_x", "s_y"))
 
     @cached_property
     def on_path(self) -> np.ndarray:
@@ -190,7 +219,11 @@ class Chain:
 
     def joint_coordinates(self, i: int) -> dict[str, int]:
         """Return the index of each coordinate of joint ``i`` (from 0) by its symbol."""
-        return _places(self.moment_frame, self.robot.n_joints, self.robot.frames.branches)[i]
+        return _places(*self._shape)[i]
+
+    def pin(self, i: int, symbol: str) -> int:
+        """Return the index of a coordinate of a pin, "x" or "y", by its place among :attr:`pins`."""
+        return int(self._static["starts"][-1]) + MOUNT * i + MOUNT_SYMBOLS.index(symbol)
 
     def base(self, symbol: str) -> int:
         """Return the index of a coordinate of the base frame."""
@@ -207,9 +240,9 @@ class Chain:
     @cached_property
     def layout(self) -> Layout:
         """The chain's constant part as arrays for the compiled loops."""
-        routes = self.kept.about("routes", self.robot, self.path)
+        routes = self.kept.about("routes", self.robot, self.path, most=_MOST_PATHS)
         if self.moment_frame not in routes:
-            routes[self.moment_frame] = self._routes()
+            routes[self.moment_frame] = self._routes(self.path)
         return Layout(
             **self._static,
             **routes[self.moment_frame],
@@ -220,9 +253,21 @@ class Chain:
             gravity=self.gravity,
         )
 
-    def _routes(self) -> dict[str, Any]:
-        """Return the walks over the tree and along the path, and the fixed transforms of both."""
-        starts, frames, path = self._static["starts"], self.robot.frames, self.path
+    def loop_layout(self, closure: Closure) -> Layout:
+        """Return the layout of the walk from one end of a closure to the other; those of base and tool are to be zero."""
+        nothing, side = range(0), closure.pinned(self.robot.parents)
+        at = self.pin(self.pins.index(closure), "x") if side else 0
+        pin = range(at, at + MOUNT)
+        routes = self._routes(closure.path, pin if side < 0 else nothing, pin if side > 0 else nothing)
+        upright = np.eye(3)[None]
+        return self.layout._replace(**routes, base_rotation=upright, tool_rotation=upright)
+
+    def _routes(self, path: LinkPath, start: range = range(0), end: range = range(0)) -> dict[str, Any]:
+        """Return the walks over the tree and along a path, and the fixed transforms of both.
+
+        Further coordinates may move the frame on the link where it starts, and the one where it ends.
+        """
+        starts, frames = self._static["starts"], self.robot.frames
         fixed = [frames.T_base_first, *frames.T_branch_first, path.T_joint_tip]
         before = {0: 0} | {joint: i for i, joint in enumerate(frames.branches, 1)}
         in_tree = np.full(self.size, -1)
@@ -231,13 +276,15 @@ class Chain:
         is_there = np.array_equal(path.T_joint_start, np.eye(4))
         pending = None if is_there else np.linalg.inv(path.T_joint_start)
 
-        def add(coordinates: range, sign: float, T: np.ndarray | None) -> None:
+        def add(coordinates: Sequence[int], sign: float, T: np.ndarray | None) -> None:
             steps.extend(coordinates)
             along.extend([sign] * len(coordinates))
             fixed_before.extend([-1 if T is None else len(fixed), *[-1] * (len(coordinates) - 1)])
             if T is not None:
                 fixed.append(T)
 
+        if start:
+            add(start[::-1], -1.0, None)
         for joint, sign in path.steps(self.robot.parents):
             T = fixed[before[joint]] if joint in before else None
             block = range(starts[joint], starts[joint + 1])
@@ -247,7 +294,8 @@ class Chain:
             else:
                 add(block[::-1], -1.0, pending)
                 pending = None if T is None else np.linalg.inv(T)
-        add(range(self.size - FRAME, self.size), 1.0, _product(pending, path.T_joint_tip))
+        last = [*end, *range(self.size - FRAME, self.size)]
+        add(last, 1.0, _product(pending, path.T_joint_tip))
         return {
             "tree": Route(np.arange(self.size), np.ones(self.size), in_tree),
             "path": Route(np.array(steps), np.array(along), np.array(fixed_before)),
@@ -278,24 +326,24 @@ def _bearing_heights(robot: Robot, moment_frame: MomentFrame) -> np.ndarray:
 
 
 @cache
-def _symbols(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...]) -> tuple[str, ...]:
+def _symbols(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...], n_pins: int) -> tuple[str, ...]:
     joint = _JOINT_SYMBOLS_BEFORE if moment_frame == "before" else _JOINT_SYMBOLS
     blocks = (MOUNT_SYMBOLS + joint if i in branches else joint for i in range(n_joints))
-    return FRAME_SYMBOLS + tuple(symbol for block in blocks for symbol in block) + FRAME_SYMBOLS
+    return FRAME_SYMBOLS + tuple(symbol for block in blocks for symbol in block) + n_pins * MOUNT_SYMBOLS + FRAME_SYMBOLS
 
 
 @cache
-def _places(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...]) -> list[dict[str, int]]:
+def _places(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...], n_pins: int) -> list[dict[str, int]]:
     """Return the index of each coordinate of each joint by its symbol."""
-    symbols = _symbols(moment_frame, n_joints, branches)
-    starts = _order(moment_frame, n_joints, branches)["starts"].tolist()
+    symbols = _symbols(moment_frame, n_joints, branches, n_pins)
+    starts = _order(moment_frame, n_joints, branches, n_pins)["starts"].tolist()
     return [{symbols[k]: k for k in range(a, b)} for a, b in pairwise(starts)]
 
 
 @cache
-def _order(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...]) -> dict[str, Any]:
+def _order(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...], n_pins: int) -> dict[str, Any]:
     """Return the part of a layout that only the order of the coordinates matters to; all chains share it."""
-    symbols = _symbols(moment_frame, n_joints, branches)
+    symbols = _symbols(moment_frame, n_joints, branches, n_pins)
     starts = FRAME + BLOCK * np.arange(n_joints + 1) + MOUNT * np.searchsorted(sorted(branches), np.arange(n_joints + 1))
     less = np.full(len(symbols), -1)
     less[[k for k, symbol in enumerate(symbols) if symbol == "d"]] = [k for k, symbol in enumerate(symbols) if symbol == "h"]

@@ -11,6 +11,7 @@ import numpy as np
 from pincal.model.chain import Chain
 from pincal.model.conditions import MOMENT, UNFELT, Conditions, PoseSet
 from pincal.model.effect import Candidate, Discoverable, Family, Locus, Term
+from pincal.model.loops import inert_coordinates
 from pincal.parameters import Parameter
 
 # Size of real elastic rotations [rad], used as prior where the data can't tell.
@@ -51,31 +52,32 @@ class Compliance(Discoverable):
     @final
     def parts(self, chain: Chain) -> tuple[Self, ...]:
         """Return the compliance of each joint by itself."""
-        return tuple(replace(self, joints=(joint,)) for joint in self.joints or chain.robot.joint_names)
+        return tuple(replace(self, joints=(joint,)) for joint in self.joints or chain.robot.measured_joints)
 
     @final
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """The compliances of each joint [rad/(N m)]."""
         return tuple(
             Parameter(f"{chain.robot.joint_names[i]}.k_{axis}", "rad/(N m)", self.name, 0.0, BENDING_SIZE)
-            for i in self._indices(chain)
-            for axis in self.axes
+            for i, axis, _ in self._places(chain)
         )
 
     @final
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add compliance times moment to the elastic rotations."""
         assert moments is not None
-        places = [(i, axis) for i in self._indices(chain) for axis in self.axes]
         return tuple(
-            Term(p, chain.joint(i, f"gamma_{axis}"), moments[:, moment], moment)
-            for p, (i, axis) in enumerate(places)
+            Term(p, k, moments[:, moment], moment)
+            for p, (i, axis, k) in enumerate(self._places(chain))
             for moment in (3 * i + "xyz".index(axis),)
         )
 
-    def _indices(self, chain: Chain) -> list[int]:
-        names = chain.robot.joint_names
-        return list(range(len(names))) if self.joints is None else [names.index(name) for name in self.joints]
+    def _places(self, chain: Chain) -> list[tuple[int, str, int]]:
+        """Return joint, axis and coordinate, those left out that loops make meaningless."""
+        names, inert = chain.robot.joint_names, inert_coordinates(chain)
+        joints = [names.index(name) for name in (chain.robot.measured_joints if self.joints is None else self.joints)]
+        places = [(i, axis, chain.joint(i, f"gamma_{axis}")) for i in joints for axis in self.axes]
+        return [place for place in places if place[2] not in inert]
 
 
 @dataclass(frozen=True)

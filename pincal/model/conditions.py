@@ -15,6 +15,7 @@ from pincal.model import kernels, walk
 from pincal.model.chain import Chain
 from pincal.model.kernel_inputs import Payload, Values
 from pincal.model.latest import Latest
+from pincal.model.loops import borne_moments
 from pincal.model.symbols import are_symbols
 from pincal.recorded import RECORDABLE, RECORDED, Recorded
 
@@ -58,6 +59,12 @@ class Conditions(Recorded):
         n = len(q)
         return cls(q, np.zeros(n, int), np.full(n, float(payload)), np.array(list(payload_centre), float))
 
+    @classmethod
+    def of_everything(cls, n_joints: int) -> Conditions:
+        """Return the conditions of one pose with all that may be recorded, all of it zero."""
+        recorded = {name: np.zeros((1, n_joints) if of.of_joints else 1) for name, of in RECORDED.items()}
+        return replace(cls.at(np.zeros((1, n_joints))), **recorded, sighted=np.ones((1, 3)))
+
     def __len__(self) -> int:
         return len(self.q)
 
@@ -73,7 +80,7 @@ class Conditions(Recorded):
         return found
 
 
-_PARTS = Latest["Conditions"](4)
+_PARTS = Latest["Conditions"](16)
 
 
 def part_of(whole: Conditions, rows: slice | np.ndarray, key: Hashable) -> Conditions:
@@ -208,8 +215,10 @@ def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool 
     varying = np.array(constant[chain.drives, None] + conditions.q.T, order="C")
     mass = np.require(conditions.payload, np.float64, ["C", "W"])
     payload = Payload(mass, np.array(conditions.payload_centre, float))
-    static = np.asarray(kernels.static_moments(layout, Values(constant.copy(), slot, varying), payload).T)
-    return static if payload_only else static + inertial_moments(chain, conditions)
+    values = Values(constant.copy(), slot, varying)
+    static = kernels.static_moments(layout, values, payload)
+    inertial = 0.0 if payload_only else np.transpose(inertial_moments(chain, conditions))
+    return borne_moments(chain, values, static + inertial).T
 
 
 def inertial_moments(chain: Chain, conditions: Conditions) -> np.ndarray | float:
@@ -251,19 +260,24 @@ class PoseSet:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints, from the base."""
-        return self.chain.robot.joint_names
+        """Names of the joints that readings can be about, from the base, without the passive ones of loops."""
+        robot = self.chain.robot
+        return tuple(name for name in robot.measured_joints if name not in robot.passive)
 
     @property
     def revolute(self) -> tuple[str, ...]:
         """Names of the joints that turn."""
-        types = self.chain.robot.joint_types
-        return tuple(name for name, kind in zip(self.joints, types, strict=True) if kind != "prismatic")
+        types = dict(zip(self.chain.robot.joint_names, self.chain.robot.joint_types, strict=True))
+        return tuple(name for name in self.joints if types[name] != "prismatic")
+
+    def index(self, joint: str) -> int:
+        """Return the place of a joint in the columns of the poses."""
+        return self.chain.robot.joint_names.index(joint)
 
     def positions(self, joint: str) -> np.ndarray:
         """Return the positions of a joint, shape (N,) [rad or m]."""
-        return np.asarray(self.conditions.q[:, self.joints.index(joint)])
+        return np.asarray(self.conditions.q[:, self.index(joint)])
 
     def moment(self, joint: str) -> np.ndarray:
         """Return the moment about the axis of a joint on the nominal arm, shape (N,) [N m]."""
-        return np.asarray(self.moments[:, 3 * self.joints.index(joint) + 2])
+        return np.asarray(self.moments[:, 3 * self.index(joint) + 2])

@@ -15,6 +15,7 @@ from pincal.model.chain import MOUNT_SYMBOLS, Chain
 from pincal.model.compliances import BearingElasticity, Compliance, JointElasticity
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family, Locus, Term
+from pincal.model.loops import inert_coordinates
 from pincal.parameters import FRAME_SYMBOLS, Parameter, Scope
 
 __all__ = [
@@ -37,7 +38,16 @@ __all__ = [
 # up to 1 cm at the tip; makers' tolerances are some tenths of a mm and of a mrad, cobots' several times that.
 ANGLE_SIZE = 3e-3
 LENGTH_SIZE = 3e-3
-_LENGTHS = ("d", "a", *MOUNT_SYMBOLS)
+# How far an arm may stand from its place beside another one [m], and how far it may be turned [rad].
+_MOUNT_SIZE = 1e-2
+LENGTHS = ("d", "a", *MOUNT_SYMBOLS)
+"""Symbols of the coordinates of a joint that are lengths."""
+
+
+def _size(chain: Chain, element: str, symbol: str) -> float:
+    if f"{element}.{symbol}" in chain.mounts:
+        return _MOUNT_SIZE
+    return LENGTH_SIZE if symbol in LENGTHS else ANGLE_SIZE
 
 
 class _Geometry(Effect):
@@ -54,25 +64,32 @@ class _Geometry(Effect):
         """The coordinates of each joint that deviate [rad or m]."""
         return tuple(
             Parameter(
-                name=f"{chain.robot.joint_names[i]}.{symbol}",
-                unit="m" if symbol in _LENGTHS else "rad",
+                name=f"{element}.{symbol}",
+                unit="m" if symbol in LENGTHS else "rad",
                 effect=self.name,
-                nominal=float(chain.nominal[chain.joint(i, symbol)]),
-                size=LENGTH_SIZE if symbol in _LENGTHS else ANGLE_SIZE,
+                nominal=float(chain.nominal[k]),
+                size=_size(chain, element, symbol),
             )
-            for i, symbol in self._places(chain)
+            for element, symbol, k in self._places(chain)
         )
 
     @final
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add constants."""
-        return tuple(Term(p, chain.joint(*place)) for p, place in enumerate(self._places(chain)))
+        return tuple(Term(p, k) for p, (_, _, k) in enumerate(self._places(chain)))
 
-    def _places(self, chain: Chain) -> Iterator[tuple[int, str]]:
-        for i, kind in enumerate(chain.robot.joint_types):
+    def _places(self, chain: Chain) -> Iterator[tuple[str, str, int]]:
+        """Yield element, symbol and coordinate of what readings can be about."""
+        robot, inert = chain.robot, inert_coordinates(chain)
+        for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_types, strict=True)):
+            if name in robot.unmeasured:
+                continue
             symbols = self.sliding if kind == "prismatic" else self.turning
-            mount = self.branching if i in chain.robot.frames.branches else ()
-            yield from ((i, symbol) for symbol in (*mount, *symbols))
+            mount = self.branching if i in robot.frames.branches else ()
+            places = ((name, symbol, chain.joint(i, symbol)) for symbol in (*mount, *symbols))
+            yield from (place for place in places if place[2] not in inert)
+        pins = ((pin.name, symbol, chain.pin(i, symbol)) for i, pin in enumerate(chain.pins) for symbol in self.branching)
+        yield from (place for place in pins if place[2] not in inert)
 
 
 @dataclass(frozen=True)
@@ -99,7 +116,7 @@ class LinkGeometry(_Geometry):
     """Link offset d, link length a and link twist alpha deviate (paper, Eq. (1)).
 
     A prismatic joint has theta in place of d, which is its joint offset. The first joint of a branch has x and y besides:
-    where its axis lies on the link that carries it.
+    where its axis lies on the link that carries it; so has a pin that closes a loop.
 
     Distinguished by:
         poses over the whole range of every joint. For parallel axes only the sum of the link offsets is observable; offset

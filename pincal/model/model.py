@@ -25,13 +25,14 @@ from pincal.model.evaluated import (
     stacked,
 )
 from pincal.model.kernel_inputs import Compliances, Layout, MassTerms, Payload, Places, Terms, Values, Wanted
+from pincal.model.loops import Loops, borne_moments, closed_loops
 from pincal.model.sparse_basis import Basis, joined_rows
 from pincal.parameters import Parameter
+from pincal.robot.link_path import above
 
 # The moments of a bent arm differ from those of a straight one by about 1e-3, so each round gains three digits; a soft
 # arm needs more, and the Jacobian as many sweeps again.
-_EQUILIBRIUM_ROUNDS = 20
-_SWEEPS = 12
+_EQUILIBRIUM_ROUNDS, _SWEEPS = 20, 12
 _EQUILIBRIUM_TOLERANCE = 1e-15
 
 
@@ -115,6 +116,24 @@ class Model:
         )
 
     @cached_property
+    def is_felt(self) -> np.ndarray:
+        """Which parameters move the tip other than by what joints off the path do to the loads of those on it, (P,)."""
+        if self.chain.on_path.all():
+            return np.ones(self.n_parameters, bool)
+        robot, chain = self.chain.robot, self.chain
+        moves = np.zeros(chain.size, bool)
+        moves[[*chain.layout.path.coordinate, *(loops.coordinates if (loops := Loops.of(chain)) else ())]] = True
+        found = np.zeros(self.n_parameters, bool)
+        state = Evaluation.at(self, np.zeros(self.n_parameters), Conditions.of_everything(robot.n_joints))
+        for p, term in state.terms:
+            found[p] |= moves[term.coordinate]
+        for curve in state.curves:
+            found[curve.parameters] |= moves[curve.coordinate]
+        for body in self.bodies:
+            found[body.parameter] |= any(chain.on_path[i] for i in above(body.joint, robot.parents))
+        return found
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return tuple(parameter.name for parameter in self.parameters)
@@ -191,9 +210,13 @@ class Model:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return poses, shape (3, 4, N), and Jacobian, shape (F, rows, N), by parameters and then by coordinates."""
         n_columns = int(columns.max(initial=-1)) + 1
+        terms, compliances = state.kernel_terms(columns, coordinates, n_columns), state.compliances()
+        if (loops := Loops.of(self.chain)) is not None:
+            at = state.layout, state.rigid, state.deformed, state.payload
+            terms, compliances = loops.followed(*at, terms, compliances, equilibrium=self.equilibrium)
         wanted = Wanted(
-            state.kernel_terms(columns, coordinates, n_columns),
-            state.compliances(),
+            terms,
+            compliances,
             state.mass_terms(columns),
             n_columns + len(coordinates),
             rows,
@@ -205,8 +228,8 @@ class Model:
     def static_moments(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the moments n_x, n_y, n_z of each joint, shape (N, 3 n) [N m] (paper, Eq. (3)), with those of inertia."""
         state = Evaluation.at(self, values, conditions)
-        static = np.asarray(kernels.static_moments(state.layout, state.rigid, state.payload).T)
-        return static + inertial_moments(self.chain, conditions)
+        static = kernels.static_moments(state.layout, state.rigid, state.payload)
+        return borne_moments(self.chain, state.rigid, static + np.transpose(inertial_moments(self.chain, conditions))).T
 
     def coordinates(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the coordinates of the chain on the bent arm, shape (N, K) [rad or m]."""
@@ -263,16 +286,17 @@ class Evaluation:
         plain, curves = _plain(model, conditions)
         if by_row.varied:
             plain, curves = [*plain, *(term for curve in curves for term in curve.terms())], []
-        rigid = coordinates_of(model.chain, by_row, conditions, plain, curves)
+        rigid = closed_loops(model.chain, coordinates_of(model.chain, by_row, conditions, plain, curves))
         layout = laden(model.chain, model.bodies, by_row)
         if not any(effect.uses_moments for effect in model.effects):
             return cls(model, layout, plain, curves, by_row, rigid, rigid, np.empty((0, len(mass))), places, payload)
         deformed, inertial = rigid, np.transpose(inertial_moments(model.chain, conditions))
         for _ in range(_EQUILIBRIUM_ROUNDS if model.equilibrium else 1):
             before = deformed
-            moments = kernels.static_moments(layout, deformed, payload) + inertial
+            static = kernels.static_moments(layout, deformed, payload)
+            moments = borne_moments(model.chain, deformed, static + inertial)
             elastic = _elastic(model, conditions, moments.T)
-            deformed = coordinates_of(model.chain, by_row, conditions, plain + elastic, curves)
+            deformed = closed_loops(model.chain, coordinates_of(model.chain, by_row, conditions, plain + elastic, curves))
             change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0
             if np.max(change, initial=0.0) < _EQUILIBRIUM_TOLERANCE:
                 break

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import MeasurementError, warn
-from pincal.measure.bag_sheet import is_bag, open_streams
 from pincal.measure.fields import CONDITIONS, TABLE_ENDINGS, Schema, TableOptions
 from pincal.measure.reader import Cells, cells_of, open_sheet, read_table, typed_errors
+from pincal.measure.recordings import is_bag, open_streams
 from pincal.measure.registry import check_fields, known_fields, sensor_class
 from pincal.measure.sensors.imu import FORCE, RATE
 from pincal.robot.robot import Robot
@@ -188,7 +188,7 @@ def _schema(robot: Robot, what: str, said: TableOptions) -> Schema:
     """Return what the table of a stream may hold; further columns are left out."""
     options, time = replace(said, ignore=(*said.ignore, "*")), CONDITIONS["time"]
     if what == "joints":
-        return Schema((time,), robot.joint_names, robot.joint_types, robot.mimics, options=options)
+        return Schema((time,), options=options).of_robot(robot)
     if what == "imu":
         return Schema((FORCE, RATE, time), options=options)
     return Schema(tuple(known_fields().values()), options=options)

@@ -17,7 +17,7 @@ from pincal.errors import BadInputError
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions
 from pincal.model.model import Model
-from pincal.programs.program import Posture
+from pincal.programs.program import Posture, Turn
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.robot import Robot
 from pincal.units import plain_number
@@ -194,11 +194,9 @@ class ArmSearch:
             q = self.robot.spread(q)
             sides = self.sides(q)
             for k, i in enumerate(rows):
-                right = reached & (owner == k)
-                for side, wanted in enumerate(postures[i].sides if self.has_sides else ()):
-                    if wanted is not None:
-                        right &= (sides[:, side] > 0.0) == wanted
-                found.append(self._distinct(q[right]))
+                mine = np.flatnonzero(reached & (owner == k))
+                allowed = [not self.has_sides or postures[i].allows(sides[row]) for row in mine]
+                found.append(self._distinct(q[mine[allowed]]))
         return found
 
     def _starts(self, tip: np.ndarray, posture: Posture, near: np.ndarray | None) -> np.ndarray:
@@ -241,14 +239,23 @@ class ArmSearch:
             choices = q[joint] + _TURN * np.arange(-4, 5) * (kind != "prismatic")
             inside = (choices >= self.robot.lower[joint] - 1e-9) & (choices <= self.robot.upper[joint] + 1e-9)
             for turn in wanted:
-                sides = [np.tile(q, (9, 1)) for _ in range(3)]
-                for part, aside in zip(sides, (-_ON_EDGE, 0.0, _ON_EDGE), strict=True):
-                    part[:, joint] = choices + aside
-                inside &= np.any([turn.counted(self.axes.to_program(part)) == turn.value for part in sides], axis=0)
+                tried = np.tile(q, (len(choices), 1))
+                tried[:, joint] = choices
+                inside &= self._counts(tried, turn)
             if not inside.any():
                 return None
             out[joint] = min(choices[inside], key=lambda value: abs(value - near[joint]))
         return out
+
+    def has_turns(self, q: np.ndarray, posture: Posture) -> bool:
+        """Return whether joint positions, shape (n,), have the turn numbers of a posture."""
+        return all(self._counts(q[None], turn)[0] for turn in posture.turns)
+
+    def _counts(self, q: np.ndarray, turn: Turn) -> np.ndarray:
+        """Return whether a turn number holds at joint positions, shape (N, n), or hardly beside them, shape (N,)."""
+        asides = np.array([[-_ON_EDGE], [0.0], [_ON_EDGE]]) * (np.arange(q.shape[1]) == turn.joint)
+        angles = [self.axes.to_program(q + aside)[:, turn.joint] for aside in asides]
+        return np.array([any(turn.counted(angle) == turn.value for angle in row) for row in np.transpose(angles).tolist()])
 
 
 def rigid_pose(robot: Robot, link: str, seen_from: str) -> np.ndarray | None:

@@ -20,9 +20,11 @@ from pincal.compensate.robot_frames import false_targets
 from pincal.model.effects import Conditions
 from pincal.programs.arms import ArmSearch, ProgramAxes
 from pincal.programs.language import ControllerLanguage
-from pincal.programs.program import Edit, Frame, Left, Point, PointKey, Program, spliced
+from pincal.programs.program import Edit, Frame, Left, Point, PointKey, Posture, Program, spliced
 from pincal.robot.se3 import compose, inverse, rotation_vectors
 
+# Of several arms that reach a pose one is meant if it is nearer than this part of the way to the next.
+_CLEARLY = 0.5
 # A correction below this changes nothing in the program [m and rad].
 _NOTHING = 1e-8
 _REASONS = {
@@ -70,6 +72,7 @@ class Change:
         frames: the poses of base and tool, as one before and one behind the pose of a point, shape (4, 4) each.
         shift: how far the point moves [m].
         turn: by what angle [rad].
+        has_posture: whether the arm has the posture and the turns that the program says, which a line may not obey.
     """
 
     point: Point
@@ -79,6 +82,22 @@ class Change:
     frames: tuple[np.ndarray, np.ndarray]
     shift: float
     turn: float
+    has_posture: bool
+
+
+@dataclass(frozen=True)
+class _Use:
+    """How a program first comes to a point.
+
+    Attributes:
+        start: the point before it, if it is known.
+        is_line: whether the way there is a line or a circle.
+        takes_posture: see :class:`pincal.programs.program.Motion`.
+    """
+
+    start: PointKey | None = None
+    is_line: bool = False
+    takes_posture: bool = True
 
 
 class Corrector:
@@ -112,11 +131,8 @@ class Corrector:
 
     def changes(self, program: Program) -> tuple[dict[PointKey, Change], list[Left]]:
         """Return the corrections of a program's points, and what is left as it was."""
-        left, joints, framed = (
-            list(program.left),
-            dict[PointKey, np.ndarray](),
-            dict[PointKey, tuple[np.ndarray, np.ndarray]](),
-        )
+        left, joints = list(program.left), dict[PointKey, np.ndarray]()
+        framed: dict[PointKey, tuple[np.ndarray, np.ndarray]] = {}
         poses: dict[PointKey, Point] = {}
         nowhere = (self.cell.world, np.linalg.inv(self.cell.flange))
         for key, point in program.points.items():
@@ -129,19 +145,19 @@ class Corrector:
             if point.kind == "pose":
                 poses[key] = point
         tips = {key: framed[key][0] @ self.language.pose(point.values) @ framed[key][1] for key, point in poses.items()}
-        found = dict(
-            zip(poses, self.arms.find(np.array(list(tips.values())).reshape(-1, 4, 4)[:, :3],
-                                      [point.posture for point in poses.values()], self.cell.seed), strict=True)
-        )  # fmt: skip
-        near = self.cell.seed
+        uses = _first_uses(program)
+        # Where the program's word on the posture does not count, all arms that reach a pose are looked for.
+        postures = [point.posture if uses[key].takes_posture else Posture() for key, point in poses.items()]
+        reached = np.array(list(tips.values())).reshape(-1, 4, 4)[:, :3]
+        found = dict(zip(poses, self.arms.find(reached, postures, self.cell.seed), strict=True))
         for key, point in program.points.items():
             if key not in framed:
                 continue
-            q = self.joints(point) if point.kind == "joints" else self._chosen(point, found[key], near)
+            q = self.joints(point) if point.kind == "joints" else self._chosen(point, found[key], uses[key], joints)
             if isinstance(q, str):
                 left.append(Left(point.name, point.source, point.line, q))
             else:
-                joints[key] = near = q
+                joints[key] = q
         changed = self._corrected({key: (program.points[key], q, framed[key]) for key, q in joints.items()}, left)
         return self._with_turns(program, changed, left), left
 
@@ -169,18 +185,33 @@ class Corrector:
         turns = np.array([kind != "prismatic" for kind in self.robot.joint_types])
         return self.language.joint_units(turns)
 
-    def _chosen(self, point: Point, found: np.ndarray, near: np.ndarray | None) -> np.ndarray | str:
-        """Return the joint positions by which a controller reaches a pose, or why they are not known."""
+    def _chosen(self, point: Point, found: np.ndarray, use: _Use, joints: Mapping[PointKey, np.ndarray]) -> np.ndarray | str:
+        """Return the joint positions by which a controller reaches a pose, or why they are not known.
+
+        On a line or a circle an arm keeps the posture that it has at the start, unless it passes through a singular pose.
+        """
+        start, posture = joints.get(use.start) if use.start else None, point.posture
+        known = start
         if point.near is not None and len(point.near) == self.robot.n_joints:
-            near = self.joints(point, np.array(point.near))
-        if near is None and (None in point.posture.sides or not self.arms.has_sides):
+            known = self.joints(point, np.array(point.near))
+        elif start is not None and use.is_line and self.arms.has_sides and not (use.takes_posture and posture.is_whole):
+            front, up, down = (bool(side > 0.0) if side else None for side in self.arms.sides(start[None])[0])
+            posture = Posture(front, up, down)
+        near = known if known is not None else list(joints.values())[-1] if joints else self.cell.seed
+        is_told = known is not None or (self.arms.has_sides and posture.is_whole)
+        if near is None and not is_told:
             return "nothing before it tells which arm reaches it: give joint positions to start from (--seed-joints)"
-        start = np.zeros(self.robot.n_joints) if near is None else near
-        turned = [self.arms.turned(q, point.posture, start) for q in found]
-        reached = [q for q in turned if q is not None]
+        near = np.zeros(self.robot.n_joints) if near is None else near
+        arms = found[[posture.allows(sides) for sides in self.arms.sides(found)]] if len(found) else found
+        turned = [self.arms.turned(q, posture, near) for q in arms]
+        reached = sorted((q for q in turned if q is not None), key=lambda q: float(np.sum((q - near) ** 2)))
         if not reached:
             return "no joint positions within the limits reach it in the posture that it says, by the nominal model"
-        return min(reached, key=lambda q: float(np.sum((q - start) ** 2)))
+        if not is_told and len(reached) > 1:
+            first, second = (float(np.abs(q - near).max()) for q in reached[:2])
+            if first > _CLEARLY * second:
+                return "several arms reach it, and the motion before it does not tell which (--seed-joints)"
+        return reached[0]
 
     def solve(self, q: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, list[str]]:
         """Return the joints at which the real tip is at poses, shape (N, 3, 4), near q, shape (N, n), and why not."""
@@ -218,7 +249,9 @@ class Corrector:
                 values = self.cell.axes.to_program(commanded[i : i + 1])[0] / self._units()
             turn = float(np.linalg.norm(rotation_vectors((after[:3, :3] @ before[:3, :3].T)[None])))
             shift = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
-            changes[key] = Change(point, values, q[i], commanded[i], frames, shift, turn)
+            said = point.posture
+            is_so = said.allows(self.arms.sides(q[i : i + 1])[0]) and self.arms.has_turns(q[i], said)
+            changes[key] = Change(point, values, q[i], commanded[i], frames, shift, turn, is_so)
         return changes
 
     def _with_turns(self, program: Program, changes: dict[PointKey, Change], left: list[Left]) -> dict[PointKey, Change]:
@@ -239,7 +272,7 @@ class Corrector:
         """Return the edits of a point's turn numbers."""
         point, axes = change.point, self.cell.axes.to_program(change.commanded[None])[0]
         edits = []
-        for number in dict.fromkeys(turn.number for turn in point.posture.turns):
+        for number in dict.fromkeys(turn.number for turn in point.posture.turns if change.has_posture):
             turns = [turn for turn in point.posture.turns if turn.number == number]
             text = self.language.turn_text(turns, axes, self.cell.axes.to_program(change.q[None])[0])
             if text != number.text:
@@ -256,13 +289,29 @@ class Corrector:
         return edits + self.turn_edits(change)
 
 
+def _first_uses(program: Program) -> dict[PointKey, _Use]:
+    """Return how a program first comes to each of its points."""
+    uses = dict.fromkeys(program.points, _Use())
+    before: tuple[int, int] | None = None
+    seen, at = set[PointKey](), None
+    for motion, stops in program.motions:
+        at = at if (motion.source, motion.run) == before else None
+        for key in stops:
+            if key is not None and key in uses and key not in seen:
+                uses[key] = _Use(at, motion.path != "joint", motion.takes_posture)
+                seen.add(key)
+            at = key
+        at, before = at if stops else None, (motion.source, motion.run)
+    return uses
+
+
 def written_program(program: Program, edits: Sequence[Edit]) -> list[bytes]:
     """Return the files of a program with edits."""
     return [spliced(source, i, edits) for i, source in enumerate(program.sources)]
 
 
 def _known(
-    frame: Frame, given: Mapping[str, np.ndarray], declared: Mapping[str, np.ndarray | None], option: str
+    frame: Frame, given: Mapping[str, np.ndarray], declared: Mapping[str, np.ndarray | str], option: str
 ) -> np.ndarray | str:
     """Return the pose of a frame, or why it is not known."""
     if frame.pose is not None:
@@ -273,7 +322,7 @@ def _known(
         return frame.reason
     if frame.name in declared:
         pose = declared[frame.name]
-        return f"{option} {frame.name} has more than one value, or a computed one" if pose is None else pose
+        return f"{option} {frame.name}: {pose}" if isinstance(pose, str) else pose
     return f"the values of {frame.name or option} are not known: give --{option} '{frame.name or option}=X,Y,Z,...'"
 
 

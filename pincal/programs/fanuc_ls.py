@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pincal.programs.draft import Draft
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.program import Draft, Frame, Left, Motion, Path, Point, Posture, Program, Turn
+from pincal.programs.program import Frame, Left, Motion, Point, Posture, Program, Turn
 from pincal.programs.syntax import Source, Statement, number_at
 
 if TYPE_CHECKING:
@@ -52,7 +53,6 @@ UNIT: "mm" | "deg"
 %ignore /[ \t\f\xa0\r\n]+/
 """
 _WORDS = "a FANUC listing: /PROG, /MN with motions, /POS with positions, /END"
-_PATHS: dict[str, Path] = {"J": "joint", "L": "line", "C": "circle", "A": "joint"}
 _JUMPS = ("LBL", "JMP", "IF", "ELSE", "SELECT", "FOR", "CALL", "END", "SKIP")
 # What makes a motion's target something else than its position.
 _MOVED = ("OFFSET", "TOOL_OFFSET", "VOFFSET", "COORD", "RTCP", "PTH_OFFSET")
@@ -64,11 +64,12 @@ class FanucLs(ControllerLanguage):
 
     name = "FANUC LS"
     suffixes = (".ls",)
+    grammars = (_LINES, _POSITIONS)
 
     def read(self, sources: Sequence[Source]) -> Program:
         """Return the program of a listing."""
         draft = Draft(sources, by_itself=True)
-        draft.tools["0"] = draft.bases["0"] = np.eye(4)
+        draft.frame("0", np.eye(4), ["tool", "base"])
         for i, source in enumerate(sources):
             lines = source.parse(_LINES, _WORDS).children
             begin = next(token for token in lines if getattr(token, "type", "") == "POS").end_pos
@@ -87,7 +88,7 @@ class FanucLs(ControllerLanguage):
             draft.declare(point)
         else:
             draft.left.append(Left(name, i, line, point))
-            draft.changed[name] = point
+            draft.write(name, point)
 
     def _point(self, i: int, name: str, line: int, group: Sequence[Any]) -> Point | str:
         """Return the point that a group is, or why it is none."""
@@ -113,59 +114,58 @@ class FanucLs(ControllerLanguage):
 
     def _move(self, draft: Draft, i: int, lines: Sequence[Tree[Token]]) -> None:
         """Take note of the motions."""
-        run = 0
-        pending: tuple[Tree[Token], str] | None = None
+        run, via, empty = 0, "", Frame("")
         for line in lines:
             parts = {token.type: token for token in line.children if not hasattr(token, "data")}
             rest = str(parts.get("REST", parts.get("OTHER", "")))
             if line.data == "other":
-                pending = None
-                text = rest.split("!")[0].upper() if not rest.lstrip().startswith(("!", "//", "--")) else ""
-                draft.computed |= set(_places_in(text))
-                for kind, frames in (("UTOOL[", draft.tools), ("UFRAME[", draft.bases)):
-                    if text.startswith(kind):
-                        frames[text[len(kind) :].split("]")[0].split(":")[0].strip()] = None
-                if text.startswith("P["):
-                    draft.changed[_place(text.split("]")[0] + "]")] = "the program sets it"
+                via = ""
+                if rest.lstrip().startswith(("!", "//", "--")):
+                    continue
+                text = rest.partition("!")[0].upper()
+                draft.read(_places_in(text))
+                for name, kind in (("UTOOL[", "tool"), ("UFRAME[", "base")):
+                    if text.startswith(name):
+                        number = text[len(name) :].partition("]")[0].partition(":")[0].strip()
+                        draft.frame(number, f"line {parts['OTHER'].line} sets it while the program runs", [kind])  # type: ignore[list-item]
                 run += text.startswith(_JUMPS)
                 continue
             place, kind = parts["PLACE"], str(parts.get("KIND", ""))
             name, at = _place(str(place)), place.line or 0
             if line.data == "more" and rest.lstrip().startswith("="):
-                draft.changed[name] = "the program sets it"
-                draft.computed |= set(_places_in(rest))
+                draft.write(name, f"line {at} sets it while the program runs")
+                draft.read(_places_in(rest))
                 continue
-            words = rest.replace(",", " ").replace(";", " ").upper().split()
-            target: str | Left = name if name.startswith("P[") and name[2:-1].isdigit() else Left(
-                name, i, at, "a position register" if name.startswith("PR[") else "a computed position")  # fmt: skip
-            if "INC" in words:
-                draft.changed[name] = target = f"a relative motion (INC), line {at}"
-                target = Left(name, i, at, target)
-            elif any(word in words for word in _MOVED):
-                draft.computed.add(name)
-                target = Left(name, i, at, f"moved by an offset ({next(w for w in words if w in _MOVED)})")
-            draft.computed |= set(_places_in(rest)) - {name}
-            is_via = kind == "C" and not words
-            if is_via:
-                pending = (line, name)
+            words = [word.partition("[")[0] for word in rest.replace(",", " ").replace(";", " ").upper().split()]
+            moved = next((word for word in words if word in _MOVED), "")
+            target: str | Left = name
+            if name.startswith("PR["):
+                target = Left(name, i, at, "a position register")
+            elif "INC" in words:
+                target = Left(name, i, at, f"a relative motion (INC), line {at}")
+                draft.write(name, target.reason)
+            elif moved:
+                target = Left(name, i, at, f"moved by an offset ({moved})")
+                draft.read([name])
+            draft.read(set(_places_in(rest)) - {name})
+            if kind == "C" and not words:
+                via = name
                 continue
-            statement = Statement((), place.start_pos or 0, place.end_pos or 0, at)
-            empty = Frame("")
-            if line.data == "more" and pending is None:
+            if line.data == "more" and not via:
                 continue
-            via = (pending[1],) if pending is not None else ()
-            path: Path = "circle" if via else _PATHS.get(kind, "joint")
-            if path == "circle" and not via:
-                path = "joint"
+            path = "circle" if via else {"J": "joint", "L": "line"}.get(kind, "joint")
             span = (place.start_pos or 0, place.end_pos or 0)
-            draft.motions.append(Motion(path, (*via, target), statement, i, empty, empty, span, run))
-            pending = None
+            stops = (via, target) if via else (target,)
+            draft.motions.append(Motion(path, stops, Statement((), *span, at), i, empty, empty, span, run))  # type: ignore[arg-type]
+            via = ""
 
 
 def _place(text: str) -> str:
-    """Return a position's name without its comment: ``P[1:"App"]`` is P[1]."""
+    """Return a position's name without its comment: ``P[1:"App"]`` is P[1], ``P[R[1]]`` any position."""
     kind, _, index = text.partition("[")
-    return f"{kind}[{index.removesuffix(']').partition(':')[0].strip()}]"
+    first, _, more = index.removesuffix("]").partition(":")
+    number = (more if first.strip().startswith("GP") else first).partition(",")[0].strip()
+    return f"{kind}[{number if number.isdigit() else '*'}]"
 
 
 def _places_in(text: str) -> Iterator[str]:

@@ -1,15 +1,18 @@
 """Which statement has set a variable when another one runs, as far as that can be read from the text.
 
-A variable that is set in one branch of several, within a loop, or before a label that may be jumped to, has no one value
-there: it counts as not known, so that no point is corrected with a tool that it may not have.
+A variable that is set in one branch of several, within a loop, before a label that may be jumped to, or by a routine that is
+called, has no one value there: it counts as not known, so that no point is corrected with a tool that it may not have.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from pincal.programs.syntax import Source, Statement
+
+OUTSIDE = "is not in these files and may set it"
+"""What is said of a routine that is in none of the files."""
 
 
 @dataclass(frozen=True)
@@ -19,20 +22,24 @@ class Step:
     Attributes:
         opens: the word that opens a block here, or "".
         closes: the words of blocks that it may close.
-        is_routine: whether the block is a routine, in which nothing is known at first.
+        routine: name of the routine that the block is, in which nothing is known at first; "" if it is none.
         is_loop: whether the block is run again.
         is_jump: whether it may be reached from elsewhere: a label, or another branch of its block.
         sets: variables that it sets.
         clears: variables that it may set.
+        calls: names of routines that it calls.
+        starts: names of routines that may run at any time from here on: interrupts, threads.
     """
 
     opens: str = ""
     closes: tuple[str, ...] = ()
-    is_routine: bool = False
+    routine: str = ""
     is_loop: bool = False
     is_jump: bool = False
     sets: frozenset[str] = frozenset()
     clears: frozenset[str] = frozenset()
+    calls: tuple[str, ...] = ()
+    starts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -41,50 +48,118 @@ class InForce:
 
     Attributes:
         setters: index of the statement that has set a variable, or the reason why it is not known, by variable.
-        depth: number of blocks that are open.
+        blocks: indices of the statements that have opened the blocks that it is in.
         run: number that changes wherever the statement before in the text may not be the one before as the program runs.
+        routine: index of the statement that opens the routine, -1 outside of all.
     """
 
-    setters: dict[str, int | str]
-    depth: int
+    setters: Mapping[str, int | str]
+    blocks: tuple[int, ...]
     run: int
+    routine: int
+
+    @property
+    def depth(self) -> int:
+        """Number of blocks that are open."""
+        return len(self.blocks)
 
 
-def followed(source: Source, statements: Sequence[Statement], steps: Sequence[Step]) -> list[InForce]:
-    """Return what is known before each statement.
+def followed(
+    files: Sequence[tuple[Source, Sequence[Statement], Sequence[Step]]], *, outside: frozenset[str] = frozenset()
+) -> list[list[InForce]]:
+    """Return what is known before each statement of each file.
+
+    Args:
+        files: the files, their statements, and what these mean.
+        outside: variables that a routine which is in none of the files may set.
 
     Raises:
         ProgramError: if a block is not closed, or closed without being open.
     """
-    inside = _set_within(source, statements, steps)
+    effects = _effects([steps for _, _, steps in files])
+    changed = [[step.sets.union(step.clears, *(effects.get(name, outside) for name in step.calls)) for step in steps]
+               for _, _, steps in files]  # fmt: skip
+    inside = [_set_within(source, statements, steps, changed=of)
+              for (source, statements, steps), of in zip(files, changed, strict=True)]  # fmt: skip
+    at_any_time: dict[str, int | str] = {}
+    for _, statements, steps in files:
+        for statement, step in zip(statements, steps, strict=True):
+            for name in step.starts:
+                why = f"{name}, which line {statement.line} starts, may set it at any time"
+                at_any_time |= dict.fromkeys(effects.get(name, ()), why)
+    return [
+        _followed(statements, steps, inside=within, effects=effects, outside=outside, at_any_time=at_any_time)
+        for (_, statements, steps), within in zip(files, inside, strict=True)
+    ]
+
+
+def _followed(
+    statements: Sequence[Statement],
+    steps: Sequence[Step],
+    *,
+    inside: Mapping[int, set[str]],
+    effects: Mapping[str, frozenset[str]],
+    outside: frozenset[str],
+    at_any_time: Mapping[str, int | str],
+) -> list[InForce]:
     known: list[InForce] = []
     stack: list[int] = []
     state: dict[str, int | str] = {}
-    saved: list[dict[str, int | str]] = []
-    run = 0
+    saved: list[tuple[dict[str, int | str], int]] = []
+    run, routine = 0, -1
     for i, step in enumerate(steps):
-        if step.is_routine:
-            saved.append(state)
-            state = {}
+        line = statements[i].line
+        if step.routine:
+            saved.append((state, routine))
+            state, routine = {}, i
         if step.closes or step.is_jump:
             block = stack[-1] if stack else i
             where = f"it is set on one way only through the block of line {statements[block].line}"
             state = state | dict.fromkeys(inside.get(block, ()), where)
         if step.is_loop:
-            state = state | dict.fromkeys(inside[i], f"it is set within the loop of line {statements[i].line}")
+            state = state | dict.fromkeys(inside[i], f"it is set within the loop of line {line}")
         run += bool(step.opens or step.closes or step.is_jump)
-        known.append(InForce(state, len(stack), run))
+        known.append(InForce({**state, **at_any_time}, tuple(stack), run, routine))
+        for name in step.calls:
+            why = f"line {line} calls {name}, which "
+            why += "sets it" if name in effects else OUTSIDE
+            state = state | dict.fromkeys(effects.get(name, outside), why)
         if step.sets or step.clears:
-            reason = f"line {statements[i].line} may set it"
-            state = state | dict.fromkeys(step.clears, reason) | dict.fromkeys(step.sets, i)
-        if step.closes and steps[stack.pop()].is_routine:
-            state = saved.pop()
+            state = state | dict.fromkeys(step.clears, f"line {line} may set it") | dict.fromkeys(step.sets, i)
+        if step.closes and steps[stack.pop()].routine:
+            state, routine = saved.pop()
         if step.opens:
             stack.append(i)
     return known
 
 
-def _set_within(source: Source, statements: Sequence[Statement], steps: Sequence[Step]) -> dict[int, set[str]]:
+def _effects(files: Sequence[Sequence[Step]]) -> dict[str, frozenset[str]]:
+    """Return the variables that each routine may set, by itself or by those that it calls, by its name."""
+    own, calls = dict[str, set[str]](), dict[str, set[str]]()
+    for steps in files:
+        stack: list[str] = []
+        names: list[str] = []
+        for step in steps:
+            if step.closes and names and stack:
+                names = names[:-1] if stack.pop() else names
+            if step.routine:
+                names = [*names, step.routine]
+                own.setdefault(step.routine, set())
+                calls.setdefault(step.routine, set())
+            elif names:
+                own[names[-1]] |= step.sets | step.clears
+                calls[names[-1]] |= set(step.calls)
+            if step.opens:
+                stack.append(step.routine)
+    for _ in own:
+        for name, called in calls.items():
+            own[name] = own[name].union(*(own[other] for other in called if other in own))
+    return {name: frozenset(found) for name, found in own.items()}
+
+
+def _set_within(
+    source: Source, statements: Sequence[Statement], steps: Sequence[Step], *, changed: Sequence[frozenset[str]]
+) -> dict[int, set[str]]:
     """Return the variables that are set within each block, by the statement that opens it."""
     inside: dict[int, set[str]] = {}
     stack: list[int] = []
@@ -106,7 +181,7 @@ def _set_within(source: Source, statements: Sequence[Statement], steps: Sequence
             stack.append(i)
             inside[i] = set()
         if stack:
-            inside[stack[-1]] |= step.sets | step.clears
+            inside[stack[-1]] |= changed[i]
     if stack:
         opens, line = steps[stack[-1]].opens, statements[stack[-1]].line
         raise source.error(f"the end of the file within {opens} of line {line}: is it cut?", len(source.content))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.programs.draft import Draft
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.program import Draft, Frame, Left, Motion, Path, Point, Posture, Program, Turn
+from pincal.programs.program import Frame, Left, Motion, Path, Point, Posture, Program, Turn
 from pincal.programs.syntax import Number, Source, Statement, number_at
 
 _GRAMMAR = r"""
@@ -27,7 +29,7 @@ INST.5: /\/\/INST(?![^\s])/
 RCONF.4: /\/\/\/RCONF/
 TAG.3: /\/{2,3}[A-Z][A-Z0-9]*/
 MOVE.3: /(MOV[JLCS]|IMOV)(?![A-Z0-9])/
-PLACE.3: /(BC|EC|BP|EX|C|P)\d+/
+PLACE.3: /(BC|EC|BP|EX|C|P)\d+|P\[[^\]\r\n]*\]/
 SIGNED: /[+-]?(\d+(\.\d*)?|\.\d+)/
 REST: /[^\s\x04'][^\r\n\x04]*/
 OTHER: /[^\s\x04'][^\r\n\x04]*/
@@ -38,6 +40,7 @@ _EOT: "\x04"
 """
 _WORDS = "a job: /JOB, //POS with positions, //INST with motions, END"
 _PATHS: dict[str, Path] = {"MOVL": "line", "MOVJ": "joint", "MOVS": "joint", "MOVC": "joint"}
+_SHIFTS = ("SFTON", "MSHIFT", "MFRAME", "PMTON", "CNVR", "SYSTART")
 _JUMPS = ("*", "JUMP", "CALL", "IF", "ELSE", "ENDIF", "FOR", "NEXT", "WHILE", "ENDWHILE", "RET", "PSTART")
 
 
@@ -53,6 +56,7 @@ class Jbi(ControllerLanguage):
     pulses: tuple[float, ...] | None = None
     name = "JBI"
     suffixes = (".jbi",)
+    grammars = (_GRAMMAR,)
     digits = (4, 6, 0)
 
     def with_pulses(self, text: str) -> Jbi:
@@ -65,7 +69,7 @@ class Jbi(ControllerLanguage):
             found = tuple(float(word) for word in text.replace(",", " ").split())
         except ValueError:
             found = ()
-        if not found or not np.all(np.isfinite(found)) or 0.0 in found:
+        if not found or not all(math.isfinite(number) and number != 0.0 for number in found):
             raise BadInputError(f"pulses {text!r}; expected pulses for a degree, one number an axis, none of them 0")
         return Jbi(found)
 
@@ -111,13 +115,13 @@ class Jbi(ControllerLanguage):
             elif part.data == "position":
                 seen += 1
                 place, *values = part.children
-                name = str(place)
+                name = _name(str(place))
                 point = self._point(i, name, place.line, [number_at(token) for token in values], tags, posture)
                 if isinstance(point, Point):
                     draft.declare(point)
                 elif point:
                     draft.left.append(Left(name, i, place.line, point))
-                    draft.changed[name] = point
+                    draft.write(name, point)
         if "NPOS" in tags and seen != expected:
             raise source.error(f"{seen} positions; expected the {expected} of ///NPOS", 0)
 
@@ -145,23 +149,24 @@ class Jbi(ControllerLanguage):
             if part.data == "other":
                 text = str(part.children[0]).upper()
                 run += text.startswith(_JUMPS)
+                at = part.children[0].line
                 for word in text.replace(",", " ").replace("(", " ").split():
                     if word[:1] == "P" and word.lstrip("PX").isdigit():
-                        for name in draft.declared:
-                            if name.startswith("P") and int(name[1:]) == int(word.lstrip("PX")):
-                                draft.changed[name] = f"line {part.children[0].line} may set it"
-                if text.startswith(("SFTON", "MSHIFT")):
-                    for name in draft.declared:
-                        draft.changed[name] = f"line {part.children[0].line} shifts positions"
+                        draft.write(_name(f"P{word.lstrip('PX')}"), f"line {at} may set it")
+                if text.startswith(_SHIFTS):
+                    for name in draft.names():
+                        draft.write(name, f"line {at} shifts positions, or computes a frame from them")
             if part.data != "motion":
                 continue
             kind, place = str(part.children[0]), part.children[1]
-            name = str(place)
+            name = _name(str(place))
             statement = Statement((), place.start_pos, place.end_pos, place.line)
             target: str | Left = name
             if kind == "IMOV":
-                draft.changed[name] = f"line {place.line} moves by it (IMOV)"
+                draft.write(name, f"line {place.line} moves by it (IMOV)")
                 target = Left(name, i, place.line, "a relative motion")
+            elif "[" in name:
+                target = Left(name, i, place.line, "a computed position")
             arc = [*arc, name] if kind == "MOVC" else []
             path = _PATHS.get(kind, "joint")
             targets: tuple[str | Left, ...] = (target,)
@@ -174,6 +179,12 @@ class Jbi(ControllerLanguage):
             draft.motions.append(
                 Motion(path, targets, statement, i, Frame(""), Frame(""), (place.start_pos, place.end_pos), run)
             )
+
+
+def _name(text: str) -> str:
+    """Return the name of a position with five digits, as many as jobs have in their head: P001 is P00001."""
+    number = text.lstrip("BCEPX")
+    return f"{text.removesuffix(number)}{number.rjust(5, '0')}" if number.isdigit() else text
 
 
 def _posture(values: Sequence[Number | None]) -> Posture:

@@ -2,32 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from pincal.programs.flow import InForce, Step, followed
+from pincal.programs.draft import Draft
+from pincal.programs.flow import OUTSIDE, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.program import Draft, Frame, Left, Motion, Path, Point, Posture, Program, Turn
+from pincal.programs.program import Frame, Left, Motion, Path, Point, Posture, Program, Turn
+from pincal.programs.statement_reader import Reader
 from pincal.programs.syntax import (
     Brackets,
     Number,
     Source,
     Statement,
+    aggregate,
+    call_of,
+    calls_in,
+    element_name,
     is_token,
+    nested,
     number_of,
+    place_of,
     split,
     text_of_items,
     word,
-    words_in,
 )
 
 _TOKENS = r"""
 TEXT: /"[^"\r\n]*"/
 BITS.2: /'[BbHh][0-9A-Fa-f]+'/
-SIGN: /[^\x04\s\w()\[\]{}"';&$#]|'/
+SIGN: /[=<>]=|[^\x04\s\w()\[\]{}"';&$#]|'/
 _END: /\r\n|\r|\n|\x04/
 COMMENT.5: /;[^\r\n]*/
 HEADER.5: /&[^\r\n]*/
@@ -43,12 +50,25 @@ _CLOSES = {end: tuple(k for k, v in {**_ROUTINES, **_LOOPS, **_BLOCKS}.items() i
            for end in {*_ROUTINES.values(), *_LOOPS.values(), *_BLOCKS.values()}}  # fmt: skip
 _MOTIONS: dict[str, Path] = {"PTP": "joint", "LIN": "line", "CIRC": "circle", "SPTP": "joint", "SLIN": "line",
                              "SCIRC": "circle", "SPL": "joint"}  # fmt: skip
+# Motions that obey S and T.
+_BY_POSTURE = ("PTP", "SPTP")
 _RELATIVE = {f"{name}_REL" for name in _MOTIONS}
 _AFTER = {"C_DIS", "C_VEL", "C_ORI", "C_PTP", "C_SPL", "WITH"}
-_POSE, _JOINTS = tuple("XYZABC"), tuple(f"A{i}" for i in range(1, 7))
-_EXTERNAL = tuple(f"E{i}" for i in range(1, 7))
+_POSE, _JOINTS = ("X", "Y", "Z", "A", "B", "C"), ("A1", "A2", "A3", "A4", "A5", "A6")
+_EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
 _NULL = ("$NULLFRAME", "$WORLD", "TOOL_DATA[0]", "BASE_DATA[0]")
 _FRAMES = frozenset({"$TOOL", "$BASE"})
+# What BAS sets by its first argument: tool, base, both from FDAT_ACT, none, and otherwise perhaps both.
+_BY_DATA = ("#PTP_PARAMS", "#CP_PARAMS", "#FRAMES", "#PTP_DAT", "#CP_DAT")
+_SPEEDS = ("#VEL_PTP", "#VEL_CP", "#ACC_PTP", "#ACC_CP", "#OUT_SYNC")
+# What stands before round brackets and changes neither a point nor a frame.
+_HARMLESS = (
+    "IF WHILE UNTIL FOR WHEN SWITCH CASE AND OR NOT EXOR B_AND B_OR B_NOT B_EXOR RETURN WAIT SEC TO STEP DO DEF DEFFCT EXT "
+    "EXTFCT BAS STOOL STOOL2 SBASE SIPO_MODE SVEL_JOINT SVEL_CP SACC_JOINT SACC_CP SAPO SAPO_PTP SGEAR_JERK SJERK SORI_TYP "
+    "SLOAD ABS SQRT SIN COS TAN ACOS ATAN2 INVERSE FORWARD INV_POS VARSTATE PULSE SIGN ROUND CAST_TO CAST_FROM SREAD SWRITE "
+    "CREAD CWRITE COPEN CCLOSE CIOCTL STRLEN STRDECLLEN STRCLEAR STRADD STRFIND STRCOMP STRCOPY MSGNOTIFY MSGSTATE MSGQUIT "
+    "MSGACKNOWLEDGE MSGDIALOG MSGLOOP SET_KRLMSG EXISTS_KRLMSG CLEAR_KRLMSG SET_KRLDLG EXISTS_KRLDLG IR_STOPM"
+)
 
 
 @LANGUAGES.register
@@ -58,17 +78,45 @@ class Krl(ControllerLanguage):
     name = "KRL"
     suffixes = (".src", ".dat")
     is_pair = True
+    reads_others = True
     convention = "kuka"
     can_insert = True
+    grammars = (nested(_TOKENS),)
 
     def read(self, sources: Sequence[Source]) -> Program:
         """Return the program of a ``.src`` and its ``.dat``."""
-        return _Reader(self, Draft(sources)).read()
+        draft = Draft(sources)
+        files = []
+        for source in sources:
+            statements = source.statements(_TOKENS, _WORDS)
+            files.append((source, statements, [_step(statement) for statement in statements]))
+        flows = followed(files, outside=_FRAMES)
+        by_value = [step.routine for _, statements, steps in files for statement, step in zip(statements, steps, strict=True)
+                    if _takes_values(statement, step)]  # fmt: skip
+        harmless = _harmless() | set(by_value)
+        readers = []
+        for i, (source, statements, steps) in enumerate(files):
+            outside = [s for k, s in enumerate(statements) if not flows[i][k].depth and not steps[k].opens]
+            if outside or not statements:
+                raise source.error(
+                    "a statement outside of DEF or DEFDAT; expected " + _WORDS, outside[0].start if outside else 0
+                )
+            readers.append(_Reader(draft, i, statements, steps, flows[i], harmless, self))
+        data = _Data()
+        for reader in readers:
+            for k in range(len(reader.statements)):
+                reader.declare(k, data)
+        for reader in readers:
+            for k in range(len(reader.statements)):
+                reader.move(k, data)
+        return draft.finish()
 
     def statement(self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture) -> str:
         """Return the motion with a pose in the place of its target, passed without a stop."""
         start, end = motion.span
-        pose = ",".join(f"{name} {value:.{4 if name in 'XYZ' else 6}f}" for name, value in zip(_POSE, values, strict=True))
+        # Angles near those of the end may be more than half a turn, which no pendant shows.
+        numbers = [*values[:3], *(angle - 360.0 * round(angle / 360.0) for angle in values[3:])]
+        pose = ",".join(f"{name} {value:.{4 if name in 'XYZ' else 6}f}" for name, value in zip(_POSE, numbers, strict=True))
         after = source.text[end : motion.statement.end]
         approximate = "" if any(word in after.upper() for word in _AFTER) or after.strip() else " C_DIS"
         return source.text[motion.statement.start : start] + "{" + pose + "}" + after + approximate
@@ -77,220 +125,187 @@ class Krl(ControllerLanguage):
         """Return bits in the spelling of others: decimal, 'B...' or 'H...'."""
         if not number.text.startswith("'"):
             return str(value)
-        width = len(number.text) - 3
-        return f"'{number.text[1]}{value:0{width}{'b' if number.text[1] in 'Bb' else 'X'}}'"
+        text = f"{value:b}" if number.text[1] in "Bb" else f"{value:X}"
+        return f"'{number.text[1]}{text.rjust(len(number.text) - 3, '0')}'"
 
 
 @dataclass
-class _Reader:
-    """What has been found in the files so far."""
+class _Data:
+    """What is known over all files.
 
-    language: ControllerLanguage
-    draft: Draft
-    data: dict[str, tuple[str, str] | None] = field(default_factory=dict)
-    frames_used: set[str] = field(default_factory=set)
+    Attributes:
+        frames: tool and base of points' frame data (FDAT), None where they are not known.
+        is_held: whether the tool stands in the cell.
+    """
+
+    frames: dict[str, tuple[str, str] | None] = field(default_factory=dict)
     is_held: bool = False
-    is_spline: bool = False
 
-    def read(self) -> Program:
-        files = [(i, source, source.statements(_TOKENS, _WORDS)) for i, source in enumerate(self.draft.sources)]
-        setting = {name for *_, statements in files for name in _routines_that_set_frames(statements)}
-        flows = []
-        for _, source, statements in files:
-            flow = followed(source, statements, [_step(statement, setting) for statement in statements])
-            pairs = zip(statements, flow, strict=True)
-            outside = [statement for statement, known in pairs if not known.depth and not _step(statement, setting).opens]
-            if outside or not statements:
-                at = outside[0].start if outside else 0
-                raise source.error("a statement outside of DEF or DEFDAT; expected " + _WORDS, at)
-            flows.append(flow)
-        for i, _, statements in files:
-            for statement in statements:
-                self._declare(i, statement)
-        for (i, _, statements), flow in zip(files, flows, strict=True):
-            for k in range(len(statements)):
-                self._move(i, statements, k, flow)
-        targets = {target for motion in self.draft.motions for target in motion.targets if isinstance(target, str)}
-        for name in self.frames_used & self.draft.declared.keys():
-            if name in targets:
-                self.draft.changed[name] = "it is a tool or a base, too"
-            else:
-                del self.draft.declared[name]
-        return self.draft.finish()
 
-    def _declare(self, i: int, statement: Statement) -> None:
+@dataclass(frozen=True)
+class _Reader(Reader):
+    language: Krl
+
+    def declare(self, k: int, data: _Data) -> None:
         """Take note of what a statement sets."""
-        items = statement.items
+        statement = self.statements[k]
+        items, line = statement.items, statement.line
         while items and word(items[0]) in ("GLOBAL", "DECL", "CONST"):
             items = items[1:]
         first = word(items[0]) if items else ""
-        if first in (*_MOTIONS, *_RELATIVE, *_ROUTINES) or not items:
+        if not items or first in _MOTIONS or first in _RELATIVE or first in _ROUTINES:
             return
         if len(items) > 1 and first and word(items[1]):
             items = items[1:]
-        sides = split(items, "=")
-        name = text_of_items(sides[0])
-        if len(sides) != 2 or not word(sides[0][0]):
-            self._mentions(statement, items)
-            return
-        if name == "$IPO_MODE" and text_of_items(sides[1]) == "#TCP":
-            self.is_held = True
-        match sides[1]:
-            case [Brackets(kind="{") as group] if (fields := _fields(group)) is not None:
-                if "TOOL_NO" in fields and "BASE_NO" in fields:
-                    numbers = [number_of(fields[key]) for key in ("TOOL_NO", "BASE_NO")]
-                    known = all(numbers) and text_of_items(fields.get("IPO_FRAME", ())) in ("", "#BASE")
-                    names = (f"TOOL_DATA[{numbers[0].text}]", f"BASE_DATA[{numbers[1].text}]") if known else None  # type: ignore[union-attr]
-                    self.data[name] = None if name in self.data else names
-                elif point := self._point(i, statement, name, fields):
-                    is_frame = name.startswith(("TOOL_DATA[", "BASE_DATA[", "$"))
-                    if isinstance(point, Point) and point.kind == "pose" and not name.startswith("$"):
-                        self.draft.keep(self.draft.tools, name, self.language.pose(point.values))
-                    if isinstance(point, Left) and not is_frame:
-                        self.draft.left.append(point)
-                    elif isinstance(point, Point) and not is_frame:
-                        self.draft.declare(point)
-                return
-        whole, dot, _ = name.partition(".")
-        what = "a part of it" if dot else "it"
-        for other in self._meant(whole):
-            self.draft.changed[other] = f"line {statement.line} sets {what} while the program runs"
-        self._mentions(statement, sides[1])
+        self.hand(line, items)
+        for part in split(items):
+            sides = split(part, "=")
+            name, is_part = element_name(sides[0])
+            if len(sides) != 2 or not name:
+                self.draft.read(self.words(part))
+                continue
+            group = aggregate(sides[1], "{")
+            fields = _fields(group) if group is not None else None
+            if name == "$IPO_MODE" and text_of_items(sides[1]) == "#TCP":
+                data.is_held = True
+            if fields is not None and "TOOL_NO" in fields and "BASE_NO" in fields:
+                data.frames[name] = None if name in data.frames else _frame_data(fields)
+                continue
+            if name in data.frames:
+                data.frames[name] = None
+            self._set(line, name, is_part, sides[1])
 
-    def _mentions(self, statement: Statement, items: Sequence[Any]) -> None:
-        """Take note of the names in an expression or a call."""
-        is_call = len(items) == 2 and isinstance(items[1], Brackets) and items[1].kind == "("
-        for name in words_in(items):
-            self.draft.computed.add(name)
-            if is_call and name != word(items[0]):
-                self.draft.changed[name] = f"line {statement.line} hands it to {word(items[0])}, which may change it"
+    def _set(self, line: int, name: str, is_part: bool, value: Sequence[Any]) -> None:
+        """Take note of a value: poses may be tools and bases, and those of a controller are no points."""
+        point = None if is_part or "*" in name else self.literal(line, name, value)
+        is_frame = name.startswith(("TOOL_DATA[", "BASE_DATA[", "$"))
+        if isinstance(point, Point) and point.kind == "pose" and not name.startswith("$"):
+            self.draft.frame(name, self.language.pose(point.values), ["tool", "base"])
+        if not is_frame or point is None:
+            self.assign(line, name, is_part, value)
+        elif isinstance(point, Left):
+            self.draft.write(name, point.reason)
 
-    def _meant(self, name: str) -> Iterator[str]:
-        """Yield the names that an assignment may change: of an array with an index that is computed, all of it."""
-        yield name
-        array, bracket, index = name.partition("[")
-        if bracket and not index.rstrip("]").isdigit():
-            yield from (f"{array}[{k}]" for k in range(1, 1000))
-
-    def _point(self, i: int, statement: Statement, name: str, fields: Mapping[str, tuple[Any, ...]]) -> Point | Left | None:
+    def literal(self, line: int, name: str, items: Sequence[Any]) -> Point | Left | None:
         """Return the point of an aggregate; None if it is none."""
-        keys = next((keys for keys in (_POSE, _JOINTS) if set(keys) & fields.keys()), None)
-        if keys is None:
+        group = aggregate(items, "{")
+        fields = _fields(group) if group is not None else None
+        keys = next((keys for keys in (_POSE, _JOINTS) if fields is not None and set(keys) & set(fields)), None)
+        if fields is None or keys is None:
             return None
         numbers = [number_of(fields.get(key, ())) for key in keys]
         found = tuple(number for number in numbers if number is not None)
         if len(found) < len(keys):
-            return Left(name, i, statement.line, f"not all of {' '.join(keys)} are there as numbers")
+            return self.left(name, line, f"not all of {' '.join(keys)} are there as numbers")
+        if keys == _JOINTS:
+            return Point(name, self.file, line, "joints", found)
         external = [number_of(fields[key]) for key in _EXTERNAL if key in fields]
-        if keys is _JOINTS:
-            return Point(name, i, statement.line, "joints", found)
-        if any(number is None or number.value for number in external):
-            return Left(name, i, statement.line, "an external axis is not at 0")
-        if (posture := _posture(fields)) is None:
-            return Left(name, i, statement.line, "S or T is no number")
-        return Point(name, i, statement.line, "pose", found, posture)
+        if any(number is None or number.value != 0.0 for number in external):
+            return self.left(name, line, "an external axis is not at 0")
+        posture = _posture(fields)
+        if posture is None:
+            return self.left(name, line, "S or T is no number")
+        return Point(name, self.file, line, "pose", found, posture)
 
-    def _move(self, i: int, statements: Sequence[Statement], k: int, flow: Sequence[InForce]) -> None:
+    def move(self, k: int, data: _Data) -> None:
         """Take note of a motion."""
-        statement, items = statements[k], statements[k].items
-        first = word(items[0])
-        if first.endswith("SPLINE"):
-            self.is_spline = not first.startswith("END")
+        statement, known = self.statements[k], self.flow[k]
+        items, first = statement.items, word(statement.items[0])
         if first in _RELATIVE:
-            self.draft.computed |= set(words_in(items[1:]))
-            lost = Left(text_of_items(items)[:40], i, statement.line, "a relative motion")
-            self.draft.motions.append(Motion("joint", (lost,), statement, i, Frame(""), Frame(""), (0, 0), flow[k].run))
+            self.draft.read(self.words(items[1:]))
+            lost = self.left(text_of_items(items)[:40], statement.line, "a relative motion")
+            self.draft.motions.append(
+                Motion("joint", (lost,), statement, self.file, Frame(""), Frame(""), (0, 0), known.run)
+            )
             return
         if first not in _MOTIONS or len(items) < 2 or is_token(items[1], "SIGN", "="):
             return
         stop = next((j for j, item in enumerate(items) if word(item) in _AFTER), len(items))
-        parts = split(items[1:stop])
-        arcs = [part for part in parts if part and word(part[0]) == "CA"]
-        parts = [part for part in parts if part and part not in arcs]
-        tool, base = (self._frame(name, statements, k, flow) for name in ("$TOOL", "$BASE"))
-        targets = tuple(self._target(i, statement, part) for part in parts)
+        parts = [part for part in split(items[1:stop]) if part]
+        arcs = [part for part in parts if word(part[0]) == "CA"]
+        parts = [part for part in parts if word(part[0]) != "CA"]
         if not parts:
             return
-        last = parts[-1]
-        span = (_start(last[0]), _end(last[-1]))
+        tool, base = self._frame("$TOOL", k, data), self._frame("$BASE", k, data)
+        targets = tuple(self.target(k, part) for part in parts)
+        span = (place_of(parts[-1][0])[0], place_of(parts[-1][-1])[1])
         path = "joint" if arcs or len(parts) != 1 + (_MOTIONS[first] == "circle") else _MOTIONS[first]
-        can_insert = path == "line" and not self.is_spline
-        self.draft.motions.append(Motion(path, targets, statement, i, tool, base, span, flow[k].run, can_insert))
+        in_spline = any(self.steps[j].opens.endswith("SPLINE") for j in known.blocks)
+        can_insert = path == "line" and not in_spline
+        self.draft.motions.append(
+            Motion(path, targets, statement, self.file, tool, base, span, known.run, can_insert, first in _BY_POSTURE)
+        )
 
-    def _target(self, i: int, statement: Statement, part: tuple[Any, ...]) -> str | Point | Left:
-        match part:
-            case [Brackets(kind="{") as group]:
-                name = f"{word(statement.items[0])} of line {statement.line}"
-                fields = _fields(group)
-                return (self._point(i, statement, name, fields) if fields is not None else None) or Left(
-                    name, i, statement.line, "not understood"
-                )
-            case [name] if word(name) and not word(name).startswith("$"):
-                return word(name)
-            case [name, Brackets(kind="[", items=[index])] if word(name) and is_token(index, "NUMBER"):
-                return text_of_items(part)
-        self.draft.computed |= set(words_in(part))
-        return Left(text_of_items(part)[:40], i, statement.line, "a computed position")
-
-    def _frame(self, name: str, statements: Sequence[Statement], k: int, flow: Sequence[InForce]) -> Frame:
+    def _frame(self, variable: str, k: int, data: _Data) -> Frame:
         """Return $TOOL or $BASE before a statement."""
-        if self.is_held:
-            return Frame(name, reason="the tool is fixed in the cell ($IPO_MODE=#TCP)")
-        for part in split(_after_with(statements[k].items)):
+        if data.is_held:
+            return Frame(variable, reason="the tool is fixed in the cell ($IPO_MODE=#TCP)")
+        items = self.statements[k].items
+        with_ = next((j + 1 for j, item in enumerate(items) if word(item) == "WITH"), len(items))
+        for part in split(items[with_:]):
             sides = split(part, "=")
-            if len(sides) == 2 and text_of_items(sides[0]) == name:
-                return self._frame_of(name, sides[1])
-        found = flow[k].setters.get(name)
+            if len(sides) == 2 and text_of_items(sides[0]) == variable:
+                return self._frame_of(variable, k, sides[1], data)
+        found = self.flow[k].setters.get(variable)
         if not isinstance(found, int):
-            return Frame(name, reason=f"{name}: {found}" if found else "")
-        setter = statements[found].items
-        if word(setter[0]) != "BAS":
-            return self._frame_of(name, split(setter, "=")[1])
-        match setter[1].parts if isinstance(setter[1], Brackets) else ():
-            case [(what,), index] if word(what) in ("#TOOL", "#BASE") and (number := number_of(index)):
-                return self._frame_of(name, setter[1].items, f"{word(what)[1:]}_DATA[{number.text}]")
-            case [(what,), *_] if word(what) in ("#PTP_PARAMS", "#CP_PARAMS", "#FRAMES", "#PTP_DAT", "#CP_DAT"):
-                source = flow[found].setters.get("FDAT_ACT")
-                if not isinstance(source, int):
-                    return Frame(name, reason=f"FDAT_ACT: {source or 'it is set elsewhere'}")
-                return self._frame_of_data(name, text_of_items(split(statements[source].items, "=")[1]))
-        return Frame(name, reason=f"line {statements[found].line} may set {name}")
+            hint = f" (--with its file, or --{variable[1:].lower()} '{variable}=X,Y,Z,...')"
+            said = f"{variable}: {found}{hint if found is not None and OUTSIDE in found else ''}"
+            return Frame(variable, reason=said if found is not None else "")
+        setter = self.statements[found].items
+        call, sides = call_of(setter), split(setter, "=")
+        if len(sides) == 2:
+            return self._frame_of(variable, k, sides[1], data)
+        index = number_of(call[1].parts[1]) if call is not None and len(call[1].parts) > 1 else None
+        what = _by_bas(setter)
+        if what in ("#TOOL", "#BASE") and index is not None:
+            return _frame_named(f"{what[1:]}_DATA[{index.text}]")
+        source = self.flow[found].setters.get("FDAT_ACT")
+        if what not in _BY_DATA:
+            return Frame(variable, reason=f"line {self.statements[found].line} may set {variable}")
+        if not isinstance(source, int):
+            return Frame(variable, reason=f"FDAT_ACT: {source if source is not None else 'it is set elsewhere'}")
+        return _frame_of_data(variable, text_of_items(split(self.statements[source].items, "=")[1]), data)
 
-    def _frame_of(self, name: str, items: Sequence[Any], text: str = "") -> Frame:
+    def _frame_of(self, variable: str, k: int, items: Sequence[Any], data: _Data) -> Frame:
         """Return the frame that an expression is."""
-        match list(items):
-            case [Brackets(kind="{") as group] if (fields := _fields(group)) is not None:
-                numbers = [number_of(fields.get(key, ())) for key in _POSE]
-                if None not in numbers:
-                    return Frame(name, self.language.pose(np.array([number.value for number in numbers if number])))
-            case [call, Brackets(kind="(") as group] if word(call) in ("STOOL", "STOOL2", "SBASE"):
-                return self._frame_of_data(name, text_of_items(group.items).partition(".")[0])
-        text = text or text_of_items(items)
-        self.frames_used.add(text)
-        if text in _NULL:
-            return Frame(text, np.eye(4))
-        if any(sign in text for sign in ":+-*/(.{") or not text:
-            return Frame(name, reason=f"{name} is computed")
-        return Frame(text)
-
-    def _frame_of_data(self, name: str, data: str) -> Frame:
-        """Return the tool or the base of a point's frame data."""
-        found = self.data.get(data)
-        if found is None:
-            return Frame(name, reason=f"the frame data {data} are not in these files, or not as numbers")
-        return self._frame_of(name, (), found[name == "$BASE"])
+        found = self.literal(0, variable, items)
+        if isinstance(found, Point) and found.kind == "pose":
+            return Frame(variable, self.language.pose(found.values))
+        call = call_of(items)
+        if call is not None and call[0].upper() in ("STOOL", "STOOL2", "SBASE"):
+            return _frame_of_data(variable, text_of_items(call[1].items).partition(".")[0], data)
+        frame = self.frame(k, items, f"{variable} is computed")
+        return frame if frame.reason else _frame_named(frame.name)
 
 
-def _start(item: Any) -> int:
-    return item.start if isinstance(item, Brackets) else int(item.start_pos)
+def _harmless() -> frozenset[str]:
+    return frozenset(_HARMLESS.split())
 
 
-def _end(item: Any) -> int:
-    return item.end if isinstance(item, Brackets) else int(item.end_pos)
+def _takes_values(statement: Statement, step: Step) -> bool:
+    """Return whether a statement opens a routine whose parameters are all :IN."""
+    parts = [part for item in statement.items if isinstance(item, Brackets) for part in item.parts if part]
+    return bool(step.routine) and all(word(part[-1]) == "IN" for part in parts)
 
 
-def _after_with(items: Sequence[Any]) -> Sequence[Any]:
-    return next((items[j + 1 :] for j, item in enumerate(items) if word(item) == "WITH"), ())
+def _frame_named(name: str) -> Frame:
+    return Frame(name, np.eye(4) if name in _NULL else None)
+
+
+def _frame_of_data(variable: str, name: str, data: _Data) -> Frame:
+    """Return the tool or the base of a point's frame data."""
+    found = data.frames.get(name)
+    if found is None:
+        return Frame(variable, reason=f"the frame data {name} are not in these files, or not as numbers")
+    return _frame_named(found[0] if variable == "$TOOL" else found[1])
+
+
+def _frame_data(fields: Mapping[str, tuple[Any, ...]]) -> tuple[str, str] | None:
+    """Return the names of tool and base that frame data are; None if they are not known, or the tool stands in the cell."""
+    tool, base = number_of(fields["TOOL_NO"]), number_of(fields["BASE_NO"])
+    if tool is None or base is None or text_of_items(fields.get("IPO_FRAME", ())) not in ("", "#BASE"):
+        return None
+    return f"TOOL_DATA[{tool.text}]", f"BASE_DATA[{base.text}]"
 
 
 def _fields(group: Brackets) -> dict[str, tuple[Any, ...]] | None:
@@ -309,68 +324,56 @@ def _bits(items: tuple[Any, ...]) -> Number | None:
     """Return a number that may be written in bits."""
     if len(items) == 1 and is_token(items[0], "BITS"):
         text = str(items[0])
-        try:
-            return Number(int(text[2:-1], 2 if text[1] in "Bb" else 16), items[0].start_pos, items[0].end_pos, text)
-        except ValueError:
+        digits = text[2:-1]
+        if text[1] in "Bb" and digits.strip("01"):
             return None
+        return Number(int(digits, 2 if text[1] in "Bb" else 16), *place_of(items[0]), text)
     number = number_of(items)
     return number if number is not None and number.text.isdigit() else None
 
 
 def _posture(fields: Mapping[str, tuple[Any, ...]]) -> Posture | None:
     """Return what S and T say: bits of S are overhead, elbow up, axis 5 below 0; those of T axes below 0."""
-    posture, turns = Posture(), tuple[Turn, ...]()
-    if "S" in fields:
-        status = _bits(fields["S"])
-        if status is None:
-            return None
-        bits = int(status.value)
-        posture = Posture(front=not bits & 1, up=bool(bits & 2), down=not bits & 4)
-    if "T" in fields:
-        number = _bits(fields["T"])
-        if number is None:
-            return None
+    status, number = (_bits(fields[name]) if name in fields else None for name in ("S", "T"))
+    if (status is None and "S" in fields) or (number is None and "T" in fields):
+        return None
+    turns: tuple[Turn, ...] = ()
+    if number is not None:
         turns = tuple(Turn(j, "negative", int(number.value) >> j & 1, number, j) for j in range(6))
-    return Posture(*posture.sides, turns)
+    if status is None:
+        return Posture(turns=turns)
+    bits = int(status.value)
+    return Posture(not bits & 1, bool(bits & 2), not bits & 4, turns)
 
 
-def _opening(statement: Statement) -> str:
-    """Return the word that opens a block, that of a routine behind GLOBAL."""
-    first = word(statement.items[0])
-    return word(statement.items[1]) if first == "GLOBAL" and len(statement.items) > 1 else first
+def _by_bas(items: Sequence[Any]) -> str:
+    """Return what a call of BAS is for, an empty text for other items."""
+    call = call_of(items)
+    return text_of_items(call[1].parts[0]) if call is not None and call[0].upper() == "BAS" and call[1].parts else ""
 
 
-def _step(statement: Statement, setting: set[str]) -> Step:
+def _step(statement: Statement) -> Step:
     """Return what a statement does to the order of others and to the frames."""
-    items, opens = statement.items, _opening(statement)
+    items, first = statement.items, word(statement.items[0])
+    opens = word(items[1]) if first == "GLOBAL" and len(items) > 1 else first
     if opens in _ROUTINES:
-        return Step(opens=opens, is_routine=True)
-    first = word(items[0])
+        return Step(opens=opens, routine=[word(item) for item in items if word(item)][-1])
+    harmless = _harmless()
+    calls = tuple(name.upper() for name, _ in calls_in(items) if name.upper() not in harmless)
+    if any(word(item) == "DO" for item in items):
+        return Step(starts=calls)
     if first in _LOOPS or first in _BLOCKS:
-        return Step(opens=first, is_loop=first in _LOOPS)
+        return Step(opens=first, is_loop=first in _LOOPS, calls=calls)
     if first in _CLOSES:
-        return Step(closes=_CLOSES[first])
+        return Step(closes=_CLOSES[first], calls=calls)
     if first in ("ELSE", "CASE", "DEFAULT") or (len(items) == 2 and is_token(items[1], "SIGN", ":")):
         return Step(is_jump=True)
-    if first == "BAS" and len(items) == 2 and isinstance(items[1], Brackets):
-        what = text_of_items(items[1].parts[0]) if items[1].parts else ""
-        one = {"#TOOL": {"$TOOL"}, "#BASE": {"$BASE"}}.get(what)
-        return Step(sets=frozenset(one or _FRAMES))
+    if first == "BAS":
+        what = _by_bas(items)
+        one = {"#TOOL": frozenset({"$TOOL"}), "#BASE": frozenset({"$BASE"})}
+        return Step(sets=one.get(what, frozenset() if what in _SPEEDS else _FRAMES))
     sides = split(items, "=")
-    if len(sides) == 2 and first not in _MOTIONS:
-        name = text_of_items(sides[0])
-        clears = {name.partition(".")[0]} if "." in name else set()
-        return Step(sets=frozenset({name} - clears), clears=frozenset(clears))
-    return Step(clears=_FRAMES if first in setting else frozenset())
-
-
-def _routines_that_set_frames(statements: Sequence[Statement]) -> Iterator[str]:
-    """Yield the names of routines in which a tool or a base is set."""
-    routine = ""
-    for statement in statements:
-        opens = _opening(statement)
-        if opens in ("DEF", "DEFFCT"):
-            names = [word(item) for item in statement.items if word(item)]
-            routine = names[-1]
-        elif _step(statement, set()).sets & _FRAMES and routine:
-            yield routine
+    name, is_part = element_name(sides[0])
+    if len(sides) != 2 or first in _MOTIONS or name not in ("$TOOL", "$BASE", "FDAT_ACT"):
+        return Step(calls=calls)
+    return Step(calls=calls, clears=frozenset({name})) if is_part else Step(calls=calls, sets=frozenset({name}))

@@ -29,21 +29,25 @@ class ControllerLanguage(ABC):
         name: how messages call it.
         suffixes: of its files; those of one program that consists of several stand in this order.
         is_pair: whether files of one name and different suffixes are one program.
+        reads_others: whether its files use what is declared in others.
         length: its unit of length [m].
         convention: its orientation, see :mod:`pincal.measure.orientation`.
         in_degrees: whether joints that turn are in degrees.
         digits: digits behind the point of a position, an orientation and a joint: what a tenth of a micrometre takes.
         can_insert: whether statements can be put into a program.
+        grammars: by which its files are read; the page of ``export --page`` holds their tables.
     """
 
     name: ClassVar[str]
     suffixes: ClassVar[tuple[str, ...]]
     is_pair: ClassVar[bool] = False
+    reads_others: ClassVar[bool] = False
     length: ClassVar[float] = 1e-3
     convention: ClassVar[str] = "fanuc"
     in_degrees: ClassVar[bool] = True
     digits: ClassVar[tuple[int, int, int]] = (4, 6, 7)
     can_insert: ClassVar[bool] = False
+    grammars: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def read(self, sources: Sequence[Source]) -> Program:
@@ -132,8 +136,8 @@ class ControllerLanguage(ABC):
     def point_numbers(self, point: Point, values: np.ndarray) -> list[str]:
         """Return the texts that take the places of a point's numbers."""
         length, angle, joint = self.digits
-        least = [joint] * len(values) if point.kind == "joints" else [length] * 3 + [angle] * (len(values) - 3)
-        return [number_text(*each) for each in zip(point.numbers, map(float, values), least, strict=True)]
+        least = [joint if point.kind == "joints" else length if k < 3 else angle for k in range(len(point.numbers))]
+        return [number_text(number, float(values[k]), least[k]) for k, number in enumerate(point.numbers)]
 
     def turn_text(self, turns: Sequence[Turn], axes: np.ndarray, before: np.ndarray) -> str:
         """Return the text of a number that some turns are, at axes and at those before, shape (n,) each.
@@ -141,8 +145,8 @@ class ControllerLanguage(ABC):
         A turn that was counted from the other side of an edge stays as it was, as long as nothing moves over the edge.
         """
         number = turns[0].number
-        counts = [int(turn.counted(axes[None])[0]) for turn in turns]
-        were = [int(turn.counted(before[None])[0]) for turn in turns]
+        counts = [turn.counted(float(axes[turn.joint])) for turn in turns]
+        were = [turn.counted(float(before[turn.joint])) for turn in turns]
         counts = [turn.value if new == old else new for turn, new, old in zip(turns, counts, were, strict=True)]
         if all(count == turn.value for count, turn in zip(counts, turns, strict=True)):
             return number.text
@@ -150,7 +154,7 @@ class ControllerLanguage(ABC):
             return str(counts[0])
         value = int(number.value)
         for turn, count in zip(turns, counts, strict=True):
-            value = value & ~(1 << (turn.bit or 0)) | count << (turn.bit or 0)
+            value = value & ~(1 << (turn.bit or 0)) | (count << (turn.bit or 0))
         return self.bits(number, value)
 
     def bits(self, number: Number, value: int) -> str:

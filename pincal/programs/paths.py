@@ -79,16 +79,19 @@ class Follower:
         tips = [self.corrector.arms.tips(end.reshape(-1, end.shape[-1])).reshape(*end.shape[:2], 3, 4) for end in ends]
         stops = [np.array([compose(tip[:, k], np.repeat(tool[None, :3], len(tip), axis=0)) for k in (0, 1)])
                  for tip, tool in zip(tips, tools, strict=True)]  # fmt: skip
+        # All have three poses; the second of a line is NaN.
+        meant, told = (np.array([stop[k, [0, -2, -1]] for stop in stops]) for k in (0, 1))
+        is_line = np.array([len(end) == 2 for end in ends])
+        meant[is_line, 1], told[is_line, 1] = np.nan, np.nan
         q, back = np.array([end[0, 1] for end in ends]), inverse(tools[:, :3])
         worst, follows = np.zeros(len(ends)), np.ones(len(ends), bool)
         for look in range(1, _LOOKS + 1):
             s = look / (_LOOKS + 1)
-            told = np.array([_between(stop[1], s) for stop in stops])
-            q, reached = self._reach(q, compose(told, back))
+            q, reached = self._reach(q, compose(_between(told, s), back))
             follows &= reached
-            meant, ahead = (np.array([_between(stop[0], t)[:, 3] for stop in stops]) for t in (s, s + 1e-4))
-            off = compose(self._real_tips(q), tools[:, :3])[:, :, 3] - meant
-            along = ahead - meant
+            here, ahead = (_between(meant, t)[:, :, 3] for t in (s, s + 1e-4))
+            off = compose(self._real_tips(q), tools[:, :3])[:, :, 3] - here
+            along = ahead - here
             along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
             off -= np.einsum("ni,ni->n", off, along)[:, None] * along
             worst = np.maximum(worst, np.linalg.norm(off, axis=1))
@@ -115,11 +118,12 @@ class Follower:
         start, end = leg.ends
         parts, why = 2, f"not kept with {_MOST_PARTS} parts"
         back = inverse(leg.tool[None, :3])
-        stop = compose(self.corrector.arms.tips(np.array([start.q, end.q])), np.repeat(leg.tool[None, :3], 2, axis=0))
+        ends = compose(self.corrector.arms.tips(np.array([start.q, end.q])), np.repeat(leg.tool[None, :3], 2, axis=0))
+        stop = np.array([[ends[0], np.full((3, 4), np.nan), ends[1]]])
         while parts <= _MOST_PARTS:
             q, meant = start.q[None], []
             for k in range(1, parts):
-                q, reached = self._reach(q, compose(_between(stop, k / parts)[None], back))
+                q, reached = self._reach(q, compose(_between(stop, k / parts), back))
                 if not reached[0]:
                     return "the arm can't follow it"
                 meant.append(q[0])
@@ -179,15 +183,19 @@ def _line_end(text: str, at: int) -> str:
 
 
 def _between(stops: np.ndarray, s: float) -> np.ndarray:
-    """Return the pose, shape (3, 4), at a part of the way over two poses, or three on a circle, shape (2 or 3, 3, 4)."""
-    first, last = stops[0], stops[-1]
-    turn = rotation_vectors((last[:, :3] @ first[:, :3].T)[None])
-    R = exponentials(s * turn)[0] @ first[:, :3]
-    position = first[:, 3] + s * (last[:, 3] - first[:, 3])
-    if len(stops) == 3:
-        a, via, b = stops[:, :, 3]
-        position = _on_circle(a, via, b, s)
-    return np.column_stack([R, position])
+    """Return the poses, shape (N, 3, 4), at a part of the way from the first of three poses to the last.
+
+    Args:
+        stops: shape (N, 3, 3, 4); the second is one of a circle, or NaN for a line.
+        s: the part.
+    """
+    first, via, last = stops[:, 0], stops[:, 1], stops[:, 2]
+    turn = rotation_vectors(last[:, :, :3] @ first[:, :, :3].swapaxes(1, 2))
+    R = exponentials(s * turn) @ first[:, :, :3]
+    position = first[:, :, 3] + s * (last[:, :, 3] - first[:, :, 3])
+    for k in np.flatnonzero(np.isfinite(via[:, 0, 3])):
+        position[k] = _on_circle(first[k, :, 3], via[k, :, 3], last[k, :, 3], s)
+    return np.concatenate([R, position[:, :, None]], axis=2)
 
 
 def _on_circle(a: np.ndarray, via: np.ndarray, b: np.ndarray, s: float) -> np.ndarray:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -12,9 +13,10 @@ from pincal.programs.syntax import Number, Source, Statement
 
 PointKind = Literal["pose", "joints"]
 Path = Literal["joint", "line", "circle"]
-# What a turn number counts: 1 for angles below 0; quarters from 0; whole turns from -180 deg; 1 from 180 deg either way.
+FrameKind = Literal["tool", "base"]
 # File and place of the first number, which tell a point from all others.
 PointKey = tuple[int, int]
+# What a turn number counts: 1 for angles below 0; quarters from 0; whole turns from -180 deg; 1 from 180 deg either way.
 TurnKind = Literal["negative", "quarter", "whole", "half"]
 
 
@@ -36,16 +38,13 @@ class Turn:
     number: Number
     bit: int | None = None
 
-    def counted(self, q: np.ndarray) -> np.ndarray:
-        """Return the number at joint positions, shape (N, n), shape (N,)."""
-        angle = q[:, self.joint]
-        count = {
-            "negative": angle < 0.0,
-            "quarter": np.floor(angle / (0.5 * np.pi)),
-            "whole": np.floor((angle + np.pi) / (2.0 * np.pi)),
-            "half": np.abs(angle) >= np.pi,
-        }[self.kind]
-        return np.asarray(count).astype(int)
+    def counted(self, angle: float) -> int:
+        """Return the number where the joint is at an angle [rad]."""
+        if self.kind == "negative":
+            return int(angle < 0.0)
+        if self.kind == "half":
+            return int(abs(angle) >= math.pi)
+        return math.floor(angle / (0.5 * math.pi) if self.kind == "quarter" else (angle + math.pi) / (2.0 * math.pi))
 
 
 @dataclass(frozen=True)
@@ -68,6 +67,16 @@ class Posture:
     def sides(self) -> tuple[bool | None, bool | None, bool | None]:
         """The three choices."""
         return self.front, self.up, self.down
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all three are made."""
+        return None not in self.sides
+
+    def allows(self, sides: np.ndarray) -> bool:
+        """Return whether an arm is meant, by its sides as 1 or -1, shape (3,), 0 where it is on neither."""
+        pairs = zip(self.sides, sides, strict=True)
+        return all(wanted is None or not side or (side > 0.0) == wanted for wanted, side in pairs)
 
 
 @dataclass(frozen=True)
@@ -153,6 +162,7 @@ class Motion:
         source: index of the file.
         tool, base: the frames in force.
         span: start and end of the last target in the text.
+        takes_posture: whether the controller obeys what the target says of the arm's posture; else it keeps the one it has.
         run: motions of one file and one run follow each other as they stand in the text.
         can_insert: whether a statement can be put before it.
     """
@@ -166,96 +176,7 @@ class Motion:
     span: tuple[int, int]
     run: int = 0
     can_insert: bool = False
-
-
-@dataclass
-class Draft:
-    """What a language finds in the files of a program, while it reads them.
-
-    Attributes:
-        sources: the files.
-        declared: points by name, all that have it.
-        motions: in their order.
-        left: what is not understood.
-        tools, bases: poses by name, shape (4, 4); None where a name has several or one that is computed.
-        changed: why a point by this name is not what its declaration says, in words.
-        fixed: names of points that nothing can change.
-        near: names of joint positions near which the controller searches for a pose, by the name of the pose.
-        computed: names of points that other positions are computed from.
-        by_itself: whether declared points are corrected even if no motion names them.
-    """
-
-    sources: Sequence[Source]
-    declared: dict[str, list[Point]] = field(default_factory=dict)
-    motions: list[Motion] = field(default_factory=list)
-    left: list[Left] = field(default_factory=list)
-    tools: dict[str, np.ndarray | None] = field(default_factory=dict)
-    bases: dict[str, np.ndarray | None] = field(default_factory=dict)
-    changed: dict[str, str] = field(default_factory=dict)
-    fixed: set[str] = field(default_factory=set)
-    near: dict[str, str] = field(default_factory=dict)
-    computed: set[str] = field(default_factory=set)
-    by_itself: bool = False
-
-    def declare(self, point: Point) -> None:
-        """Add a point."""
-        self.declared.setdefault(point.name, []).append(point)
-
-    def keep(self, frames: dict[str, np.ndarray | None], name: str, pose: np.ndarray | None) -> None:
-        """Add a tool or a base; one that is there already is not known."""
-        frames[name] = None if name in frames else pose
-
-    def finish(self) -> Program:
-        """Return the program: each point once, with the frames that its motions or itself tell."""
-        program = Program(self.sources, dict(self.tools), dict(self.bases), left=list(self.left))
-        known: dict[str, Point] = {}
-        for name, points in self.declared.items():
-            reason = self.changed.get(name, "")
-            if len(points) > 1:
-                reason = f"it has a value on line {points[0].line} and another on line {points[1].line}"
-            if reason:
-                program.left += [Left(name, point.source, point.line, reason) for point in points]
-            else:
-                known[name] = points[0]
-        for name, seed in self.near.items():
-            if name in known and seed in known and known[seed].kind == "joints":
-                known[name] = replace(known[name], near=tuple(known[seed].values))
-        used: dict[PointKey, Point] = {}
-        spoilt: dict[PointKey, str] = {}
-        for motion in self.motions:
-            stops: list[PointKey | None] = []
-            for target in motion.targets:
-                point = known.get(target) if isinstance(target, str) else target
-                if not isinstance(point, Point):
-                    lost = point or Left(str(target), motion.source, motion.statement.line, "declared elsewhere")
-                    if not (isinstance(target, str) and target in self.declared):
-                        program.left.append(lost)
-                    stops.append(None)
-                    continue
-                framed = replace(point, tool=point.tool or motion.tool, base=point.base or motion.base)
-                before = used.setdefault(point.key, framed)
-                if point.kind == "pose" and (before.tool, before.base) != (framed.tool, framed.base):
-                    spoilt[point.key] = f"used with other frames on line {motion.statement.line} than before"
-                stops.append(point.key)
-            program.motions.append((motion, tuple(stops)))
-        for point in known.values():
-            if point.key in used:
-                continue
-            is_alone = (self.by_itself or point.kind == "joints") and point.name not in self.computed
-            is_framed = point.tool is not None and point.base is not None
-            if is_alone and (point.kind == "joints" or is_framed):
-                used[point.key] = point
-            else:
-                words = "other positions are computed from it, and no motion uses it itself"
-                no_motion = "no motion uses it here, so its tool and base are not known"
-                program.left.append(
-                    Left(point.name, point.source, point.line, words if point.name in self.computed else no_motion)
-                )
-        for key, reason in spoilt.items():
-            point = used.pop(key)
-            program.left.append(Left(point.name, point.source, point.line, reason))
-        program.points = used
-        return program
+    takes_posture: bool = True
 
 
 @dataclass
@@ -264,15 +185,15 @@ class Program:
 
     Attributes:
         sources: its files.
-        tools, bases: poses by name, shape (4, 4), None where they are not known.
+        tools, bases: poses by name, shape (4, 4), or why they are not known.
         points: by where they stand, in the order in which motions use them.
         motions: with the keys of their points, None for those that are not known.
         left: what is not understood.
     """
 
     sources: Sequence[Source]
-    tools: Mapping[str, np.ndarray | None]
-    bases: Mapping[str, np.ndarray | None]
+    tools: Mapping[str, np.ndarray | str]
+    bases: Mapping[str, np.ndarray | str]
     points: dict[PointKey, Point] = field(default_factory=dict)
     motions: list[tuple[Motion, tuple[PointKey | None, ...]]] = field(default_factory=list)
     left: list[Left] = field(default_factory=list)

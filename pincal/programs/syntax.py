@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
@@ -149,8 +149,7 @@ class Source:
             over_lines: whether brackets go on over what ends statements outside.
         """
         found = []
-        inner = "_inner: _item | _END" if over_lines else "_inner: _item"
-        for tree in self.parse(_NESTED.replace("_inner: _item", inner) + tokens, words).children:
+        for tree in self.parse(nested(tokens, over_lines=over_lines), words).children:
             items = tuple(self._items(tree.children, words))
             if items:
                 start, end = place_of(items[0])[0], place_of(items[-1])[1]
@@ -167,6 +166,11 @@ class Source:
             if _PAIRS[first] != last:
                 raise self.error(f"{str(last)!r}; expected {_PAIRS[first]!r} in {words}", last.start_pos)
             yield Brackets(str(first), tuple(self._items(inner, words)), first.start_pos, last.end_pos)
+
+
+def nested(tokens: str, *, over_lines: bool = False) -> str:
+    """Return the grammar of a language of nested brackets by its tokens."""
+    return _NESTED.replace("_inner: _item", "_inner: _item | _END" if over_lines else "_inner: _item") + tokens
 
 
 @lru_cache(8)
@@ -195,19 +199,19 @@ def split(items: Iterable[Any], sign: str = ",") -> list[tuple[Any, ...]]:
     return [tuple(part) for part in parts]
 
 
-def number_of(items: Iterable[Any]) -> Number | None:
+def number_of(items: Sequence[Any]) -> Number | None:
     """Return the number that items are, with its sign; None if they are something else."""
-    match list(items):
-        case [sign, number] if is_token(sign, "SIGN", "+", "-") and is_token(number, "NUMBER"):
-            if sign.end_pos != number.start_pos:
-                return None
-            text, start = str(sign) + str(number), sign.start_pos
-        case [number] if is_token(number, "NUMBER"):
-            text, start = str(number), number.start_pos
-        case _:
-            return None
-    value = float(text)
-    return Number(value, start, number.end_pos, text) if math.isfinite(value) else None
+    if len(items) == 2 and is_token(items[0], "SIGN", "+", "-") and items[0].end_pos == items[1].start_pos:
+        sign, number = str(items[0]), items[1]
+    elif len(items) == 1:
+        sign, number = "", items[0]
+    else:
+        return None
+    if not is_token(number, "NUMBER"):
+        return None
+    value = float(sign + str(number))
+    start = items[0].start_pos
+    return Number(value, start, number.end_pos, sign + str(number)) if math.isfinite(value) else None
 
 
 def number_at(token: Token) -> Number | None:
@@ -219,15 +223,27 @@ def number_at(token: Token) -> Number | None:
         return None
 
 
-def numbers_of(parts: Iterable[Iterable[Any]]) -> tuple[Number, ...] | None:
+def numbers_of(parts: Sequence[Sequence[Any]]) -> tuple[Number, ...] | None:
     """Return the numbers that parts are; None if one of them is something else."""
-    found = tuple(number for part in parts if (number := number_of(part)) is not None)
-    return found if len(found) == len(list(parts)) else None
+    found = [number_of(part) for part in parts]
+    return tuple(number for number in found if number is not None) if None not in found else None
 
 
-def is_token(item: Any, kind: str, *texts: str) -> bool:
+def aggregate(items: Sequence[Any], kind: str) -> Brackets | None:
+    """Return the brackets of a kind that items are, None if they are something else."""
+    return items[0] if len(items) == 1 and isinstance(items[0], Brackets) and items[0].kind == kind else None
+
+
+def call_of(items: Sequence[Any]) -> tuple[str, Brackets] | None:
+    """Return name and arguments of the call that items are, None if they are none."""
+    if len(items) == 2 and is_token(items[0], "WORD") and isinstance(items[1], Brackets) and items[1].kind == "(":
+        return str(items[0]), items[1]
+    return None
+
+
+def is_token(item: Any, kind: str, text: str = "", other: str = "") -> bool:
     """Return whether an item is a token of a kind, and of one of some texts."""
-    return not isinstance(item, Brackets) and item.type == kind and (not texts or str(item).upper() in texts)
+    return not isinstance(item, Brackets) and item.type == kind and (not text or str(item).upper() in (text, other))
 
 
 def word(item: Any) -> str:
@@ -235,18 +251,56 @@ def word(item: Any) -> str:
     return str(item).upper() if is_token(item, "WORD") else ""
 
 
-def text_of_items(items: Iterable[Any]) -> str:
-    """Return the name that items spell, in capitals and without blanks: ``P [ 3 ]`` is ``P[3]``."""
-    return "".join(
-        f"{item.kind}{text_of_items(item.items)}{_PAIRS[item.kind]}" if isinstance(item, Brackets) else str(item).upper()
-        for item in items
-    )
-
-
-def words_in(items: Iterable[Any]) -> Iterator[str]:
-    """Yield all words of items in capitals, those in brackets too."""
+def text_of_items(items: Iterable[Any], *, case: bool = False) -> str:
+    """Return what items spell, without blanks and, unless capitals make a difference, in capitals: ``P [ 3 ]`` is P[3]."""
+    found = ""
     for item in items:
         if isinstance(item, Brackets):
-            yield from words_in(item.items)
+            found += item.kind + text_of_items(item.items, case=case) + _PAIRS[item.kind]
+        else:
+            found += str(item) if case else str(item).upper()
+    return found
+
+
+def element_name(items: Sequence[Any], *, case: bool = False) -> tuple[str, bool]:
+    """Return the name that items spell and whether only a part of it is meant; an empty text if they spell none.
+
+    An element of an array is ``P[3]``, and ``P[*]`` if its index is computed.
+
+    Args:
+        items: a word, perhaps an index, perhaps a part: ``P[I].X``.
+        case: whether capitals make a difference.
+    """
+    if not items or not is_token(items[0], "WORD"):
+        return "", False
+    name, rest = str(items[0]) if case else str(items[0]).upper(), items[1:]
+    if rest and isinstance(rest[0], Brackets) and rest[0].kind in "[{":
+        plain = all(len(part) == 1 and is_token(part[0], "NUMBER") for part in rest[0].parts)
+        name, rest = f"{name}[{text_of_items(rest[0].items) if plain else '*'}]", rest[1:]
+    is_part = bool(rest) and (is_token(rest[0], "SIGN", ".") or isinstance(rest[0], Brackets))
+    return (name, is_part) if not rest or is_part else ("", False)
+
+
+def calls_in(items: Sequence[Any]) -> Iterator[tuple[str, Brackets]]:
+    """Yield the words that stand before round brackets, with these, those within brackets too."""
+    for k, item in enumerate(items):
+        if isinstance(item, Brackets):
+            if item.kind == "(" and k and is_token(items[k - 1], "WORD"):
+                yield str(items[k - 1]), item
+            yield from calls_in(item.items)
+
+
+def words_in(items: Sequence[Any], *, case: bool = False) -> Iterator[str]:
+    """Yield all words of items, those in brackets too, and the elements of arrays that they name: P and P[3].
+
+    The names of an aggregate's fields are none of them: ``{X A.Z, Y 5}`` has A and Z.
+    """
+    for k, item in enumerate(items):
+        is_index = k > 0 and not isinstance(items[k - 1], Brackets) and items[k - 1].type == "WORD"
+        if isinstance(item, Brackets):
+            for part in item.parts:
+                yield from words_in(part[1:] if item.kind == "{" and not is_index else part, case=case)
         elif item.type == "WORD":
-            yield str(item).upper()
+            yield str(item) if case else str(item).upper()
+            if k + 1 < len(items) and isinstance(items[k + 1], Brackets) and items[k + 1].kind in "[{":
+                yield element_name(items[k : k + 2], case=case)[0]

@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.program import Draft, Frame, Left, Motion, Path, Point, Posture, Program
+from pincal.programs.program import Frame, Left, Motion, Path, Point, Posture, Program
+from pincal.programs.statement_reader import Reader
 from pincal.programs.syntax import (
-    Brackets,
     Source,
     Statement,
+    aggregate,
+    call_of,
+    calls_in,
+    element_name,
     is_token,
+    nested,
     numbers_of,
     place_of,
     split,
-    text_of_items,
 )
 
 _TOKENS = r"""
 TEXT: /"[^"\r\n]*"/ | /'[^'\r\n]*'/
 BITS.3: /0[xXbB][0-9a-fA-F]+/
-SIGN: /[^\x04\s\w()\[\]{}"'#$]/
+SIGN: /[=<>!]=|[^\x04\s\w()\[\]{}"'#$]/
 _END: /\r\n|\r|\n|\x04/
 COMMENT.5: /#[^\r\n]*/
 %ignore COMMENT
@@ -33,6 +38,12 @@ COMMENT.5: /#[^\r\n]*/
 """
 _WORDS = "URScript: def, thread, if, while and for, each with its end"
 _MOTIONS: dict[str, Path] = {"movej": "joint", "movel": "line", "movep": "line", "movec": "circle"}
+_ENDLESS = ("servoj", "servoc", "servol", "speedj", "speedl")
+# What is set by a call: the tool, or a displacement of all positions.
+_SWITCHES = {"set_tcp": "tcp", "path_offset_enable": "path_offset", "path_offset_disable": "path_offset",
+             "track_conveyor_linear": "conveyor", "track_conveyor_circular": "conveyor",
+             "stop_conveyor_tracking": "conveyor"}  # fmt: skip
+_ENDS_IT = ("path_offset_disable", "stop_conveyor_tracking")
 _OPENS = {"def": "routine", "thread": "routine", "sec": "routine", "while": "loop", "for": "loop", "if": "branch"}
 
 
@@ -47,19 +58,26 @@ class UrScript(ControllerLanguage):
     in_degrees = False
     digits = (7, 8, 9)
     can_insert = True
+    grammars = (nested(_TOKENS, over_lines=True),)
 
     def read(self, sources: Sequence[Source]) -> Program:
         """Return the program of a script."""
         draft = Draft(sources)
-        for i, source in enumerate(sources):
+        files = []
+        for source in sources:
             statements = source.statements(_TOKENS, _WORDS, over_lines=True)
-            setting = _routines_that_set_the_tool(statements)
-            steps = [_step(statement, setting) for statement in statements]
-            flow = followed(source, statements, steps)
-            if not any(step.opens or _call(statement) for statement, step in zip(statements, steps, strict=True)):
+            steps = [_step(statement) for statement in statements]
+            if not any(step.opens or call_of(statements[k].items) is not None for k, step in enumerate(steps)):
                 raise source.error(f"nothing that is called or defined; expected {_WORDS}", 0)
+            files.append((source, statements, steps))
+        flows = followed(files)
+        displaced = {name for _, _, steps in files for step in steps for name in step.sets if name != "tcp"}
+        for i, (_, statements, steps) in enumerate(files):
+            # What is handed to a function is a copy.
+            harmless = frozenset(name for statement in statements for name, _ in calls_in(statement.items))
+            reader = _Reader(draft, i, statements, steps, flows[i], harmless, self, sorted(displaced))
             for k in range(len(statements)):
-                self._statement(draft, i, statements, k, flow)
+                reader.statement(k)
         return draft.finish()
 
     def key(self, name: str) -> str:
@@ -72,150 +90,138 @@ class UrScript(ControllerLanguage):
         pose = ",".join(f"{value:.{7 if k < 3 else 8}f}" for k, value in enumerate(values))
         return source.text[motion.statement.start : start] + f"p[{pose}]" + source.text[end : motion.statement.end]
 
-    def _statement(self, draft: Draft, i: int, statements: Sequence[Statement], k: int, flow: Sequence[InForce]) -> None:
-        """Take note of a statement."""
-        statement = statements[k]
-        items = statement.items
-        call = _call(statement)
-        if call and call[0] in _MOTIONS:
-            self._move(draft, i, statement, call, _tool(self, statements, k, flow), flow[k])
-            return
-        if call and call[0] in ("servoj", "servoc", "servol", "speedj", "speedl"):
-            lost = Left(f"{call[0]} of line {statement.line}", i, statement.line, "a motion without an end of its own")
-            draft.motions.append(Motion("joint", (lost,), statement, i, Frame(""), Frame(""), (0, 0), flow[k].run))
-        rest = items[1:] if is_token(items[0], "WORD", "GLOBAL", "LOCAL") else items
-        sides = split(rest, "=")
-        if len(sides) == 2 and len(sides[0]) == 1 and is_token(sides[0][0], "WORD") and not _opens(statement):
-            name = str(sides[0][0])
-            point = self._literal(i, statement, name, sides[1])
-            if point is not None:
-                draft.declare(point)
-                return
-            draft.changed[name] = f"line {statement.line} sets it to a computed value"
-            draft.computed |= set(_names(sides[1]))
-            return
-        if len(sides) == 2 and sides[0] and is_token(sides[0][0], "WORD"):
-            draft.changed[str(sides[0][0])] = f"line {statement.line} sets a part of it"
-        draft.computed |= set(_names(items))
 
-    def _literal(self, i: int, statement: Statement, name: str, items: Sequence[Any]) -> Point | None:
+@dataclass(frozen=True)
+class _Reader(Reader):
+    """Reads one file.
+
+    Attributes:
+        displaced: what displaces positions in any of the files.
+    """
+
+    language: UrScript
+    displaced: Sequence[str]
+    case = True
+
+    def literal(self, line: int, name: str, items: Sequence[Any]) -> Point | Left | None:
         """Return the pose or the joints that stand there in numbers."""
-        match list(items):
-            case [p, Brackets(kind="[") as group] if is_token(p, "WORD", "P") and str(p) == "p":
-                kind = "pose"
-            case [Brackets(kind="[") as group]:
-                kind = "joints"
-            case _:
-                return None
-        numbers = numbers_of(group.parts)
+        is_pose = len(items) == 2 and is_token(items[0], "WORD") and str(items[0]) == "p"
+        group = aggregate(items[1:] if is_pose else items, "[")
+        numbers = numbers_of(group.parts) if group is not None else None
         if numbers is None or len(numbers) != 6:
             return None
-        base = Frame("base", np.eye(4))
-        return Point(name, i, statement.line, "pose" if kind == "pose" else "joints", numbers, base=base)
+        return Point(name, self.file, line, "pose" if is_pose else "joints", numbers)
 
-    def _move(
-        self, draft: Draft, i: int, statement: Statement, call: tuple[str, Brackets], tool: Frame, known: InForce
-    ) -> None:
+    def statement(self, k: int) -> None:
+        """Take note of a statement."""
+        statement, known = self.statements[k], self.flow[k]
+        items, line, call = statement.items, statement.line, call_of(statement.items)
+        if call is not None and call[0] in _MOTIONS:
+            self._move(k)
+            return
+        if call is not None and call[0] in _ENDLESS:
+            lost = self.left(f"{call[0]} of line {line}", line, "a motion without an end of its own")
+            self.draft.motions.append(
+                Motion("joint", (lost,), statement, self.file, Frame(""), Frame(""), (0, 0), known.run)
+            )
+        rest = items[1:] if is_token(items[0], "WORD", "GLOBAL", "LOCAL") else items
+        sides = split(rest, "=")
+        name, is_part = element_name(sides[0], case=True)
+        if len(sides) == 2 and name and not self.steps[k].opens:
+            self.assign(line, name, is_part, sides[1])
+        elif not self.steps[k].routine:
+            self.draft.read(self.words(items))
+
+    def assign(self, line: int, name: str, is_part: bool, value: Sequence[Any]) -> None:
+        """Take note of what a name is set to, perhaps a list of poses."""
+        group = aggregate(value, "[")
+        if group is not None and not is_part and "[" not in name and self.literal(line, name, value) is None:
+            points = [self.literal(line, f"{name}[{k}]", part) for k, part in enumerate(group.parts)]
+            if all(isinstance(point, Point) for point in points):
+                for point in points:
+                    self.draft.declare(point)  # type: ignore[arg-type]
+                return
+        if "[" in name:
+            # Of a pose an element is a part of it, of a list of poses one of them.
+            self.draft.write(name.partition("[")[0], f"line {line} sets a part of it")
+        super().assign(line, name, is_part or "[" in name, value)
+
+    def target(self, k: int, part: Sequence[Any]) -> str | Point | Left:
+        """Return what a motion goes to, perhaps by inverse kinematics near joint positions."""
+        call = call_of(part)
+        if call is None or call[0] != "get_inverse_kin" or not call[1].items:
+            return super().target(k, part)
+        target, *others = call[1].parts
+        near = [name for other in others for name in sorted(self.words(other)) if name != "qnear"]
+        self.draft.read(near)
+        found = super().target(k, target)
+        if near and isinstance(found, str):
+            self.draft.near[found] = near[-1]
+        return found
+
+    def _move(self, k: int) -> None:
         """Take note of a motion."""
-        name, group = call
-        named = {str(part[0]): part[2:] for part in group.parts
-                 if len(part) > 2 and is_token(part[0], "WORD") and is_token(part[1], "SIGN", "=")}  # fmt: skip
-        plain = [part for part in group.parts if not (len(part) > 2 and is_token(part[1], "SIGN", "="))]
-        count = 1 + (name == "movec")
+        statement, known = self.statements[k], self.flow[k]
+        call = call_of(statement.items)
+        if call is None:
+            return
+        named, plain = dict[str, tuple[Any, ...]](), []
+        for part in call[1].parts:
+            if len(part) > 2 and is_token(part[1], "SIGN", "="):
+                named[str(part[0])] = part[2:]
+            elif part:
+                plain.append(part)
+        path = _MOTIONS[call[0]]
+        count = 2 if path == "circle" else 1
         places = plain[:count]
         if len(places) < count:
             places = [named[key] for key in ("pose_via", "pose_to", "pose", "q") if key in named]
-        places = [part for part in places if part]
         if len(places) < count:
-            draft.left.append(Left(f"{name} of line {statement.line}", i, statement.line, "not understood"))
+            self.draft.left.append(self.left(f"{call[0]} of line {statement.line}", statement.line, "not understood"))
             return
-        targets = tuple(self._target(draft, i, statement, part) for part in places)
+        targets = tuple(self.target(k, part) for part in places)
         span = (place_of(places[-1][0])[0], place_of(places[-1][-1])[1])
-        base = Frame("base", np.eye(4))
-        can_insert = name in ("movel", "movep") and len(statement.items) == 2
-        draft.motions.append(Motion(_MOTIONS[name], targets, statement, i, tool, base, span, known.run, can_insert))
+        tool, base = self._tool(known), self._base(known)
+        self.draft.motions.append(Motion(path, targets, statement, self.file, tool, base, span, known.run, path == "line"))
 
-    def _target(self, draft: Draft, i: int, statement: Statement, part: tuple[Any, ...]) -> str | Point | Left:
-        if len(part) == 1 and is_token(part[0], "WORD"):
-            return str(part[0])
-        name = f"target of line {statement.line}"
-        if point := self._literal(i, statement, name, part):
-            return point
-        match part:
-            case [call, Brackets(kind="(") as group] if str(call) == "get_inverse_kin" and group.parts:
-                target = self._target(draft, i, statement, group.parts[0])
-                near = [n for other in group.parts[1:] for n in _names(other)]
-                draft.computed |= set(near)
-                if near and isinstance(target, str):
-                    draft.near[target] = near[-1]
-                return target
-        draft.computed |= set(_names(part))
-        return Left(text_of_items(part)[:40].lower(), i, statement.line, "a computed position")
+    def _tool(self, known: InForce) -> Frame:
+        """Return the tool in force at a statement."""
+        found = known.setters.get("tcp")
+        if not isinstance(found, int):
+            return Frame("tcp", reason=f"set_tcp: {found}" if found is not None else "")
+        call = call_of(self.statements[found].items)
+        point = self.literal(0, "tcp", call[1].parts[0]) if call is not None and call[1].parts else None
+        if isinstance(point, Point) and point.kind == "pose":
+            return Frame("tcp", self.language.pose(point.values))
+        return Frame("tcp", reason=f"line {self.statements[found].line} sets a computed tool")
 
-
-def _tool(language: UrScript, statements: Sequence[Statement], k: int, flow: Sequence[InForce]) -> Frame:
-    """Return the tool in force at a statement."""
-    found = flow[k].setters.get("tcp")
-    if not isinstance(found, int):
-        return Frame("tcp", reason=f"set_tcp: {found}" if found else "")
-    call = _call(statements[found])
-    match call[1].parts[0] if call and call[1].parts else ():
-        case [p, Brackets(kind="[") as group] if (
-            str(p) == "p" and (numbers := numbers_of(group.parts)) and len(numbers) == 6
-        ):
-            return Frame("tcp", language.pose(np.array([number.value for number in numbers])))
-    return Frame("tcp", reason=f"line {statements[found].line} sets a computed tool")
+    def _base(self, known: InForce) -> Frame:
+        """Return the base of a motion, which is not known where something displaces positions."""
+        for kind in self.displaced:
+            found = known.setters.get(kind)
+            called = str(self.statements[found].items[0]) if isinstance(found, int) else ""
+            if isinstance(found, int) and called not in _ENDS_IT:
+                return Frame("", reason=f"line {self.statements[found].line} displaces positions ({called})")
+            if not isinstance(found, int):
+                why = found if found is not None else "another routine does so"
+                return Frame("", reason=f"positions may be displaced ({kind}): {why}")
+        return Frame("base", np.eye(4))
 
 
-def _call(statement: Statement) -> tuple[str, Brackets] | None:
-    """Return name and arguments of a call that a statement is."""
-    match statement.items:
-        case [name, Brackets(kind="(") as group] if is_token(name, "WORD"):
-            return str(name), group
-    return None
-
-
-def _opens(statement: Statement) -> str:
-    first = statement.items[0]
-    return _OPENS.get(str(first), "") if is_token(first, "WORD") else ""
-
-
-def _names(items: Sequence[Any]) -> list[str]:
-    """Return the names in items as they are text_of_items."""
-    found = []
-    for item in items:
-        found += _names(item.items) if isinstance(item, Brackets) else [str(item)] if item.type == "WORD" else []
-    return found
-
-
-def _called(items: Sequence[Any]) -> list[str]:
-    """Return the names that are called in items, in brackets too."""
-    found = [str(name) for name, group in pairwise(items) if isinstance(group, Brackets) and is_token(name, "WORD")]
-    return found + [name for item in items if isinstance(item, Brackets) for name in _called(item.items)]
-
-
-def _step(statement: Statement, setting: set[str]) -> Step:
+def _step(statement: Statement) -> Step:
     """Return what a statement does to the order of others and to the tool."""
-    first = str(statement.items[0]) if is_token(statement.items[0], "WORD") else ""
+    items = statement.items
+    first = str(items[0]) if is_token(items[0], "WORD") else ""
     kind = _OPENS.get(first, "")
+    calls = tuple(name for name, _ in calls_in(items))
+    if kind == "routine":
+        name = next((str(item) for item in items[1:] if is_token(item, "WORD")), first)
+        # A thread runs beside all that follows.
+        return Step(opens=first, routine=name, starts=(name,) if first == "thread" else ())
     if kind:
-        return Step(opens=first, is_routine=kind == "routine", is_loop=kind == "loop")
-    if first == "end" and len(statement.items) == 1:
+        return Step(opens=first, is_loop=kind == "loop", calls=calls)
+    if first == "end" and len(items) == 1:
         return Step(closes=tuple(_OPENS))
     if first in ("elif", "else"):
-        return Step(is_jump=True)
-    if first == "set_tcp":
-        return Step(sets=frozenset({"tcp"}))
-    return Step(clears=frozenset({"tcp"}) if setting & set(_called(statement.items)) else frozenset())
-
-
-def _routines_that_set_the_tool(statements: Sequence[Statement]) -> set[str]:
-    """Return the names of routines that set the tool."""
-    found, routine = set[str](), ""
-    for statement in statements:
-        names = _names(statement.items)
-        if _opens(statement) == "routine" and len(names) > 1:
-            routine = names[1]
-        elif "set_tcp" in names and routine:
-            found.add(routine)
-    return found
+        return Step(is_jump=True, calls=calls)
+    return Step(sets=frozenset({_SWITCHES[first]}) if first in _SWITCHES else frozenset(), calls=calls)

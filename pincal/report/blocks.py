@@ -50,7 +50,7 @@ def doubts(notes: Iterable[Note]) -> Iterator[Markup]:
 
 
 def plain_notes(notes: Iterable[Note]) -> Iterator[Markup]:
-    """Yield what is good to know beside."""
+    """Yield what is good to know in addition."""
     for note in notes:
         if not note.is_doubt:
             yield paragraph(note.text, "note")
@@ -67,7 +67,7 @@ def bullets(items: Iterable[str]) -> Markup:
 
 
 def facts(items: Iterable[tuple[str, str]]) -> Markup:
-    """Return names with what is to be said of each."""
+    """Return names with a remark on each."""
     lines = merged((rich("<dt>{}</dt><dd>{}</dd>", name, text) for name, text in items), "\n")
     return rich('<dl class="facts">\n{}\n</dl>', lines)
 

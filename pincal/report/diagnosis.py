@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from pincal.diagnosis.robot_diagnosis import Diagnosis
-from pincal.io.diagnosis_file import ChangedParameter, ChangeEntry, ChangeName, CurvesEntry, DiagnosisFile
+from pincal.io.diagnosis_file import ChangeEntry, ChangeName, CurvesEntry, DiagnosisFile
 from pincal.parameters import split_name
 from pincal.report.blocks import (
     Section,
@@ -71,14 +71,11 @@ def sizes(change: ChangeEntry) -> str:
     if change.curve_rms is not None:
         unit = next(iter(change.parameters.values())).unit
         return f"its curve is another by {format_small(change.curve_rms, unit)} rms"
-    surest = sorted(change.parameters.items(), key=lambda item: -_sureness(item[1]))[:_SHOWN]
+    moved = [(name, p.after - p.before, p.sigma, p.unit) for name, p in change.parameters.items()]
+    moved.sort(key=lambda one: -abs(one[1]) / one[2] if one[2] else 0.0)
     return ", ".join(
-        f"{name} by {format_small(p.after - p.before, p.unit)} ± {format_small(p.sigma, p.unit)}" for name, p in surest
+        f"{name} by {format_small(by, unit)} ± {format_small(sigma, unit)}" for name, by, sigma, unit in moved[:_SHOWN]
     )
-
-
-def _sureness(parameter: ChangedParameter) -> float:
-    return abs(parameter.after - parameter.before) / parameter.sigma if parameter.sigma else 0.0
 
 
 def change_table(changes: Iterable[ChangeEntry]) -> Table:
@@ -166,8 +163,8 @@ def set_up_words(found: DiagnosisFile) -> str:
     at = found.station
     parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.4g} mm"]
     parts += [] if at.turned_mrad is None else [f"turned by {at.turned_mrad:.4g} mrad"]
-    parts += [] if at.target_moved_mm is None else [f"the target sits {at.target_moved_mm:.2f} mm from where it was"]
-    return ", ".join(parts) or "these readings do not determine where the instrument stands"
+    parts += [] if at.target_moved_mm is None else [f"the target moved by {at.target_moved_mm:.2f} mm on the tool"]
+    return ", ".join(parts) or "these readings do not determine the placement of the instrument"
 
 
 def lines(found: DiagnosisFile) -> Iterator[str]:
@@ -176,7 +173,7 @@ def lines(found: DiagnosisFile) -> Iterator[str]:
     for change in found.changes:
         if change.equivalent:
             yield f"  {in_words(change)} could also be {'; '.join(map(in_words, change.equivalent))}"
-            yield f"  to tell: {change.tell_apart}"
+            yield f"  to distinguish: {change.tell_apart}"
     before, after = (found.gap[key]["mean_mm"] for key in ("before", "after"))
     if found.changed:
         yield f"mean error {before:.4f} mm with the old model, {after:.4f} mm with the re-identified one"
@@ -202,7 +199,9 @@ def _least_offsets(found: DiagnosisFile) -> str:
 def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:
     """Return ``report.html`` of a diagnosis."""
     found, robot = diagnosis.found, diagnosis.model.model.chain.robot
-    made = (_answer(found), _changes(found), _curves(found), _noticed(found, robot.joint_names), _station(found))
+    drives = None if found.curves is None else (curve_table(found.curves),)
+    curves = None if drives is None else Section("curves", "Curves of the drives", drives, label="Curves")
+    made = (_answer(found), _changes(found), curves, _unchanged(found, robot.joint_names), _station(found))
     return render(
         f"Diagnosis of {robot.name}",
         f"{found.rows} new poses compared with the calibrated robot",
@@ -262,25 +261,15 @@ def _changes(found: DiagnosisFile) -> Section | None:
     return Section("changes", "What has changed", (paragraph(text),), label="What has changed")
 
 
-def _curves(found: DiagnosisFile) -> Section | None:
-    if found.curves is None:
-        return None
-    return Section("curves", "Curves of the drives", (curve_table(found.curves),), label="Curves")
-
-
-def _noticed(found: DiagnosisFile, joint_names: Sequence[str]) -> Section | None:
+def _unchanged(found: DiagnosisFile, joint_names: Sequence[str]) -> Section | None:
     if not found.excluded:
         return None
     words = (
         "Smallest size of each change that would have been detected with a probability of 90 %, as the largest motion of "
         "the target in these poses."
     )
-    return Section(
-        "noticed",
-        "What has not changed",
-        (paragraph(words), excluded_table(found, joint_names)),
-        label="What has not changed",
-    )
+    blocks = (paragraph(words), excluded_table(found, joint_names))
+    return Section("noticed", "What has not changed", blocks, label="What has not changed")
 
 
 def _station(found: DiagnosisFile) -> Section:

@@ -35,7 +35,7 @@ def location_table(where: Sequence[Disagreement]) -> Table:
 def effect_table(effects: Sequence[FoundEffect], title: str = "Effects found") -> Table:
     """Return effects with the chance that noise looks like them and the mean held-out error before and after.
 
-    If anybody looked, it is told in how many halves of the poses they come up.
+    If subsamples were searched, it shows in how many of them each effect is found.
     """
     is_repeated = any(entry.stability for entry in effects)
     units = ("mm", "mrad") if any(entry.gap_before_mrad is not None for entry in effects) else ("mm",)

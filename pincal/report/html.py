@@ -1,13 +1,127 @@
-"""The report of a calibration as one page that needs no network."""
+"""The report of a calibration as one page that needs no network, with its section on what a discovery found missing."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
-from pincal.report import missing, sections
-from pincal.report.blocks import Section
+import numpy as np
+from markupsafe import Markup
+
+from pincal.io.discovery_file import Findings, FoundEffect, FoundParameter
+from pincal.report import sections
+from pincal.report.blocks import PageBlock, Section, arranged, bullets, card, code, heading, merged, paragraph, rich
+from pincal.report.found_tables import by_reason, location_table, show_chance, stage_table
+from pincal.report.illustrations import discovery_drawings, figures, stability_drawings
 from pincal.report.subject import Subject
+from pincal.report.words import (
+    HINTS,
+    bootstrap_words,
+    effect_meaning,
+    effect_words,
+    gain_words,
+    line_words,
+    subsample_only_words,
+)
+from pincal.units import format_digits, small_unit
+
+# An effect with more parameters than this is a curve; its numbers stand in discovery.json.
+_FEW = 4
+
+
+def missing(subject: Subject) -> Section | None:
+    """Where model and data disagreed, which effects were found, and how the error fell; None without a search."""
+    if subject.discovery is None:
+        return None
+    found = subject.discovery.findings
+    is_declared = subject.discovery.calibration.fit.is_declared
+    noise = "The noise alone" if is_declared else "The noise, estimated from the residuals of the fitted poses,"
+    beyond = f"; {found.unexplained_mm:.4f} mm rms remain beyond it" if is_declared else ""
+    intro = (
+        "The search starts from a simple model, looks where model and data disagree, names the effect that explains most, "
+        f"adds it, refits the whole model, and stops when only noise is left. {noise} amounts to "
+        f"{found.noise_floor_mm:.4f} mm rms{beyond}. A name is a cause that fits the data, not a proof of that "
+        "cause."
+    )
+    blocks: list[PageBlock] = [paragraph(intro)]
+    if found.where:
+        text = (
+            "Shares of the residuals in excess of the noise: that of elasticity refers to the residuals of the geometric "
+            "model, those of joints to the residuals of the elastic one, in sequence, so nothing counts twice. Regions "
+            "show the same error by location."
+        )
+        blocks += [heading("Where model and data disagreed"), location_table(found.where), paragraph(text, "mute")]
+    blocks.append(heading("Effects found"))
+    blocks += _named(found)
+    blocks += [
+        paragraph(
+            f"{entry.joint} scatters by {1e3 * entry.sigma_rad:.3f} mrad from pose to pose, independently of "
+            f"all recorded quantities. Record {entry.missing}: it may explain the scatter.",
+            "note",
+        )
+        for entry in found.scatter
+    ]
+    blocks += [heading("How the error fell"), figures("search", discovery_drawings(subject.discovery))]
+    text = (
+        "Each row starts from the one above; removed effects have their own rows. The shares are parts of the total "
+        "reduction of the mean square error, in this order, and add up to 100 %; where the error grew they are negative."
+    )
+    blocks += [stage_table(found.noise_floor_mm, subject.discovery.gaps), paragraph(text, "mute")]
+    n_joints = len(subject.discovery.calibration.fit.problem.chain.robot.joint_names)
+    untestable = by_reason(((e.effect, e.joint, e.reason) for e in found.not_testable), n_joints)
+    if untestable:
+        items = (rich("<b>{}</b>: {}", names, reason) for reason, names in untestable.items())
+        blocks += [heading("What could not be tested"), bullets(items)]
+    return Section("missing", "What was missing", tuple(blocks), "What was missing")
+
+
+def _named(found: Findings) -> Iterator[PageBlock]:
+    """Yield the effects, those that are hints apart, and in how many halves of the poses each comes up."""
+    sure, hints = (tuple(_card(entry) for entry in found.effects if entry.is_hint == is_hint) for is_hint in (False, True))
+    if sure or not hints:
+        yield arranged("cards", *sure) if sure else paragraph("These data show no missing effect.")
+    if hints:
+        yield paragraph(f"{HINTS}. They are in the model; do not order parts because of them.", "care")
+        yield arranged("cards", *hints)
+    if found.only_in_halves:
+        yield paragraph(f"{subsample_only_words(found)}.", "note")
+    if found.bootstrap:
+        yield paragraph(bootstrap_words(found.bootstrap), "mute")
+    if drawings := [*stability_drawings(found)]:
+        yield figures("stability", drawings)
+
+
+def _card(entry: FoundEffect) -> Markup:
+    """Return an effect with its parameters, what it explained, and what it could also be."""
+    values = entry.parameters
+    shown = merged((rich('{} = <span class="nw">{}</span>', code(name), _measured(p)) for name, p in values.items()), "<br>")
+    explained = rich(
+        'mean held-out error {}; p-value: <span class="nw">{}</span>',
+        *(gain_words(entry), show_chance(entry.p_value)),
+    )
+    often = f" The search names it {entry.stability} subsamples." if entry.stability else ""
+    blocks = [
+        paragraph(effect_meaning(entry.effect), "mute"),
+        paragraph(shown if len(values) <= _FEW else f"a curve with {len(values)} parameters, see the figure"),
+        paragraph(merged((explained, rich("{}", often)), "")),
+    ]
+    if words := line_words(entry):
+        blocks.append(paragraph(f"{words[0].upper()}{words[1:]}."))
+    if entry.equivalent:
+        others = "; ".join(effect_words(other) for other in entry.equivalent)
+        decide = f" To distinguish them: {entry.tell_apart}." if entry.tell_apart else ""
+        blocks.append(paragraph(f"Could also be: {others}.{decide}", "care"))
+    return card(effect_words(entry), *blocks)
+
+
+def _measured(p: FoundParameter) -> str:
+    """Return a value with its standard deviation to two digits, in the unit that suits it."""
+    factor, name = small_unit(p.unit)
+    if not p.sigma:
+        return f"{format_digits(p.value * factor)} {name}"
+    places = max(0, 1 - int(np.floor(np.log10(p.sigma * factor))))
+    return f"{p.value * factor:z.{places}f} ± {p.sigma * factor:.{places}f} {name}"
+
 
 log = logging.getLogger(__name__)
 
@@ -16,7 +130,8 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     sections.setup,
     sections.accuracy,
     sections.stations,
-    missing.missing,
+    sections.elsewhere,
+    missing,
     sections.where,
     sections.moments,
     sections.parameters,
@@ -40,7 +155,7 @@ def report_page(subject: Subject, *, layout: tuple[Callable[[Subject], Section |
 
 
 def render(title: str, lead: str, sections: Sequence[Section], *, version: str, view: str | None = None) -> str:
-    """Return a page of sections; ``view`` is a file beside it that shows the robot in 3D."""
+    """Return a page of sections; ``view`` is a file next to it that shows the robot in 3D."""
     import jinja2
 
     loader = jinja2.PackageLoader("pincal.report", "page")

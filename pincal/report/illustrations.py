@@ -1,4 +1,4 @@
-"""The figures of a report, each with a caption that says what one sees and how to read it."""
+"""The figures of a report, each with a caption that explains what one sees and how to read it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pincal.discover.run import Discovery
 from pincal.io.discovery_file import Findings
 from pincal.report.blocks import arranged, picture
 from pincal.report.plots import found, row_figures, style
-from pincal.report.row_errors import RowErrors
+from pincal.report.subject import RowErrors
 from pincal.report.words import effect_words
 from pincal.validate.misfit import SURE
 from pincal.validate.outcome import MovedParameter, StationRecord
@@ -57,20 +57,16 @@ def inline_svg(figure: Figure, *, key: str, title: str) -> str:
         figure.savefig(drawn, format="svg", transparent=True, metadata={"Date": None})
     svg = drawn.getvalue()[drawn.getvalue().index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->\s*", "", svg, flags=re.DOTALL).replace("xlink:href", "href")
-    svg = _with_own_identifiers(svg, key)
+    # Identifiers that nothing refers to are dropped, the others get the figure's key: a page holds many figures.
+    used = set(re.findall(r'(?:url\(#|href="#)([^)"]+)', svg))
+    svg = re.sub(r' id="([^"]+)"', lambda m: f' id="{key}-{m.group(1)}"' if m.group(1) in used else "", svg)
+    svg = re.sub(r'(url\(#|href="#)', rf"\g<1>{key}-", svg)
     for colour, name in style.VARIABLES.items():
         svg = svg.replace(colour.lower(), f"var(--{name})")
     box = re.search(r'viewBox="[^"]*"', svg)
     label = html.escape(" ".join(title.split()), quote=True)
     opening = f'<svg {box.group() if box else ""} role="img" aria-label="{label}">'
     return opening + re.sub(r"\n\s*", "\n", svg[svg.index(">") + 1 :]).strip()
-
-
-def _with_own_identifiers(svg: str, key: str) -> str:
-    """Drop identifiers that nothing refers to, and give the others the figure's key: a page holds many figures."""
-    used = set(re.findall(r'(?:url\(#|href="#)([^)"]+)', svg))
-    svg = re.sub(r' id="([^"]+)"', lambda m: f' id="{key}-{m.group(1)}"' if m.group(1) in used else "", svg)
-    return re.sub(r'(url\(#|href="#)', rf"\g<1>{key}-", svg)
 
 
 def error_drawings(readings: Iterable[RowErrors]) -> Iterator[Drawing]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.result import Result
 from pincal.calibration.result_tables import ParameterRow
 from pincal.discover.run import Discovery
-from pincal.identify.reasons import Cause, Status
+from pincal.identify.explain import Cause, Status
 from pincal.io.discovery_file import Findings
 from pincal.model.catalogue import untestable
 from pincal.notes import Note, doubts_of
@@ -23,7 +23,7 @@ from pincal.validate.misfit import Verdict, tells
 # Ratio of held-out to fitted rms error above which the rows were too few. N rows and p parameters make it about
 # sqrt((N + p) / (N - p)): 1.3 is reached when a quarter as many readings as there are go into parameters.
 _OVERFITTED = 1.3
-# What is left beyond the noise is told from here on [mm]; less is shown as nothing.
+# Errors beyond the noise from which on they are mentioned [mm].
 _SHOWN_MM = 5e-4
 
 
@@ -68,7 +68,7 @@ def _against(doubts: Sequence[Note]) -> str:
 
 
 def relative_to_noise(ratio: float, noise: str, *, is_misfit: bool) -> str:
-    """Return how large residuals are beside a noise, in words that neither the ratio as shown nor the judgement contradicts.
+    """Return the size of residuals relative to a noise, in words that contradict neither ratio nor judgement.
 
     Example:
         >>> relative_to_noise(1.004, "the noise", is_misfit=True)
@@ -131,8 +131,11 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
     error = result.error["calibrated"]
     if "test" not in error:
         steps.append("Hold rows out (--test-fraction) or measure more (--holdout): otherwise the accuracy is not validated.")
-    elif _held_out_rms(error) > _OVERFITTED * error["train"]["rms_mm"]:
-        steps.append("Held-out errors exceed fitted ones: measure more poses, spread over the whole range of use.")
+    else:
+        # Both ways of holding rows out taken together.
+        ways = [error[way]["rms_mm"] for way in ("regions", "stretches") if way in error] or [error["test"]["rms_mm"]]
+        if np.sqrt(np.mean(np.square(ways))) > _OVERFITTED * error["train"]["rms_mm"]:
+            steps.append("Held-out errors exceed fitted ones: measure more poses, spread over the whole range of use.")
     if narrow := ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in narrow_joints(calibration)):
         steps.append(f"These joints moved through little of their range: {narrow}. Outside it the model is not validated.")
     if judgement is not Verdict.NOT_ADEQUATE or not steps:
@@ -141,12 +144,6 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
             "and pincal validate checks the model against new measurements in a few months."
         )
     return steps
-
-
-def _held_out_rms(error: Mapping[str, Mapping[str, float]]) -> float:
-    """Return the rms error of held-out rows [mm], both ways of holding them out taken together."""
-    ways = [error[way]["rms_mm"] for way in ("regions", "stretches") if way in error] or [error["test"]["rms_mm"]]
-    return float(np.sqrt(np.mean(np.square(ways))))
 
 
 def _after_discovery(discovery: Discovery) -> Iterator[str]:
@@ -230,7 +227,7 @@ _ADVICE = (
     Advice((Cause.GIVEN, Cause.NOT_NEEDED), "Given", "Fixed at your request, or by default."),
 )
 # Share of its range below which a joint hardly shows what depends on its position: with a turn as the range, a wave of one
-# period per turn is there hard to tell from a slope. A judgement, not a measurement; it only words a recommendation.
+# period per turn is hard to distinguish from a slope there. A judgement, not a measurement; it only words a recommendation.
 _NARROW = 0.3
 
 
@@ -245,7 +242,7 @@ def unidentified_groups(parameters: Sequence[ParameterRow]) -> tuple[Unidentifie
     """Return the parameters that are not identified, by cause, the causes that call for action last.
 
     Example:
-        >>> from pincal.identify.reasons import Reason
+        >>> from pincal.identify.explain import Reason
         >>> reason = Reason(Cause.NO_MOMENT, axis="z")
         >>> row = ParameterRow("a.k_z", "rad/(N m)", 0.0, 0.0, 1e-6, Status.UNIDENTIFIABLE, reason)
         >>> [(group.advice.title, group.names) for group in unidentified_groups([row])]

@@ -13,6 +13,7 @@ from pincal.calibration.result import Result
 from pincal.calibration.result_tables import (
     correlation_table,
     error_table,
+    improvement_table,
     iso9283_table,
     moved_table,
     parameter_table,
@@ -20,7 +21,8 @@ from pincal.calibration.result_tables import (
     shown_parameters,
     station_table,
 )
-from pincal.identify.found_masses import FoundMoments, found_moments
+from pincal.errors import few
+from pincal.identify.choices import FoundMoments, found_moments
 from pincal.report.blocks import (
     PageBlock,
     Section,
@@ -84,7 +86,7 @@ def summary(subject: Subject) -> Section:
 
 
 def _headline(subject: Subject) -> Markup:
-    """Return the mean error now and before, and the noise beside it."""
+    """Return the mean error now and before, and the noise."""
     result, part = subject.result, subject.part
     unit = "mm" if "mean_mm" in result.error["calibrated"][part] else "px"
     before, after = (result.error[model][part][f"mean_{unit}"] for model in ("nominal", "calibrated"))
@@ -160,8 +162,7 @@ def _data(subject: Subject) -> Markup:
 def _rows_of(rows: StationRows, outliers: Sequence[int]) -> Markup:
     train, test = rows.train, rows.test
     other = len(test) and test.source != train.source
-    lines = ", ".join(map(str, outliers[:_LISTED])) + " ..." * (len(outliers) > _LISTED)
-    rejected = f", {len(outliers)} rejected as outliers (line {lines})" if outliers else ""
+    rejected = f", {len(outliers)} rejected as outliers (line {few(outliers, _LISTED)})" if outliers else ""
     held = rich(" from {}", code(test.source)) if other else ""
     name = rich("<b>{}</b>: ", rows.name) if rows.name else ""
     counts = (len(train), len(test), held, rejected)
@@ -193,7 +194,7 @@ def accuracy(subject: Subject) -> Section:
 
 
 def _replicates(result: Result) -> list[PageBlock]:
-    """Return what repeated measurements of poses say of accuracy, repeatability and lack of fit."""
+    """Return what repeated measurements of poses show of accuracy, repeatability and lack of fit."""
     iso, lack = result.iso9283, result.lack_of_fit
     blocks: list[PageBlock] = [heading("Repeated measurements of a pose", "repeatability")] if iso or lack else []
     if iso:
@@ -223,15 +224,28 @@ def stations(subject: Subject) -> Section | None:
             " Left out: the model of the other stations, with only the placement of this one fitted to it. That is the "
             "accuracy to expect on another day."
         )
-    pairs = [_before_and_after(record, subject.part) for record in records]
-    drawn = glance([
-        (f"{record['name']}: mean error", pair, (f"{pair[0]:.3f}", f"{pair[1]:.4f} mm"))
-        for record, pair in zip(records, pairs, strict=True)
-    ])  # fmt: skip
-    blocks: list[PageBlock] = [paragraph(text), arranged("glance", *drawn), station_table(records), *_moved(records)]
+    shown = []
+    for record in records:
+        nominal, calibrated = (by_part.get(subject.part, by_part["train"]) for by_part in record["error"].values())
+        # Of a station that was left out, by the model of the others.
+        before, after = nominal["mean_mm"], record.get("left_out", calibrated)["mean_mm"]
+        shown.append((f"{record['name']}: mean error", (before, after), (f"{before:.3f}", f"{after:.4f} mm")))
+    blocks: list[PageBlock] = [paragraph(text), arranged("glance", *glance(shown)), station_table(records), *_moved(records)]
     if (again := repeated_table(records)) is not None:
         blocks += [heading("Repeated measurements of poses", "repeatability"), paragraph(REPEATED), again]
     return Section("stations", "Stations", tuple(blocks), "Stations")
+
+
+def elsewhere(subject: Subject) -> Section | None:
+    """How far predictions are improved where nobody measured; None where an instrument saw the robot."""
+    if subject.result.improvement is UNSET:
+        return None
+    text = (
+        "No instrument saw the robot. Before the calibration the standard deviation of a position is that of its priors, "
+        "afterwards that of what priors and readings leave unknown, both as an instrument would see them once it is placed."
+    )
+    blocks = (paragraph(text), improvement_table(subject.result.improvement))
+    return Section("elsewhere", "Where nobody measured", blocks, "Elsewhere")
 
 
 def _moved(records: Sequence[StationRecord]) -> Iterator[PageBlock]:
@@ -254,12 +268,6 @@ def _moved(records: Sequence[StationRecord]) -> Iterator[PageBlock]:
     yield figures("moved", course_drawings(records))
 
 
-def _before_and_after(record: StationRecord, part: str) -> tuple[float, float]:
-    """Return the mean error of the nominal robot and of the model [mm], of the model of the others if it is known."""
-    nominal, calibrated = (by_part.get(part, by_part["train"]) for by_part in record["error"].values())
-    return nominal["mean_mm"], record.get("left_out", calibrated)["mean_mm"]
-
-
 def where(subject: Subject) -> Section:
     """Errors by joint position, over the workspace, and in the order of measurement."""
     first, is_timed = subject.readings[0], subject.calibration.stations[0].train.time is not None
@@ -269,7 +277,7 @@ def where(subject: Subject) -> Section:
     )
     by_joint = (
         "Lines are medians, bands hold 90 % of the poses, fitted and held out together. A calibrated arm has flat bands; a "
-        "remaining wave or slope means that the model lacks an effect of this joint. "
+        "remaining periodic pattern or slope means that the model lacks an effect of this joint. "
     )
     line = "" if is_timed else " No times were recorded, so the line of the table is used instead."
     residual = rich("A <b>residual</b> is the measured minus the predicted value.{}", line)

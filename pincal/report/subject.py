@@ -1,15 +1,134 @@
-"""What a page reports on."""
+"""What a page reports on; errors row by row, before and after, with all that they may depend on, are drawn in figures."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
+
+import numpy as np
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.result import Result
 from pincal.discover.run import Discovery
-from pincal.report.row_errors import RowErrors, evidence_of
+from pincal.model.chain import Chain
+from pincal.model.conditions import Conditions
+from pincal.model.model import Model
+from pincal.units import readable_unit
+
+
+@dataclass(frozen=True)
+class RowErrors:
+    """Errors of one kind of reading at N rows, fitted and held-out ones together.
+
+    Attributes:
+        name: of the reading: "position", "orientation" or "distance".
+        unit: of all errors: "mm" or "mrad".
+        before: shape (k, N), reading minus prediction with base and tool fitted alone.
+        after: shape (k, N), the same of the calibrated model.
+        is_held: shape (N,), whether the fit never saw the row.
+        is_outlier: shape (N,), whether it was left out of the fit.
+        noise: standard deviation of one component.
+        joint_names: of the n joints.
+        is_prismatic: shape (n,).
+        q: shape (N, n), joint positions [rad or m].
+        place: shape (N, 3), tip of the nominal arm in the robot's base frame [m].
+        up: shape (3,), against gravity in this frame.
+        line: shape (N,), line of each row in its file.
+        time: shape (N,) [s], None where it was not recorded.
+
+    Raises:
+        ValueError: without rows.
+    """
+
+    name: str
+    unit: str
+    before: np.ndarray
+    after: np.ndarray
+    is_held: np.ndarray
+    is_outlier: np.ndarray
+    noise: float
+    joint_names: tuple[str, ...]
+    is_prismatic: np.ndarray
+    q: np.ndarray
+    place: np.ndarray
+    up: np.ndarray
+    line: np.ndarray
+    time: np.ndarray | None
+
+    def __post_init__(self) -> None:
+        if not len(self.line):
+            raise ValueError("no rows to draw; expected at least one")
+
+    def sizes(self, which: str) -> np.ndarray:
+        """Return the size of the error at each row, shape (N,), "before" or "after" calibration."""
+        return np.asarray(np.linalg.norm(self.before if which == "before" else self.after, axis=0))
+
+    def part(self, *, held: bool) -> np.ndarray:
+        """Return which rows were held out, or were fitted, shape (N,)."""
+        return self.is_held if held else ~self.is_held
+
+
+def evidence_of(calibration: Calibration) -> tuple[RowErrors, ...]:
+    """Return the errors of a calibration, one :class:`RowErrors` per kind of reading, that of places first."""
+    found: dict[tuple[str, str], list[RowErrors]] = {}
+    for k in range(len(calibration.stations)):
+        for part in _of_station(calibration, k):
+            found.setdefault((part.name, part.unit), []).append(part)
+    return tuple(_together(parts) for parts in found.values())
+
+
+def _of_station(calibration: Calibration, k: int) -> Iterator[RowErrors]:
+    """Yield the errors of the k-th station, one kind of reading after the other."""
+    fit, robot, rows = calibration.fit, calibration.robot, calibration.stations[k]
+    station, places, blocks = list(fit.stations)[k]
+    tables = [table for table in (rows.train, rows.test) if len(table)]
+    problems = [station, *filter(None, [rows.held(fit)])]
+    before = np.hstack([problem.residuals(fit.nominal.values[places]) for problem in problems])
+    after = np.hstack([problem.residuals(fit.values[places]) for problem in problems])
+    lengths = [len(problem) for problem in problems]
+    q = np.vstack([problem.conditions.q for problem in problems])
+    outlier = np.zeros(sum(lengths), bool)
+    outlier[: lengths[0]] = fit.solution.weights[fit.problem.rows[k]] == 0.0
+    gravity = station.model.chain.gravity
+    up = np.array([0.0, 0.0, 1.0]) if not np.any(gravity) else -gravity / np.linalg.norm(gravity)
+    place = Model(Chain.of(robot), ()).predict(np.zeros(0), Conditions.at(q))[:, :, 3]
+    ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
+    times = [time for problem in problems if (time := problem.conditions.time) is not None]
+    for b, block in enumerate(station.sensor.blocks, blocks.start):
+        factor, unit = readable_unit(block.unit)
+        declared, here = fit.noise.declared[b], slice(*ends[b - blocks.start : b - blocks.start + 2])
+        yield RowErrors(
+            name=block.name,
+            unit=unit,
+            before=before[here] * factor,
+            after=after[here] * factor,
+            is_held=np.arange(sum(lengths)) >= lengths[0],
+            is_outlier=outlier,
+            noise=float(fit.solution.estimated[b] if declared is None else declared) * factor,
+            joint_names=tuple(robot.joint_names),
+            is_prismatic=np.array([kind == "prismatic" for kind in robot.joint_types]),
+            q=q,
+            place=place,
+            up=up,
+            line=np.concatenate([table.rows for table in tables]),
+            time=np.concatenate(times) if len(times) == len(problems) else None,
+        )
+
+
+def _together(parts: list[RowErrors]) -> RowErrors:
+    """Return the errors of all stations, one after the other: neither lines of files nor times of days mix."""
+    if len(parts) == 1:
+        return parts[0]
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
+        for name in ("before", "after", "is_held", "is_outlier")
+    }
+    joined |= {name: np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "place")}
+    noise = float(np.sqrt(np.mean([part.noise**2 for part in parts])))
+    line = np.arange(len(joined["q"])) + 1
+    return replace(parts[0], **joined, noise=noise, line=line, time=None)
 
 
 @dataclass(frozen=True)
@@ -21,7 +140,7 @@ class Subject:
         provenance: versions, command, inputs with hashes.
         notes: what the exported URDF does not carry.
         discovery: what was found missing, if it was looked for.
-        view: name of the file beside the report that holds the view in three dimensions, if there is one.
+        view: name of the file next to the report that holds the view in three dimensions, if there is one.
     """
 
     calibration: Calibration

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from pincal.identify.reasons import Status
+from pincal.identify.explain import Status
 from pincal.io.discovery_file import Bootstrap, EffectName, Findings, FoundEffect
 from pincal.model.effect_registry import meaning_of
 from pincal.units import readable_unit
@@ -20,7 +20,7 @@ _NOT_IDENTIFIED = {
 }
 # What an effect may follow whose name is not plain.
 _VARIABLES = {"move": "its last move"}
-# What a fit finds beside effects of the robot -> what it is.
+# What a fit finds other than effects of the robot -> what it is.
 _BESIDE = {"lens_distortion": "the camera's lens bends the image"}
 
 TERMS = (
@@ -90,19 +90,16 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
         )
         words.append(f"({entry.shape or 'curve'}{order} of {of}{across})")
     elif (entry.order or 1) != 1:
-        words.append(_order_words(entry))
+        if isinstance(entry, FoundEffect) and entry.resolution is not None:
+            middle = sum((entry.order or 0.0, *entry.beside)) / (1 + len(entry.beside))
+            words.append(f"order {middle:.1f} \u00b1 {entry.resolution:.1f}")
+        else:
+            words.append(f"order {entry.order}")
     return " ".join(words)
 
 
-def _order_words(entry: EffectName) -> str:
-    if not isinstance(entry, FoundEffect) or entry.resolution is None:
-        return f"order {entry.order}"
-    middle = sum((entry.order or 0.0, *entry.beside)) / (1 + len(entry.beside))
-    return f"order {middle:.1f} \u00b1 {entry.resolution:.1f}"
-
-
 def line_words(entry: FoundEffect) -> str:
-    """Return what is to be said of a line of fine waves beside its order; empty if nothing.
+    """Return the remark on a spectral line in addition to its order; empty if nothing.
 
     Example:
         >>> names = {"effect": "gear_ripple", "joint": "wrist_2", "parameters": {}, "equivalent": (), "tell_apart": ""}
@@ -185,7 +182,7 @@ def rank_words(statuses: Iterable[Status], *, rank: int, condition: float, why: 
         statuses: of every parameter; the numbers of the sentence add up to how many there are.
         rank: number of independent combinations that are identified.
         condition: condition number of these.
-        why: where the reasons are told, in words.
+        why: where the reasons are given, in words.
 
     Example:
         >>> rank_words([Status.IDENTIFIED] * 2 + [Status.UNIDENTIFIABLE] * 3 + [Status.FIXED], rank=3, condition=52.0)[:69]

@@ -10,8 +10,10 @@ import numpy as np
 
 from pincal.errors import BadInputError, RobotFileError, nearest_first, warn
 from pincal.robot.dh import dh_frames
+from pincal.robot.kinematics import Kinematics
 from pincal.robot.link_path import LinkPath, above
 from pincal.robot.tree import MOVING_TYPES, Mimic, UrdfJoint, UrdfTree
+from pincal.robot.tree_loops import Choice, Pins, linkage_notes, linkage_of
 from pincal.robot.urdf_file import arm_text
 from pincal.units import LARGEST
 
@@ -43,7 +45,7 @@ class TreeRequest:
         tip: link at the end of the path; default: that of the chain of ``joints``, or of the longest moving chain.
         start: link at its start; default: the base.
         base: link on which the tree stands; default: where one path runs down from its start, this start; else the root.
-        joints: names of the joints on the path (the columns of a table of measurements).
+        joints: names of the joints with positions of their own (the columns of a table of measurements).
         paths: further paths, by the names of their first and last links.
         others: names of further joints that move; default: all others are locked at their neutral position.
     """
@@ -62,9 +64,12 @@ def arm_of_tree(tree: UrdfTree, request: TreeRequest, *, mass: float | None) -> 
     base, start = _stand(tree, tip, request)
     ends = [(start, tip), *request.paths]
     joints = _moving_joints(tree, base, ends, request.others)
+    passed = {joint.name for pair in ends for way in _checked_path(tree, base, *pair) for joint in way}
     if mass is not None and not _LIGHTEST <= mass <= LARGEST:
         raise BadInputError(f"mass of the robot is {mass} kg; expected {_LIGHTEST:g} to {LARGEST:g} kg")
-    return _attributes(tree, joints, base, ends, mass=mass)
+    unmeasured = tuple(joint.name for joint in joints if joint.name not in tree.with_loops(passed))
+    found = _attributes(tree, joints, base, ends, mass=mass, recorded=request.joints)
+    return found | {"unmeasured": unmeasured, "links": tuple(ends[1:])}
 
 
 def _stand(tree: UrdfTree, tip: str, request: TreeRequest) -> tuple[str, str]:
@@ -85,7 +90,7 @@ def _moving_joints(
 ) -> tuple[UrdfJoint, ...]:
     """Return the joints that move, each behind those that carry it: those of the first path's tip before branches of it.
 
-    What two ends of a path share does not move them against each other, and is locked unless it is on another path.
+    What two ends of a path share is locked unless it is on another path. All joints of a loop move if one does.
     """
     paths = [_checked_path(tree, base, *pair) for pair in ends]
     order: dict[str, None] = dict.fromkeys(joint.name for pair in paths for way in reversed(pair) for joint in way)
@@ -95,8 +100,15 @@ def _moving_joints(
             raise RobotFileError(
                 f"{tree.source}: no moving joint {name!r}; its joints: {', '.join(nearest_first([name], list(known))[:12])}"
             )
-        if base == tree.root or any(joint.parent == base for joint in tree.above(known[name].child)):
+        if _is_above(tree, base, known[name]):
             order.setdefault(name)
+    order |= dict.fromkeys(joint.name for joint in tree.joints if joint.name in tree.with_loops(order))
+    if base != tree.root and (
+        cut := [name for name in order if name in tree.looped and not _is_above(tree, base, known[name])]
+    ):
+        raise RobotFileError(
+            f"{tree.source}: base {base!r} is in a loop with {cut[0]!r}; expected a link that carries the loop"
+        )
     for name in list(order):
         # A joint moves as the one that it mimics, which may be of another branch.
         while (mimic := known[name].mimic) is not None and mimic.source in known and mimic.source not in order:
@@ -108,6 +120,11 @@ def _moving_joints(
             f"{tree.source}: {len(chosen)} moving joints; expected at most {_MOST_JOINTS}: choose other links"
         )
     return _in_preorder(tree, chosen)
+
+
+def _is_above(tree: UrdfTree, base: str, joint: UrdfJoint) -> bool:
+    """Return whether a link carries a joint."""
+    return base == tree.root or any(above.parent == base for above in tree.above(joint.child))
 
 
 def _in_preorder(tree: UrdfTree, joints: Sequence[UrdfJoint]) -> tuple[UrdfJoint, ...]:
@@ -126,37 +143,28 @@ def _in_preorder(tree: UrdfTree, joints: Sequence[UrdfJoint]) -> tuple[UrdfJoint
 
 def _parents(tree: UrdfTree, joints: Sequence[UrdfJoint]) -> tuple[int, ...]:
     """Return which of some joints carries each, -1 for none of them."""
-    return tuple(_carrier(tree, joints, joint.parent) for joint in joints)
+    return tuple(tree.carrier(joints, joint.parent) for joint in joints)
 
 
-def _carrier(tree: UrdfTree, joints: Sequence[UrdfJoint], link: str) -> int:
-    """Return which of some joints carries a link, -1 for none of them."""
-    place = {joint.name: i for i, joint in enumerate(joints)}
-    return next((place[joint.name] for joint in reversed(tree.above(link)) if joint.name in place), -1)
-
-
-def path_between(tree: UrdfTree, joint_names: Sequence[str], base: str, start: str, tip: str) -> LinkPath:
-    """Return the way between two links of a tree of which some joints move.
-
-    Raises:
-        RobotFileError: for an unknown link, or if a joint on the way is none of those.
-    """
+def path_between(
+    tree: UrdfTree, joint_names: Sequence[str], base: str, start: str, tip: str, *, at_rest: bool = False
+) -> LinkPath:
+    """Return the way between two links of a tree of which some joints move, see :meth:`pincal.robot.robot.Robot.between`."""
     import pinocchio as pin
 
     known = {joint.name: joint for joint in tree.joints}
     joints = [known[name] for name in joint_names]
     for way in _checked_path(tree, base, start, tip):
-        if missing := [joint.name for joint in way if joint.kind in MOVING_TYPES and joint.name not in joint_names]:
-            raise RobotFileError(
-                f"{tree.source}: {missing[0]!r} between {start!r} and {tip!r} is locked in this robot; expected links "
-                f"between which only {', '.join(joint_names)} move"
-            )
+        locked = [joint.name for joint in way if joint.kind in MOVING_TYPES and joint.name not in joint_names]
+        if locked and not at_rest:
+            between = f"{locked[0]!r} between {start!r} and {tip!r} is locked in this robot"
+            raise RobotFileError(f"{tree.source}: {between}; expected links with only {', '.join(joint_names)} between them")
     model = arm_model(tree.text, tuple(joint_names), tree.source)
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     placed = {link: data.oMf[model.getFrameId(link, pin.BODY)].homogeneous for link in (base, start, tip)}
     frames = [data.oMi[model.getJointId(name)].homogeneous for name in joint_names]
-    carriers = _carrier(tree, joints, start), _carrier(tree, joints, tip)
+    carriers = tree.carrier(joints, start), tree.carrier(joints, tip)
     relative = [
         np.linalg.inv(placed[base] if i < 0 else frames[i]) @ placed[link]
         for i, link in zip(carriers, (start, tip), strict=True)
@@ -165,7 +173,13 @@ def path_between(tree: UrdfTree, joint_names: Sequence[str], base: str, start: s
 
 
 def _attributes(
-    tree: UrdfTree, path: tuple[UrdfJoint, ...], base: str, ends: Sequence[tuple[str, str]], *, mass: float | None
+    tree: UrdfTree,
+    path: tuple[UrdfJoint, ...],
+    base: str,
+    ends: Sequence[tuple[str, str]],
+    *,
+    mass: float | None,
+    recorded: Sequence[str] | None,
 ) -> dict[str, Any]:
     import pinocchio as pin
 
@@ -179,9 +193,13 @@ def _attributes(
     joints = np.array([(T_base_world * data.oMi[i]).homogeneous for i in ids])
     axes = np.einsum("nij,nj->ni", joints[:, :3, :3], _local_axes(model, data, ids))
     parents = _parents(tree, path)
-    tips = _aims(tree, path, ends)
-    T_base_tips = [(T_base_world * data.oMf[model.getFrameId(tip, pin.BODY)]).homogeneous for tip in tips]
-    frames = dh_frames(joints[:, :3, 3], axes, np.array(T_base_tips), parents)
+    aims = {tree.carrier(path, link): link for pair in reversed(ends) for link in pair}
+    tips = [aims.get(i, joint.child) for i, joint in enumerate(path)]
+    T_base_links = {link: (T_base_world * data.oMf[model.getFrameId(link, pin.BODY)]).homogeneous for link in tree.links}
+    T_base_tips = [T_base_links[tip] for tip in tips]
+    pins = Pins.of_tree(tree, path, T_base_links, np.stack([joints[:, :3, 3], axes], axis=1))
+    rods = {i: T for pin in pins for i, T in zip(pin.carriers, pin.T_base, strict=True) if i not in aims}
+    frames = dh_frames(joints[:, :3, 3], axes, np.array(T_base_tips), parents, rods)
     T_link_joint = np.linalg.inv(frames.T_base_link) @ joints
     way = path_between(tree, names, base, *ends[0]).on_links(T_link_joint)
     frames = replace(frames, T_last_tip=way.T_joint_tip)
@@ -200,10 +218,18 @@ def _attributes(
     bounded = ~turns & (upper > lower) & (upper - lower < _NO_LIMIT)
     limits = np.where(bounded, lower, -np.inf), np.where(bounded, upper, np.inf)
     limits = _with_mimics(*limits, names=names, mimics=mimics)
+    types = tuple("prismatic" if joint.kind == "prismatic" else "revolute" for joint in path)
+    linkage, notes = None, tree.notes
+    if pins:
+        closures, kinematics = [pin.placed(frames.T_base_link) for pin in pins], Kinematics.of_frames(frames, types, parents)
+        on_path, mimicked = [names[i] for i, _ in way.steps(parents)], [mimic.source for mimic in mimics]
+        choice = Choice(tree.source, names, recorded, on_path, mimicked)
+        linkage = linkage_of(kinematics, closures, limits, choice)
+        notes = (*notes, *linkage_notes(linkage, choice))
     return {
         "name": tree.name,
         "joint_names": names,
-        "joint_types": tuple("prismatic" if joint.kind == "prismatic" else "revolute" for joint in path),
+        "joint_types": types,
         "lower": limits[0],
         "upper": limits[1],
         "base": base,
@@ -214,19 +240,15 @@ def _attributes(
         "centres": centres,
         "massless": tuple(joint.child for joint, is_unknown in zip(path, unknown, strict=True) if is_unknown),
         "gravity": T_base_world.rotation @ model.gravity.linear,
-        "notes": _notes(tree, names, ends),
+        "notes": _notes(tree, names, ends, notes),
         "urdf": tree.text,
         "source": tree.source,
         "mimics": mimics,
         "parents": parents,
-        "ends": way,
+        "ends": None if way.is_whole(len(path)) and way.start == base else way,
+        "closures": linkage.closures if linkage else (),
+        "passive": tuple(names[i] for i in linkage.passive) if linkage else (),
     }
-
-
-def _aims(tree: UrdfTree, joints: Sequence[UrdfJoint], ends: Sequence[tuple[str, str]]) -> list[str]:
-    """Return the link that the frames behind each joint aim at if it carries no other: the end of a path, or its own."""
-    aims = {_carrier(tree, joints, link): link for pair in reversed(ends) for link in pair}
-    return [aims.get(i, joint.child) for i, joint in enumerate(joints)]
 
 
 def _link_ends(parents: Sequence[int], joints: np.ndarray, aims: np.ndarray) -> np.ndarray:
@@ -266,10 +288,11 @@ def _with_mimics(
     return low, high
 
 
-def _notes(tree: UrdfTree, names: tuple[str, ...], ends: Sequence[tuple[str, str]]) -> tuple[str, ...]:
-    """Return what the user should know of how the arm was read; it is also warned of."""
+def _notes(
+    tree: UrdfTree, names: tuple[str, ...], ends: Sequence[tuple[str, str]], notes: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Return what the user should know of how the arm was read, beside what is noted already; it is also warned of."""
     locked = [joint for joint in tree.joints if joint.kind != "fixed" and joint.name not in names]
-    notes = tree.notes
     if locked:
         more = f" and {len(locked) - 6} more" if len(locked) > 6 else ""
         shown = ", ".join(joint.name for joint in locked[:6]) + more
@@ -284,9 +307,10 @@ def _notes(tree: UrdfTree, names: tuple[str, ...], ends: Sequence[tuple[str, str
 def _default_base(tree: UrdfTree, tip: str, joints: Sequence[str] | None) -> str:
     """Return the root, or the link behind the moving joints that stand before the first of ``joints``."""
     moving = [joint for joint in tree.path(tree.root, tip) if joint.kind in MOVING_TYPES]
-    if joints is None or not moving or moving[0].name in joints:
+    known = tree.with_loops(joints or ())
+    if joints is None or not moving or moving[0].name in known:
         return tree.root
-    return next((joint.parent for joint in moving if joint.name in joints), tree.root)
+    return next((joint.parent for joint in moving if joint.name in known), tree.root)
 
 
 def _checked_path(tree: UrdfTree, base: str, start: str, tip: str) -> tuple[tuple[UrdfJoint, ...], tuple[UrdfJoint, ...]]:
@@ -300,7 +324,6 @@ def _checked_path(tree: UrdfTree, base: str, start: str, tip: str) -> tuple[tupl
             raise RobotFileError(f"{where} is {joint.kind}; {expected}")
     if not any(joint.kind in MOVING_TYPES for joint in path):
         raise RobotFileError(f"{tree.source}: no moving joint between {start!r} and {tip!r}; choose another tip")
-    tree.refuse_loops(path)
     return up[shared:], down[shared:]
 
 

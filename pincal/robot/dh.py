@@ -15,7 +15,7 @@ point, so it is not a mere convention.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -63,7 +63,11 @@ class DhFrames:
 
 
 def dh_frames(
-    origins: np.ndarray, axes: np.ndarray, T_base_tip: np.ndarray, parents: Sequence[int] | None = None
+    origins: np.ndarray,
+    axes: np.ndarray,
+    T_base_tip: np.ndarray,
+    parents: Sequence[int] | None = None,
+    pins: Mapping[int, np.ndarray] | None = None,
 ) -> DhFrames:
     """Lay Denavit-Hartenberg frames along joint axes at q = 0.
 
@@ -73,6 +77,8 @@ def dh_frames(
         T_base_tip: shape (4, 4), the tip at q = 0; of a tree shape (n, 4, 4), what the last link of a branch aims at, for
             each joint that carries no other.
         parents: the joint that carries each joint, -1 for the base, earlier joints first; default: each carries the next.
+        pins: of joints that carry no other but close a loop the frame of the pin, shape (4, 4), whose z is the axis at the
+            end of the link: so its length is that of the rod.
 
     Returns:
         The frames; of a serial arm their product with ``T_last_tip`` equals ``T_base_tip`` to rounding.
@@ -93,7 +99,12 @@ def dh_frames(
         tilt = _tilt(start, axes[i])
         frame = start @ rotation("x", tilt[0]) @ rotation("y", tilt[1])
         k = following.get(i)
-        step = _last_step(frame, tips[i]) if k is None else _step(frame, origins[k], axes[k])
+        if k is not None:
+            step = _step(frame, origins[k], axes[k])
+        elif pins is not None and i in pins:
+            step = _step(frame, pins[i][:3, 3], pins[i][:3, 2])
+        else:
+            step = _last_step(frame, tips[i])
         parameters.append([*tilt, *step])
         theta, d, a, alpha = step
         frames.append(frame @ rotation("z", theta) @ translation(a, 0, d) @ rotation("x", alpha))

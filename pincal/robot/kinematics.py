@@ -3,11 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from pincal.robot.robot import Robot
+from pincal.robot.dh import DhFrames
 from pincal.robot.se3 import rotation, translation
+
+
+class Joints(Protocol):
+    """What is needed of a :class:`pincal.robot.robot.Robot`."""
+
+    @property
+    def frames(self) -> DhFrames:
+        """Denavit-Hartenberg frames at q = 0."""
+
+    @property
+    def joint_types(self) -> tuple[str, ...]:
+        """Types of the joints, "revolute" or "prismatic"."""
+
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """The joint that carries each joint, -1 for the base."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +38,7 @@ class Kinematics:
         parents: the joint that carries each joint, -1 for the base.
 
     Example:
+        >>> from pincal.robot.robot import Robot
         >>> robot, q = Robot.from_urdf("ur10"), np.full((1, 6), 0.3)
         >>> tip = Kinematics.of(robot).frames(q)[0, -1] @ robot.frames.T_last_tip
         >>> bool(np.allclose(tip, robot.forward_kinematics(q)[0]))
@@ -34,14 +52,19 @@ class Kinematics:
     parents: tuple[int, ...]
 
     @classmethod
-    def of(cls, robot: Robot) -> Kinematics:
+    def of(cls, robot: Joints) -> Kinematics:
         """Return the kinematics of a robot."""
-        rows, frames = robot.frames.parameters, robot.frames
+        return cls.of_frames(robot.frames, robot.joint_types, robot.parents)
+
+    @classmethod
+    def of_frames(cls, frames: DhFrames, types: tuple[str, ...], parents: tuple[int, ...]) -> Kinematics:
+        """Return the kinematics of nominal frames and types of joints."""
+        rows = frames.parameters
         before = [rotation("x", s_x) @ rotation("y", s_y) @ rotation("z", theta) for s_x, s_y, theta, *_ in rows]
         for i, T in zip(frames.branches, frames.T_branch_first, strict=True):
             before[i] = T @ before[i]
         after = [translation(a, 0.0, d) @ rotation("x", alpha) for *_, d, a, alpha in rows]
-        return cls(frames.T_base_first, np.array(before), np.array(after), robot.joint_types, robot.parents)
+        return cls(frames.T_base_first, np.array(before), np.array(after), types, parents)
 
     def frames(self, q: np.ndarray) -> np.ndarray:
         """Return the frames of all bodies in the base frame at joint positions [rad or m], shape (N, n).
@@ -69,7 +92,7 @@ def _moves(q: np.ndarray, kind: str) -> np.ndarray:
     return moves
 
 
-def joint_axis(robot: Robot, i: int) -> np.ndarray:
+def joint_axis(robot: Joints, i: int) -> np.ndarray:
     """Return the direction of joint i's axis (from 0) in the base frame at q = 0, shape (3,)."""
     parent = robot.parents[i]
     before = (robot.frames.T_base_link[parent] if parent >= 0 else np.eye(4)) @ robot.frames.before(i)

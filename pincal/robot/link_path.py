@@ -26,6 +26,12 @@ class LinkPath:
     T_joint_start: np.ndarray
     T_joint_tip: np.ndarray
 
+    @property
+    def ends(self) -> tuple[tuple[str, int, np.ndarray], tuple[str, int, np.ndarray]]:
+        """First and last link, each with the joint that carries it and its place on the link frame of that."""
+        first = self.start, self.start_joint, self.T_joint_start
+        return first, (self.tip, self.tip_joint, self.T_joint_tip)
+
     def on_links(self, T_link_joint: np.ndarray) -> LinkPath:
         """Return the path with links placed in link frames instead of the URDF's joint frames, (n, 4, 4) in these."""
         placed = [
@@ -33,6 +39,10 @@ class LinkPath:
             for i, T in ((self.start_joint, self.T_joint_start), (self.tip_joint, self.T_joint_tip))
         ]
         return replace(self, T_joint_start=placed[0], T_joint_tip=placed[1])
+
+    def is_whole(self, n_joints: int) -> bool:
+        """Whether it leads from the base itself to a link on the last of so many joints."""
+        return (self.start_joint, self.tip_joint) == (-1, n_joints - 1) and np.array_equal(self.T_joint_start, np.eye(4))
 
     def steps(self, parents: Sequence[int]) -> list[tuple[int, int]]:
         """Return the joints on the way, each with 1 where it is passed along and -1 where it is passed backwards.

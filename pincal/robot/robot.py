@@ -12,9 +12,11 @@ import numpy as np
 
 from pincal.errors import BadInputError, nearest_first
 from pincal.robot.arm_of_tree import TreeRequest, arm_model, arm_of_tree, path_between
+from pincal.robot.closure import Closure, Linkage
 from pincal.robot.dh import DhFrames
+from pincal.robot.kinematics import Kinematics
 from pincal.robot.link_path import LinkPath, above
-from pincal.robot.tree import Coupling, Mimic, UrdfTree
+from pincal.robot.tree import Coupling, Mimic, UrdfTree, mimicked, numbered
 from pincal.robot.urdf_file import find_file, parse_urdf, read_urdf
 
 if TYPE_CHECKING:
@@ -52,6 +54,10 @@ class Robot:
             reported, everything else of the library the positions of the URDF.
         parents: the joint that carries each joint, -1 for the base; default: each carries the next.
         ends: the links between which a reading is if nothing else is said; default: base and tip.
+        unmeasured: names of joints off all paths, whose motion changes only what the others bear.
+        links: the pairs of links of further paths, by name.
+        closures: what closes loops of its joints.
+        passive: names of the joints that follow from the others, as the loops have it.
     """
 
     name: str
@@ -74,6 +80,10 @@ class Robot:
     couplings: tuple[Coupling, ...] = ()
     parents: tuple[int, ...] = ()
     ends: LinkPath | None = None
+    unmeasured: tuple[str, ...] = ()
+    links: tuple[tuple[str, str], ...] = ()
+    closures: tuple[Closure, ...] = ()
+    passive: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.parents:
@@ -143,66 +153,121 @@ class Robot:
     @property
     def request(self) -> TreeRequest:
         """Which part of its URDF it is."""
-        return TreeRequest(self.tip, self.path.start, self.base, others=self.joint_names)
+        own = [self.joint_names[i] for i in self.own_joints] if self.passive else None
+        return TreeRequest(self.tip, self.path.start, self.base, own, paths=self.links, others=self.joint_names)
 
-    def between(self, start: str, tip: str) -> LinkPath:
+    def between(self, start: str | None = None, tip: str | None = None, *, at_rest: bool = False) -> LinkPath:
         """Return the way between two links of the robot.
 
         Args:
-            start: the link from which a reading is seen.
-            tip: the link that it is about.
+            start: the link from which a reading is seen; default: where the robot's own path starts.
+            tip: the link that it is about; default: where that ends.
+            at_rest: whether joints that are locked in this robot may be on the way.
 
         Raises:
-            RobotFileError: for an unknown link, or if a joint on the way is locked in this robot.
+            RobotFileError: for an unknown link, or if a joint on the way is locked in this robot and may not be.
         """
+        start, tip = start or self.path.start, tip or self.path.tip
         if (start, tip) == (self.path.start, self.path.tip):
             return self.path
         tree = parse_urdf(self.urdf, source=self.source)
-        return path_between(tree, self.joint_names, self.base, start, tip).on_links(self.T_link_joint)
+        return path_between(tree, self.joint_names, self.base, start, tip, at_rest=at_rest).on_links(self.T_link_joint)
 
     @property
     def n_joints(self) -> int:
         """Number of moving joints."""
         return len(self.joint_names)
 
+    @property
+    def measured_joints(self) -> tuple[str, ...]:
+        """Names of the joints that a path passes: those that readings can be about."""
+        return tuple(name for name in self.joint_names if name not in self.unmeasured)
+
+    @property
+    def is_serial(self) -> bool:
+        """Whether each joint carries the next."""
+        return self.parents == tuple(range(-1, self.n_joints - 1))
+
+    def joints_between(self, start: str | None = None, tip: str | None = None) -> tuple[str, ...]:
+        """Return the names of the joints on the way between two links, of those that follow others the others.
+
+        Default: the links of the robot's own path.
+        """
+        names = [self.joint_names[joint] for joint, _ in self.between(start, tip).steps(self.parents)]
+        source = {mimic.joint: [mimic.source] for mimic in self.mimics}
+        if self.linkage is not None:
+            source |= {name: [self.joint_names[i] for i in self.linkage.drivers] for name in self.passive}
+        return tuple(dict.fromkeys(own for name in names for own in source.get(name, [name])))
+
     def next_joint(self, i: int) -> int | None:
         """Return the joint at the end of link i (from 0); None if it carries none, or several."""
         carried = [k for k, parent in enumerate(self.parents) if parent == i]
         return carried[0] if len(carried) == 1 else None
 
+    def are_neighbours(self, joint: str, other: str) -> bool:
+        """Return whether two joints are the same one, or one carries the other directly."""
+        i, k = self.joint_names.index(joint), self.joint_names.index(other)
+        return i == k or self.parents[i] == k or self.parents[k] == i
+
     def carries(self, i: int, k: int) -> bool:
         """Return whether joint i carries joint k, directly or not."""
         return i in above(self.parents[k], self.parents)
 
-    @property
+    @cached_property
+    def dependent(self) -> frozenset[str]:
+        """Names of the joints without a position of their own: those that mimic others, and the passive ones of loops."""
+        return frozenset(mimic.joint for mimic in self.mimics).union(self.passive)
+
+    @cached_property
     def own_joints(self) -> np.ndarray:
-        """Indices of the m joints that mimic none."""
-        driven = {mimic.joint for mimic in self.mimics}
-        return np.array([i for i, name in enumerate(self.joint_names) if name not in driven])
+        """Indices of the m joints that have a position of their own, from the base; those of loops as they are numbered."""
+        own = [name for name in self.joint_names if name not in self.dependent]
+        return np.array([self.joint_names.index(name) for name in (numbered(own) if self.passive else own)])
+
+    @cached_property
+    def linkage(self) -> Linkage | None:
+        """Its loops; None if it has none."""
+        if not self.closures:
+            return None
+        passive = np.array([self.joint_names.index(name) for name in self.passive])
+        return Linkage(Kinematics.of(self), self.closures, passive, self.lower, self.upper)
 
     def following(self, q: np.ndarray) -> np.ndarray:
-        """Return joint positions, shape (N, n), with each joint that mimics another where that one puts it."""
-        if not self.mimics:
+        """Return joint positions, shape (N, n), with each dependent joint where the others put it.
+
+        Loops that can't be closed come as near as they can, see :meth:`pincal.robot.closure.Linkage.can_take`.
+        """
+        if not self.dependent:
             return q
-        out, index = np.array(q, np.result_type(q, float)), self.joint_names.index
-        for mimic in self.mimics:
-            out[:, index(mimic.joint)] = mimic.multiplier * out[:, index(mimic.source)] + mimic.offset
-        return out
+        out = mimicked(q, self.joint_names, self.mimics)
+        return out if self.linkage is None else self.linkage.closed(out)[0]
 
     def spread(self, own: np.ndarray) -> np.ndarray:
-        """Return the positions of all joints, shape (N, n), from those of the joints that mimic none, shape (N, m)."""
-        if not self.mimics:
+        """Return the positions of all joints, shape (N, n), from those that have their own, shape (N, m)."""
+        if not self.dependent:
             return own
         q = np.zeros((len(own), self.n_joints))
         q[:, self.own_joints] = own
         return self.following(q)
 
-    def gathered(self, J: np.ndarray) -> np.ndarray:
-        """Return derivatives by the joints that mimic none, shape (..., m), from those by all joints, shape (..., n)."""
-        if not self.mimics:
+    def gathered(self, J: np.ndarray, q: np.ndarray | None = None) -> np.ndarray:
+        """Return derivatives by the joints that have positions of their own, shape (..., m).
+
+        Args:
+            J: those by all joints, shape (..., n); with loops shape (N, ..., n).
+            q: joint positions, shape (N, n); None if derivatives by others hold those by the passive joints of loops.
+        """
+        if not self.dependent:
             return J
-        moves = np.eye(self.n_joints)[:, self.own_joints]
-        return np.asarray(J @ (self.following(moves.T) - self.following(0.0 * moves.T)).T)
+        moves = np.eye(self.n_joints)
+        for mimic in self.mimics:
+            i, k = self.joint_names.index(mimic.joint), self.joint_names.index(mimic.source)
+            moves[i] = mimic.multiplier * moves[k]
+        if q is None or self.linkage is None:
+            return np.asarray(J @ moves[:, self.own_joints])
+        linkage, whole = self.linkage, np.tile(moves, (len(q), 1, 1))
+        whole[:, linkage.passive] = linkage.rates(q) @ moves[linkage.drivers]
+        return np.asarray(J @ whole[..., self.own_joints])
 
     def with_couplings(self, *couplings: Coupling | str) -> Robot:
         """Return the robot with joints whose controller reports a combination of positions.
@@ -239,7 +304,7 @@ class Robot:
 
     def from_reported(self, q: np.ndarray) -> np.ndarray:
         """Return the positions of the URDF's joints, shape (N, n), from those that the controller reports."""
-        return self.following(np.asarray(q @ self.combination.T)) if self.couplings else q
+        return self.following(np.asarray(q @ self.combination.T)) if self.couplings or self.passive else q
 
     def as_reported(self, q: np.ndarray) -> np.ndarray:
         """Return what the controller reports, and is commanded, at positions of the URDF's joints, shape (N, n)."""
@@ -263,9 +328,10 @@ class Robot:
     @property
     def reach(self) -> float:
         """Length of its path stretched out [m]: an upper bound on the distance from S_0 to the tip."""
-        s = self.frames.parameters
+        on_path = [joint for joint, _ in self.path.steps(self.parents)]
+        s = self.frames.parameters[on_path]
         farthest = np.maximum(np.abs(self.lower), np.abs(self.upper))
-        travel = [far for far, kind in zip(farthest, self.joint_types, strict=True) if kind == "prismatic" and far < np.inf]
+        travel = [farthest[i] for i in on_path if self.joint_types[i] == "prismatic" and farthest[i] < np.inf]
         return float(np.hypot(s[:, 3], s[:, 4]).sum() + np.linalg.norm(self.frames.T_last_tip[:3, 3]) + sum(travel))
 
     def forward_kinematics(self, q: np.ndarray, path: LinkPath | None = None) -> np.ndarray:
@@ -318,5 +384,12 @@ class Robot:
         return middle - half, middle + half
 
     def random_configurations(self, n: int, rng: np.random.Generator) -> np.ndarray:
-        """Draw joint positions, shape (n, n_joints), uniform within the limits (within +-pi where there are none)."""
-        return self.following(np.asarray(rng.uniform(*self.joint_range(), (n, self.n_joints))))
+        """Draw joint positions, shape (n, n_joints), uniform within the limits (within +-pi where there are none).
+
+        Of robots with loops they are those at which these close and the passive joints keep to their limits.
+        """
+        found = self.following(np.asarray(rng.uniform(*self.joint_range(), (n, self.n_joints))))
+        while self.linkage is not None and not (is_there := self.linkage.can_take(found)).all():
+            again = rng.uniform(*self.joint_range(), (int(np.sum(~is_there)), self.n_joints))
+            found[~is_there] = self.following(again)
+        return found

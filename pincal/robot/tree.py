@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from pincal.errors import BadInputError, RobotFileError, nearest_first
 
 MOVING_TYPES = ("revolute", "continuous", "prismatic")
@@ -17,11 +19,6 @@ _FINGER = re.compile(r"finger|thumb|jaw|knuckle|hand[a-z_]*_(index|middle|ring|l
 _FINGER_JOINT = re.compile(_FINGER.pattern + "|gripper", re.IGNORECASE)
 # What is fixed to an arm and is no place to fix a tool.
 _NO_TIP = re.compile(_FINGER_JOINT.pattern + "|camera|optical|imu|accelerometer|range|laser|light", re.IGNORECASE)
-# What helps where a URDF has a closed loop.
-OPEN_LOOPS = (
-    "Describe a parallelogram by the joints that the tool hangs on alone: one that keeps parallel to another gets "
-    '<mimic joint="..." multiplier="-1"/> of the joint that drives it, and the rods hang beside the arm'
-)
 
 
 @dataclass(frozen=True)
@@ -39,6 +36,25 @@ class Mimic:
     source: str
     multiplier: float
     offset: float
+
+
+def mimicked(q: np.ndarray, names: Sequence[str], mimics: Iterable[Mimic]) -> np.ndarray:
+    """Return the positions of named joints, shape (N, n), with those that mimic another where that one puts them."""
+    out = np.array(q, np.result_type(q, float))
+    for mimic in mimics:
+        out[:, names.index(mimic.joint)] = mimic.multiplier * out[:, names.index(mimic.source)] + mimic.offset
+    return out
+
+
+def numbered(names: Sequence[str]) -> Sequence[str]:
+    """Return names in the order of the last numbers in them, or as they are if not each has one of its own.
+
+    Example:
+        >>> numbered(["joint_1", "joint_4", "joint_3"])
+        ['joint_1', 'joint_3', 'joint_4']
+    """
+    numbers = {name: int(found[-1]) for name in names if (found := re.findall(r"\d+", name))}
+    return sorted(names, key=numbers.__getitem__) if len(set(numbers.values())) == len(names) else names
 
 
 @dataclass(frozen=True)
@@ -89,6 +105,29 @@ class UrdfJoint:
     mimic: Mimic | None
 
 
+@dataclass(frozen=True, eq=False)
+class UrdfClosure:
+    """What closes a loop: a joint between two links that hang on others already.
+
+    Attributes:
+        name: of the joint or constraint.
+        kind: its type, as the URDF has it.
+        parent, child: the links that it joins.
+        T_parent: shape (4, 4), its frame on the parent link; None for where it is on the child at zero positions.
+        T_child: shape (4, 4), its frame on the child link.
+        axis_parent, axis_child: shape (3,), its axis in each of these frames.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    T_parent: np.ndarray | None
+    T_child: np.ndarray
+    axis_parent: np.ndarray
+    axis_child: np.ndarray
+
+
 @dataclass(frozen=True)
 class UrdfTree:
     """The checked text of a URDF and the tree of links and joints it describes.
@@ -100,7 +139,7 @@ class UrdfTree:
         links: names of the links.
         joints: of the tree.
         root: the link that all others hang on.
-        closing: joints outside the tree that close a loop in it, as Gazebo has them.
+        closures: what closes loops in the tree.
         notes: how the text was read where that may be doubted, in words.
     """
 
@@ -110,7 +149,7 @@ class UrdfTree:
     links: tuple[str, ...]
     joints: tuple[UrdfJoint, ...]
     root: str
-    closing: tuple[UrdfJoint, ...] = ()
+    closures: tuple[UrdfClosure, ...] = ()
     notes: tuple[str, ...] = ()
 
     def path(self, base: str, tip: str) -> tuple[UrdfJoint, ...]:
@@ -142,6 +181,11 @@ class UrdfTree:
     @cached_property
     def _by_child(self) -> dict[str, UrdfJoint]:
         return {joint.child: joint for joint in self.joints}
+
+    def carrier(self, joints: Sequence[UrdfJoint], link: str) -> int:
+        """Return which of some joints carries a link, -1 for none of them."""
+        place = {joint.name: i for i, joint in enumerate(joints)}
+        return next((place[joint.name] for joint in reversed(self.above(link)) if joint.name in place), -1)
 
     def default_tip(self, joint_names: Iterable[str] | None = None) -> str:
         """Return the link at the end of the arm.
@@ -188,19 +232,28 @@ class UrdfTree:
             found.append(total)
         return tuple(found)
 
-    def refuse_loops(self, path: Iterable[UrdfJoint]) -> None:
-        """Refuse a path of which joints are part of a loop that a joint outside the tree closes.
+    @cached_property
+    def looped(self) -> frozenset[str]:
+        """The moving joints of all loops."""
+        return frozenset[str]().union(*map(self.loop, self.loops))
 
-        Raises:
-            RobotFileError: naming the joints: what a parallelogram drives is not told by the reading of its own joint.
-        """
-        for closing in self.closing:
-            sides = [{joint.name for joint in self.path(self.root, end)} for end in (closing.parent, closing.child)]
-            if inside := [joint.name for joint in path if joint.kind in MOVING_TYPES and joint.name in sides[0] ^ sides[1]]:
-                over = ", ".join(inside)
-                raise RobotFileError(
-                    f"{self.source}: joint {closing.name!r} closes a loop over {over}, as a parallelogram does. {OPEN_LOOPS}"
-                )
+    @cached_property
+    def loops(self) -> tuple[UrdfClosure, ...]:
+        """What closes loops of joints that move; a loop of which a joint mimics another is described by that."""
+        driven = {joint.name for joint in self.joints if joint.mimic is not None}
+        return tuple(closure for closure in self.closures if (loop := self.loop(closure)) and not loop & driven)
+
+    def loop(self, closure: UrdfClosure) -> frozenset[str]:
+        """Return the names of the moving joints of the loop that a closure closes."""
+        one, other = ({j.name for j in self.above(end) if j.kind in MOVING_TYPES} for end in (closure.parent, closure.child))
+        return frozenset(one ^ other)
+
+    def with_loops(self, names: Iterable[str]) -> set[str]:
+        """Return names of joints with those of all joints that are in a loop with some of them."""
+        found, loops = set(names), [self.loop(closure) for closure in self.loops]
+        while more := [loop for loop in loops if loop & found and loop - found]:
+            found.update(*more)
+        return found
 
     def _own(self, chain: tuple[str, ...]) -> tuple[str, ...]:
         """Return the joints of a chain that mimic none."""
@@ -227,8 +280,9 @@ class UrdfTree:
         # A robot whose first joint is named so is a hand, or has the word in all its names.
         if cuts and cuts[0] > 0:
             return chain[: cuts[0]]
-        # Behind which joints each moving joint hangs.
-        hangs = [chains.get(joint.parent) for joint in self.joints if joint.kind in MOVING_TYPES]
+        # Behind which joints each moving joint hangs, the rods of loops left out.
+        rods = self.looped - set(chain)
+        hangs = [chains.get(joint.parent) for joint in self.joints if joint.kind in MOVING_TYPES and joint.name not in rods]
         for cut in range(max(len(chain) - 2, 1), len(chain)):
             if hangs.count(chains.get(by_name[chain[cut]].parent, ())) > 1:
                 return chain[:cut]
@@ -237,10 +291,11 @@ class UrdfTree:
     def _chain_of(self, chains: dict[str, tuple[str, ...]], names: set[str]) -> tuple[str, ...]:
         fitting = []
         for chain in chains.values():
-            own = self._own(chain)
-            is_all = set(own) <= names <= set(chain)
-            if own and (is_all or (own[-1] in names and names <= set(chain))):
-                fitting.append((is_all, len(own), chain))
+            own, reached = self._own(chain), self.with_loops(chain)
+            needed = set(own) - self.looped
+            is_all = needed <= names <= reached
+            if own and (is_all or (own[-1] in names and names <= reached)):
+                fitting.append((is_all, len(needed), chain))
         if fitting:
             # All of a chain's joints before a part of one; with those that follow the last.
             best = max(fitting, key=lambda found: (found[0], -found[1], len(found[2])))

@@ -15,7 +15,8 @@ from lxml import etree
 
 from pincal.errors import RobotFileError, nearest_first, needed, warn
 from pincal.robot.packages import neighbouring_packages
-from pincal.robot.tree import MOVING_TYPES, OPEN_LOOPS, Mimic, UrdfJoint, UrdfTree, in_tree_order, known_links
+from pincal.robot.tree import MOVING_TYPES, Mimic, UrdfJoint, UrdfTree, in_tree_order, known_links
+from pincal.robot.urdf_loops import cut_loops, take_loops
 from pincal.units import LARGEST, plain_number
 
 _UNSUPPORTED_TYPES = ("planar", "floating")
@@ -48,17 +49,20 @@ def parse_xml(text: bytes, source: str) -> Any:
     return root
 
 
-def arm_text(text: bytes, moving: Collection[str], source: str) -> str:
+def arm_text(text: bytes, moving: Collection[str], source: str, *, loops: bool = False) -> str:
     """Return the XML of an arm, in which all joints but those named are fixed where they are at zero.
 
-    It is without a declaration of its encoding, for readers that know only one.
+    With ``loops`` the joints that close them stay, which make it no tree. It is without a declaration of its encoding, for
+    readers that know only one.
     """
     root = parse_xml(text, source)
+    closing = cut_loops(root)
     for joint in root.iterfind("joint"):
         if joint.get("name") not in moving:
             joint.set("type", "fixed")
             for mimic in joint.findall("mimic"):
                 joint.remove(mimic)
+    root.extend(closing if loops else [])
     return str(etree.tostring(root, encoding="unicode"))
 
 
@@ -115,14 +119,18 @@ def parse_urdf(text: bytes, *, source: str = "URDF") -> UrdfTree:
             raise _fault(element, source, f"<origin xyz={element.get('xyz')!r}> is far beyond any robot; expected metres")
     _check_masses(root, source)
     notes = tuple(_settle_axes(root, source))
+    text = etree.tostring(root) if notes else text
+    closures = tuple(take_loops(root, links, source))
+    left = {element.get("name") for element in root.iterfind("joint")}
+    joints = tuple(joint for joint in joints if joint.name in left)
     return UrdfTree(
-        text=etree.tostring(root) if notes else text,
+        text=text,
         name=root.get("name", "robot"),
         source=source,
         links=links,
         joints=joints,
         root=_find_root(links, joints, source),
-        closing=tuple(_closing_joints(root, links, source)),
+        closures=closures,
         notes=notes,
     )
 
@@ -135,14 +143,6 @@ def _settle_axes(root: Any, source: str) -> Iterator[str]:
             axis.set("xyz", "1 0 0")
             where = f"joint {joint.get('name')} (line {axis.sourceline})"
             yield f"{where} has an <axis> without xyz; it is read as 1 0 0, the default of URDF"
-
-
-def _closing_joints(root: Any, links: tuple[str, ...], source: str) -> Iterator[UrdfJoint]:
-    """Yield what is told to other programs only: joints of Gazebo between links of the tree."""
-    for element in root.iterfind("gazebo/joint"):
-        ends = [(element.findtext(role) or "").strip().split("::")[-1] for role in ("parent", "child")]
-        if all(end in links for end in ends):
-            yield UrdfJoint(element.get("name", "?"), element.get("type", ""), ends[0], ends[1], None)
 
 
 def _fault(element: Any, source: str, text: str) -> RobotFileError:
@@ -230,14 +230,7 @@ def _find_root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: st
             if link not in links:
                 text = f"joint {joint.name!r} names the unknown link {link!r}; {known_links(link, links)}"
                 raise RobotFileError(f"{source}: {text}")
-    children = Counter(joint.child for joint in joints)
-    closed = [link for link, count in children.items() if count > 1]
-    if closed:
-        names = ", ".join(joint.name for joint in joints if joint.child == closed[0])
-        raise RobotFileError(
-            f"{source}: link {closed[0]!r} is the child of several joints ({names}), a closed loop; "
-            f"expected a tree: cut the loop at one joint. {OPEN_LOOPS}"
-        )
+    children = {joint.child for joint in joints}
     roots = [link for link in links if link not in children]
     if len(roots) != 1 or len(in_tree_order(roots[0], joints)) != len(joints):
         raise RobotFileError(

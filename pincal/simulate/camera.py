@@ -1,8 +1,8 @@
-"""The set-up of the paper: a camera in the robot's hand that looks at a fixed calibration object."""
+"""The set-up of the paper: a camera in the robot's hand that looks at a fixed object, plates with marked points."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -11,12 +11,112 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
-from pincal.simulate.calibration_object import CalibrationObject
 from pincal.simulate.lens import Lens
 from pincal.simulate.planning import collect_poses, is_clear, plan_poses, reach
 from pincal.simulate.setup import Machine, Reading, SensorSetup, draw_noise, refuse_scale, tips_of
 from pincal.simulate.state import Poses
 from pincal.simulate.tracker import as_read
+
+PITCH = 0.025
+"""Distance from one marked point to the next on the paper's object [m]."""
+
+# Points of one image field, in rows and columns.
+_FIELD = 5
+# The paper's object has two sides with three image fields each; the paper does not state how the sides lean.
+_FIELDS, _LEAN = 3, np.pi / 4
+
+
+@dataclass(frozen=True)
+class CalibrationObject:
+    """Named points on plates, in a frame of their own.
+
+    Attributes:
+        names: Names of the K points.
+        places: Where they are in the object's frame [m], shape (K, 3).
+        normals: Direction in which the plate of each looks, shape (K, 3); None for points seen from everywhere.
+        field: Number of the image field of each, from 0, shape (K,).
+    """
+
+    names: tuple[str, ...]
+    places: np.ndarray
+    normals: np.ndarray | None
+    field: np.ndarray
+
+    @classmethod
+    def of_points(cls, points: Mapping[str, Any], normals: Mapping[str, Any] | None = None) -> CalibrationObject:
+        """Return an object of one field from named points [m] and, if they have a front, normals, shape (3,) each."""
+        towards = None if normals is None else np.array([normals[name] for name in points], float)
+        return cls(tuple(points), np.array([*points.values()], float), towards, np.zeros(len(points), int))
+
+    @property
+    def n_fields(self) -> int:
+        """Number of image fields."""
+        return int(self.field.max()) + 1
+
+    def look_at(self, field: int) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return centre [m], shape (3,), normal, shape (3,), and radius [m] of an image field."""
+        places = self.places[self.field == field]
+        centre = places.mean(axis=0)
+        normal = np.array([0.0, 0.0, 1.0]) if self.normals is None else self.normals[self.field == field][0]
+        return centre, normal, float(np.linalg.norm(places - centre, axis=1).max())
+
+
+def paper_object() -> CalibrationObject:
+    """Return the object of the paper (Fig. 5): two sides with points 25 mm apart, three image fields per side.
+
+    The sides make a roof with its ridge along x; both lean by 45 degrees. Point ``a2_1_3`` is in row 1 and column 3 of
+    the second field of side a.
+
+    Example:
+        >>> paper = paper_object()
+        >>> paper.n_fields, len(paper.names), paper.names[-1]
+        (6, 150, 'b3_5_5')
+    """
+    sides = []
+    for side, sign in (("a", -1.0), ("b", 1.0)):
+        down = np.array([0.0, sign * np.cos(_LEAN), -np.sin(_LEAN)])
+        along = np.array([1.0, 0.0, 0.0])
+        middle = 0.5 * (_FIELDS * _FIELD - 1) * PITCH
+        for k in range(_FIELDS):
+            corner = (k * _FIELD * PITCH - middle) * along + PITCH * down
+            sides.append(_plate(f"{side}{k + 1}", _FIELD, _FIELD, corner, down, along))
+    return _joined(sides)
+
+
+def grid_object(rows: int = 7, columns: int = 9) -> CalibrationObject:
+    """Return a plane grid of points 25 mm apart about the origin, looking along z, its rows along y, its columns along x.
+
+    Example:
+        >>> grid_object().names[:2], grid_object().places[-1]
+        (('p_1_1', 'p_1_2'), array([0.1  , 0.075, 0.   ]))
+    """
+    corner = -0.5 * PITCH * np.array([columns - 1.0, rows - 1.0, 0.0])
+    return _joined([_plate("p", rows, columns, corner, np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0]))])
+
+
+OBJECTS = {"paper": paper_object, "grid": grid_object}
+"""The objects by name."""
+
+
+def _plate(
+    name: str, rows: int, columns: int, corner: np.ndarray, down: np.ndarray, along: np.ndarray
+) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Return names, places and the normal, upwards, of a plate's points."""
+    row, column = (index.ravel() for index in np.mgrid[:rows, :columns])
+    names = [f"{name}_{i + 1}_{j + 1}" for i, j in zip(row, column, strict=True)]
+    places = corner + PITCH * (row[:, None] * down + column[:, None] * along)
+    normal = np.cross(down, along)
+    return names, places, normal * np.sign(normal[2])
+
+
+def _joined(plates: list[tuple[list[str], np.ndarray, np.ndarray]]) -> CalibrationObject:
+    return CalibrationObject(
+        names=tuple(name for names, _, _ in plates for name in names),
+        places=np.vstack([places for _, places, _ in plates]),
+        normals=np.vstack([np.tile(normal, (len(names), 1)) for names, _, normal in plates]),
+        field=np.repeat(np.arange(len(plates)), [len(names) for names, _, _ in plates]),
+    )
+
 
 # Points on a plate seen more obliquely than this (cosine of the angle to its normal) can't be made out.
 _OBLIQUE = 0.25
@@ -116,12 +216,10 @@ class EyeInHand(SensorSetup):
 
     @property
     def kind(self) -> str:
-        """Points in the camera's frame or in its image."""
         return "camera_point" if self.in_metres else "camera_pixel"
 
     @property
     def points(self) -> dict[str, np.ndarray]:
-        """The points in the object's own frame."""
         return dict(zip(self.target.names, self.target.places, strict=True))
 
     @cached_property
@@ -193,11 +291,9 @@ class EyeInHand(SensorSetup):
         return np.asarray(cosine > _OBLIQUE)
 
     def line_of_sight(self, tip: np.ndarray) -> np.ndarray:
-        """Return the origin of the object in the camera's frame."""
         return in_camera(tip @ self.camera_pose, self.object_pose[None, :3, 3])[:, 0]
 
     def truth(self) -> dict[str, Any]:
-        """Return where camera and object are, and the camera itself."""
         poses = {"T_tip_camera": self.camera_pose.tolist(), "T_base_object": self.object_pose.tolist()}
         if self.in_metres or self.lens is None:
             return {"noise": {"sigma_m": self.sigma, "sigma_rad": None}} | poses

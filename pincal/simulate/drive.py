@@ -173,7 +173,6 @@ class JointCoupling(DeformingEffect):
     source: str
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Turn the driven joint along with its source."""
         leak = self.size * poses.q[:, arm.index(self.source)]
         deformation.joint[:, arm.index(self.joint)] += leak
 
@@ -200,7 +199,6 @@ class AxisWobble(DeformingEffect):
     frame: str = "before"
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Tilt the axis about x and y."""
         joint = arm.index(self.joint)
         direction = self.order * poses.q[:, joint] + self.phase
         twist = deformation.after if self.frame == "after" else deformation.before

@@ -18,6 +18,9 @@ import numpy as np
 from pincal.simulate.arm import Arm
 from pincal.simulate.state import Deformation, Loads, Poses
 
+HIDDEN_EFFECTS: dict[str, type[HiddenEffect]] = {}
+"""The hidden effects of pincal, by the names that discovery reports."""
+
 WINDUP = 1e-3
 """Typical wind-up of a drive under the largest moment of the arm [rad]."""
 
@@ -72,9 +75,15 @@ class HiddenEffect(ABC):
     joint: str | None = None
     size: float = 0.0
 
+    def __init_subclass__(cls) -> None:
+        """List an effect of pincal by its name."""
+        super().__init_subclass__()
+        if "effect" in vars(cls) and cls.__module__.startswith("pincal."):
+            HIDDEN_EFFECTS[cls.effect] = cls
+
     @classmethod
     def typical_joints(cls, arm: Arm) -> list[str]:
-        """Return the joints at which the effect is typical: all, unless the class says otherwise."""
+        """Return the joints at which the effect is typical: all, unless the class states otherwise."""
         return list(arm.names)
 
 
@@ -110,7 +119,6 @@ class DriveEffect(DeformingEffect):
     """An effect that moves one joint along its own freedom."""
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Add the motion to the position of the joint."""
         joint = arm.index(self.joint)
         deformation.joint[:, joint] += self._motion(joint, poses, loads)
 
@@ -120,7 +128,7 @@ class DriveEffect(DeformingEffect):
 
 
 class ReadBackEffect(DriveEffect):
-    """A motion of a drive that its encoder sees: the table has ``read_<joint>`` beside the commanded position."""
+    """A motion of a drive that its encoder sees: the table has ``read_<joint>`` in addition to the commanded position."""
 
     def read_back(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         """Return what the encoder reads of the joint with this index [rad or m], shape (N,)."""

@@ -8,9 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pincal.simulate.arm import Arm
-from pincal.simulate.planning import frames
-from pincal.simulate.state import Poses
+from pincal.simulate.arm import Arm, frames_in_base
 
 
 class LinkMotion(NamedTuple):
@@ -37,14 +35,16 @@ class LinkMotion(NamedTuple):
 
 
 def link_motions(arm: Arm, q: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> Iterator[LinkMotion]:
-    """Yield the motion of each link of an arm without load, from the first to that of the tip.
+    """Yield the motion of each link of an arm or tree without load, in the order of its joints, and last that of the tip.
 
     Joint positions, velocities and accelerations are of shape (N, n) [rad or m, per s, per s^2].
     """
-    places = frames(arm, q)
-    rate, turning, moved = np.zeros((3, len(q), 3))
-    for j in range(len(arm.names) + 1):
-        way = places[:, j + 1, :3, 3] - places[:, j, :3, 3]
+    places = frames_in_base(arm, q)
+    still = np.zeros((len(q), 3))
+    known = [LinkMotion(places[:, 0, :3, :3], places[:, 0, :3, 3], still, still, still)]
+    for j, parent in enumerate((*arm.parents, arm.tip_joint)):
+        _, origin, rate, turning, moved = known[parent + 1]
+        way = places[:, j + 1, :3, 3] - origin
         moved = moved + np.cross(turning, way) + np.cross(rate, np.cross(rate, way))
         if j < len(arm.names):
             axis = places[:, j + 1, :3, 2]
@@ -54,7 +54,8 @@ def link_motions(arm: Arm, q: np.ndarray, velocity: np.ndarray, acceleration: np
             else:
                 turning = turning + faster + np.cross(rate, along)
                 rate = rate + along
-        yield LinkMotion(places[:, j + 1, :3, :3], places[:, j + 1, :3, 3], rate, turning, moved)
+        known.append(LinkMotion(places[:, j + 1, :3, :3], places[:, j + 1, :3, 3], rate, turning, moved))
+        yield known[-1]
 
 
 @dataclass(frozen=True)
@@ -70,14 +71,21 @@ class Inertia:
     couples: np.ndarray
 
     @classmethod
-    def of(cls, arm: Arm, poses: Poses) -> Inertia | None:
-        """Return what the bodies of an arm exert that moves as if it did not deform; None if nothing moves."""
-        if not (poses.velocity.any() or poses.acceleration.any()):
+    def of(cls, arm: Arm, motion: tuple[np.ndarray, ...], payload: np.ndarray, payload_com: np.ndarray) -> Inertia | None:
+        """Return what the bodies of an arm exert that moves as if it did not deform; None if nothing moves.
+
+        Args:
+            arm: The true arm.
+            motion: Joint positions, velocities and accelerations, shape (N, n) each [rad or m, per s, per s^2].
+            payload: Mass at the tip [kg], shape (N,).
+            payload_com: Its centre of mass in the tip frame [m], shape (N, 3).
+        """
+        if not any(part.any() for part in motion[1:]):
             return None
-        forces, couples = np.zeros((2, len(poses.q), len(arm.names) + 1, 3))
-        for j, link in enumerate(link_motions(arm, poses.q, poses.velocity, poses.acceleration)):
+        forces, couples = np.zeros((2, len(payload), len(arm.names) + 1, 3))
+        for j, link in enumerate(link_motions(arm, *motion)):
             if j == len(arm.names):
-                forces[:, j] = -poses.payload[:, None] * link.at(poses.payload_com)
+                forces[:, j] = -payload[:, None] * link.at(payload_com)
                 break
             forces[:, j] = -arm.masses[j] * link.at(arm.centres[j])
             if arm.inertias is not None:

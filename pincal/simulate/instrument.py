@@ -60,20 +60,16 @@ class Instrument(SensorSetup):
 
     @property
     def kind(self) -> str:
-        """What is read."""
         return self.reads
 
     @property
     def points(self) -> dict[str, np.ndarray]:
-        """The anchors in the instrument's frame."""
         return transformed(self.pose, self.anchors)
 
     def plan(self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1) -> np.ndarray:
-        """Draw random poses: the instrument sees them all."""
         return plan_poses(arm, n, rng, min_height=min_height)
 
     def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:
-        """Return a row for every pose, target and anchor."""
         offsets = np.array([*self.targets.values()])
         seen = ((self.pose @ tips_of(machine, poses))[:, None] @ offsets).reshape(-1, 4, 4)
         rows, columns = np.repeat(np.arange(len(poses.q)), len(offsets)), Table()
@@ -103,7 +99,6 @@ class Instrument(SensorSetup):
         return np.asarray(seen - next(iter(self.points.values()), np.zeros(3)))
 
     def truth(self) -> dict[str, Any]:
-        """Return where instrument, targets and anchors are."""
         found: dict[str, Any] = {
             "noise": {"sigma_m": self.sigma, "sigma_rad": self.sigma_angle if self.reads == "pose" else None},
             "T_instrument_base": self.pose.tolist(),

@@ -6,6 +6,7 @@ is shared with the model that pincal fits, so that the two can be held against e
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,13 +15,25 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.simulate.arm import Arm, read_arm
-from pincal.simulate.chain import build_chain, configurations, gravity_loads, place
+from pincal.simulate.arm import Arm
 from pincal.simulate.effect import DeformingEffect, HiddenEffect
-from pincal.simulate.elastic import BearingElasticity, JointElasticity
+from pincal.simulate.elastic import BearingElasticity, JointElasticity, PayloadError
 from pincal.simulate.inertia import Inertia
-from pincal.simulate.state import Deformation, Equilibrium, Loads, Poses, broadcast_copy, poses_of
-from pincal.simulate.surroundings import PayloadError
+from pincal.simulate.rods import closing_step
+from pincal.simulate.state import (
+    Deformation,
+    Equilibrium,
+    Loads,
+    Poses,
+    broadcast_copy,
+    build_chain,
+    configurations,
+    gravity_loads,
+    joints_and_links,
+    place,
+    poses_of,
+)
+from pincal.simulate.urdf_arm import read_arm
 
 # Acceleration of gravity in the base frame of an upright robot [m/s^2].
 _GRAVITY = (0.0, 0.0, -9.81)
@@ -66,20 +79,33 @@ class TrueMachine:
     effects: tuple[HiddenEffect, ...] = ()
 
     @classmethod
-    def from_urdf(cls, urdf: str | Path, *, tip: str, base: str | None = None, **errors: Any) -> TrueMachine:
+    def from_urdf(
+        cls,
+        urdf: str | Path,
+        *,
+        tip: str,
+        base: str | None = None,
+        start: str | None = None,
+        joints: Sequence[str] = (),
+        passive: Collection[str] = (),
+        **errors: Any,
+    ) -> TrueMachine:
         """Make the true machine of a URDF, by default without errors.
 
         Args:
             urdf: Path of a URDF file, or its XML text.
             tip: Frame at the end of the arm.
-            base: Frame in which positions are given; default: the root of the URDF.
+            base: Link on which the arm stands; default: the root of the URDF.
+            start: Link in whose frame positions are given; default: the base.
+            joints: Names of the joints that move, each behind the one that carries it; default: those from base to tip.
+            passive: Of these the joints that follow from the others as loops have it; default: no loops.
             **errors: Any attribute but ``nominal``.
 
         Raises:
             RobotFileError: If the URDF has no such arm.
             BadInputError: If an attribute has a wrong name or shape.
         """
-        return cls.of_arm(read_arm(urdf, tip, base), **errors)
+        return cls.of_arm(read_arm(urdf, tip, base, start=start, joints=joints, passive=passive), **errors)
 
     @classmethod
     def of_arm(cls, nominal: Arm, **errors: Any) -> TrueMachine:
@@ -182,16 +208,33 @@ class TrueMachine:
                 mass, com = effect.true_payload(mass, com)
         poses = replace(poses, payload=mass, payload_com=com)
         q, gravity = poses.q + self.joint_offsets, np.asarray(self.gravity, float)
-        inertia = Inertia.of(self.arm, replace(poses, q=q))
+        inertia = Inertia.of(self.arm, (q, poses.velocity, poses.acceleration), mass, com)
         deformation = self._deformed(poses, Loads.zero(*q.shape))
         for _ in range(_ROUNDS):
             places = place(self._chain, self._data, configurations(q, deformation))
+            if self.arm.pins:
+                q, places = self._closed(q, places, deformation)
             loads = gravity_loads(self.arm, places, payload=mass, payload_com=com, gravity=gravity, inertia=inertia)
             settled = self._deformed(poses, loads)
             if settled.change(deformation) < _AT_REST:
-                return Equilibrium(tip=places[:, -1], deformation=deformation, loads=loads)
+                tip, k = places[:, -1], self.arm.start_joint
+                if k >= 0:
+                    tip = np.linalg.solve(joints_and_links(places)[1][:, k + 1] @ self.arm.start, tip)
+                return Equilibrium(tip=tip, deformation=deformation, loads=loads)
             deformation = settled
         raise BadInputError(f"the arm does not come to rest in {_ROUNDS} rounds; use a smaller compliance")
+
+    def _closed(self, q: np.ndarray, places: np.ndarray, deformation: Deformation) -> tuple[np.ndarray, np.ndarray]:
+        """Return joint positions at which the loops of the arm close as it is placed, and its places there."""
+        q = q.copy()
+        for _ in range(_ROUNDS):
+            axes, links = joints_and_links(places)
+            step, _ = closing_step(self.arm, axes, links)
+            q[:, self.arm.passive] += step
+            places = place(self._chain, self._data, configurations(q, deformation))
+            if np.abs(step).max(initial=0.0) < _AT_REST:
+                return q, places
+        raise BadInputError("the loops of the arm don't close in some pose; make its errors smaller")
 
     def _deformed(self, poses: Poses, loads: Loads) -> Deformation:
         deformation = Deformation.zero(*poses.q.shape)

@@ -9,10 +9,9 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
-from pincal.simulate.chain import build_chain, configurations
 from pincal.simulate.machine import TrueMachine
 from pincal.simulate.planning import is_clear
-from pincal.simulate.state import Deformation
+from pincal.simulate.state import Deformation, build_chain, configurations
 
 # Waves of each joint, and the range of their frequencies [Hz].
 _WAVES, _SLOWEST, _FASTEST = 8, 0.03, 0.6
@@ -109,7 +108,7 @@ def _following(arm: Arm, path: FourierPath, centre: np.ndarray) -> FourierPath:
         sources[joint], factors[joint] = source, multiplier
     moved = path.scaled(1.0)
     return FourierPath(
-        arm.following(centre[None])[0],
+        arm.mimicking(centre[None])[0],
         moved.rates[sources],
         factors[:, None] * moved.sines[sources],
         factors[:, None] * moved.cosines[sources],

@@ -15,10 +15,11 @@ from typing import Unpack
 import numpy as np
 
 from pincal.builtin import kuka_urdf_path
-from pincal.simulate.arm import Arm, read_arm, transform
+from pincal.simulate.arm import Arm, transform
 from pincal.simulate.effect import DeformingEffect, HiddenEffect
 from pincal.simulate.planning import point_at
 from pincal.simulate.state import Conditions, Deformation, Equilibrium, Loads, Poses, poses_of
+from pincal.simulate.urdf_arm import read_arm
 
 _HALF_TURN, _QUARTER_TURN = np.pi, np.pi / 2.0
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.errors import BadInputError
-from pincal.simulate.arm import Arm
+from pincal.simulate.arm import Arm, frames, frames_in_base
+from pincal.simulate.rods import driving, following
 
 # Rounds of draws after which limits on the poses count as impossible.
 _ROUNDS = 2000
@@ -44,7 +45,8 @@ def plan_poses(
     middle, half = (arm.upper + arm.lower) / 2.0, _SPAN * (arm.upper - arm.lower) / 2.0
 
     def draw() -> np.ndarray:
-        q = arm.following(middle + half * rng.uniform(-1.0, 1.0, (max(n, 16), len(arm.names))))
+        q = following(arm, middle + half * rng.uniform(-1.0, 1.0, (max(n, 16), len(arm.names))))
+        q = q[np.all(np.abs(q - middle) <= half, axis=1)] if arm.pins else q
         fits = is_clear(arm, q, min_height)
         if max_radius is not None:
             fits &= np.linalg.norm(frames(arm, q)[:, -1, :3, 3], axis=1) < max_radius
@@ -59,7 +61,7 @@ def collect_poses(draw: Callable[[], np.ndarray], n: int, *, rounds: int, shorta
     """Draw poses, some acceptable ones in each round, until there are n.
 
     Raises:
-        BadInputError: If all rounds together give too few; ``shortage`` ends the message and says what to do then.
+        BadInputError: If all rounds together give too few; ``shortage`` ends the message with what to do then.
     """
     found: list[np.ndarray] = []
     for _ in range(rounds):
@@ -80,27 +82,9 @@ def is_clear(arm: Arm, q: np.ndarray, min_height: float | None) -> np.ndarray:
     clear = np.empty(len(q), bool)
     for start in range(0, len(q), _PIECE):
         piece = slice(start, start + _PIECE)
-        heights = frames(arm, q[piece])[:, 1:, 2, 3]
+        heights = frames_in_base(arm, q[piece])[:, 1:, 2, 3]
         clear[piece] = heights[:, min(2, heights.shape[1] - 1) :].min(axis=1) > min_height
     return clear
-
-
-def frames(arm: Arm, q: np.ndarray) -> np.ndarray:
-    """Return the frames of an arm without load at joint positions q [rad or m], shape (N, n).
-
-    These are transforms of base, working frames after q and tip to the base frame, shape (N, n + 2, 4, 4).
-    """
-    moves = np.tile(np.eye(4), (*q.shape, 1, 1))
-    turn, slide = np.where(arm.prismatic, 0.0, q), np.where(arm.prismatic, q, 0.0)
-    moves[..., 0, 0] = moves[..., 1, 1] = np.cos(turn)
-    moves[..., 1, 0] = np.sin(turn)
-    moves[..., 0, 1] = -moves[..., 1, 0]
-    moves[..., 2, 3] = slide
-    chain = [np.tile(np.eye(4), (len(q), 1, 1))]
-    for joint in range(len(arm.names)):
-        chain.append(chain[-1] @ arm.placements[joint] @ moves[:, joint])
-    chain.append(chain[-1] @ arm.placements[-1])
-    return np.stack(chain, axis=1)
 
 
 def point_at(tip: np.ndarray, tool: ArrayLike) -> np.ndarray:
@@ -128,32 +112,39 @@ def reach(
         left = np.flatnonzero(error >= _REACHED)
         if len(left) == 0:
             break
-        missing, jacobian = _missing(arm, frames(arm, q[left]), goal=goal[left], tool=point)
+        joint_frames = frames(arm, q[left])
+        missing, jacobian = _missing(arm, joint_frames, goal=goal[left], tool=point)
         error[left] = np.linalg.norm(missing, axis=1)
-        q[left] += newton_step(arm, jacobian, missing) * (error[left] >= _REACHED)[:, None]
+        moves = driving(arm, joint_frames)
+        q[left] += newton_step(moves, jacobian, missing) * (error[left] >= _REACHED)[:, None]
+        if arm.pins:
+            q[left] = following(arm, q[left])
     # A turn more or less changes nothing but the limits.
     turns = np.where(arm.prismatic, 0.0, 2.0 * np.pi * np.round((q - 0.5 * (arm.lower + arm.upper)) / (2.0 * np.pi)))
-    q = arm.following(np.where((q >= arm.lower) & (q <= arm.upper), q, q - turns))
+    q = following(arm, np.where((q >= arm.lower) & (q <= arm.upper), q, q - turns))
     middle, half = 0.5 * (arm.lower + arm.upper), 0.5 * _SPAN * (arm.upper - arm.lower)
     return q, (error < _REACHED) & np.all(np.abs(q - middle) <= half, axis=1)
 
 
-def newton_step(arm: Arm, jacobian: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Return the damped joint step, of bounded length, that makes up for what is missing, shape (N, n)."""
-    jacobian = jacobian @ arm.driving
+def newton_step(moves: np.ndarray, jacobian: np.ndarray, missing: np.ndarray) -> np.ndarray:
+    """Return the damped joint step, of bounded length, that makes up for what is missing, shape (N, n).
+
+    ``moves`` is how all joints move with those that drive themselves, see :func:`pincal.simulate.rods.driving`.
+    """
+    jacobian = jacobian @ moves
     transposed = np.swapaxes(jacobian, 1, 2)
     size = np.linalg.norm(missing, axis=1).clip(0.0, 1.0)
     damping = _DAMPING * size[:, None, None] * np.eye(missing.shape[1])
     solved = np.linalg.solve(jacobian @ transposed + damping, missing[..., None])
-    step: np.ndarray = (transposed @ solved)[..., 0] @ arm.driving.T
+    step: np.ndarray = (moves @ (transposed @ solved))[..., 0]
     longest = np.abs(step).max(axis=1, keepdims=True)
     step *= np.minimum(1.0, _STEP / np.maximum(longest, 1e-300))
     return step
 
 
 def position_jacobian(arm: Arm, joint_frames: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Return the derivative of points [base frame, m, shape (N, 3)] by the joints, shape (N, 3, n)."""
-    axes = joint_frames[:, 1:-1, :3, 2]
+    """Return the derivative of points at the tip [start link's frame, m, shape (N, 3)] by the joints, shape (N, 3, n)."""
+    axes = arm.movers[:, None] * joint_frames[:, 1:-1, :3, 2]
     levers = point[:, None] - joint_frames[:, 1:-1, :3, 3]
     columns = np.where(arm.prismatic[:, None], axes, np.cross(axes, levers))
     return np.swapaxes(columns, 1, 2)
@@ -168,5 +159,5 @@ def _missing(arm: Arm, joint_frames: np.ndarray, *, goal: np.ndarray, tool: np.n
 
     turn = goal[:, :3, :3] @ np.swapaxes(tip[:, :3, :3], 1, 2)
     missing = np.hstack((goal[:, :3, 3] - tip[:, :3, 3], Rotation.from_matrix(turn).as_rotvec()))
-    axes = np.where(arm.prismatic[:, None], 0.0, joint_frames[:, 1:-1, :3, 2])
+    axes = np.where(arm.prismatic, 0.0, arm.movers)[:, None] * joint_frames[:, 1:-1, :3, 2]
     return missing, np.hstack((position_jacobian(arm, joint_frames, tip[:, :3, 3]), np.swapaxes(axes, 1, 2)))

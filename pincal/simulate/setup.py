@@ -1,10 +1,13 @@
-"""A sensor set-up: what measures the robot, where it stands, which poses suit it and what its table holds."""
+"""A sensor set-up: what measures the robot, where it stands, which poses suit it and what its table holds.
+
+A campaign is a set-up with the poses that it measures in, and the conditions under which it does.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple, Protocol, Unpack
 
 import numpy as np
@@ -12,8 +15,9 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
 from pincal.simulate.effect import HiddenEffect, ReadBackEffect, needs_order
+from pincal.simulate.machine import TrueMachine
 from pincal.simulate.state import Conditions, Equilibrium, Poses
-from pincal.simulate.tracker import ReadingEffect
+from pincal.simulate.tracker import ReadingEffect, as_read
 
 Table = dict[str, np.ndarray]
 """Columns of a table of measurements, by name."""
@@ -116,7 +120,7 @@ class SensorSetup(ABC):
         """
         poses = machine.poses(q, scatter=draw_scatter(machine, q, rng), **conditions)
         reading = self._read(machine, poses, rng)
-        table = _pose_columns(machine.nominal.names, reading.poses, conditions) | _read_back(machine, reading.poses)
+        table = _pose_columns(machine.nominal, reading.poses, conditions) | _read_back(machine, reading.poses)
         table = {name: column[reading.rows] for name, column in table.items()} | reading.columns
         per_joint = [kind for kind in ("approach", "read") if kind in hide]
         hidden = {*hide, *(f"{kind}_{name}" for kind in per_joint for name in machine.nominal.names)}
@@ -150,7 +154,7 @@ def draw_noise(shape: tuple[int, ...], sigma: float, rng: np.random.Generator | 
 
 
 def refuse_scale(machine: Machine, why: str) -> None:
-    """Raise BadInputError for a machine with errors of an instrument's lengths; ``why`` says what is read instead."""
+    """Raise BadInputError for a machine with errors of an instrument's lengths; ``why`` states what is read instead."""
     for effect in machine.effects:
         if isinstance(effect, ReadingEffect):
             raise BadInputError(f"{effect.effect}: an error of an instrument that reads lengths, and {why}; leave it out")
@@ -175,12 +179,125 @@ def _read_back(machine: Machine, poses: Poses) -> Table:
     return {f"read_{effect.joint}": effect.read_back(index(effect.joint), poses, loads) for effect in seen}
 
 
-def _pose_columns(names: tuple[str, ...], poses: Poses, conditions: Mapping[str, object]) -> Table:
+def _pose_columns(arm: Arm, poses: Poses, conditions: Mapping[str, object]) -> Table:
     """Return the part of a table that doesn't depend on the sensor: joints, and the conditions that are declared."""
-    table = dict(zip(names, poses.q.T, strict=True))
+    table = {name: poses.q[:, arm.names.index(name)] for name in arm.recorded}
     for name in ("payload", "temperature", "time"):
         if conditions.get(name) is not None:
             table[name] = np.broadcast_to(np.asarray(conditions[name], float), len(poses.q))
     if poses.approach is not None:
-        table |= {f"approach_{name}": poses.approach[:, j] for j, name in enumerate(names)}
+        table |= {f"approach_{name}": poses.approach[:, arm.names.index(name)] for name in arm.recorded}
     return table
+
+
+# Time from one pose to the next: drive, settle, measure [s].
+_INTERVAL = 40.0
+# A machine that warms up: first temperature, rise, and standard deviation of draughts [deg C].
+_COLD, _WARMING, _DRAUGHT = 20.0, 10.0, 0.7
+
+
+@dataclass(frozen=True, kw_only=True)
+class Campaign:
+    """Poses, conditions and set-up; everything but the machine that is measured.
+
+    Attributes:
+        q: Joint positions to measure in [rad or m], shape (N, n); where contact decides, near which.
+        conditions: The conditions that apply.
+        setup: What measures.
+        hidden: Of the conditions, those that have their effect but are not recorded.
+    """
+
+    q: np.ndarray
+    conditions: Conditions
+    setup: SensorSetup
+    hidden: tuple[str, ...] = ()
+
+    def measure(self, machine: Machine, rng: np.random.Generator) -> Table:
+        """Return the table that the campaign gives of a machine; ``rng`` is the source of noise and scatter.
+
+        Raises:
+            BadInputError: If the set-up can't measure it, or its errors and effects are too large for any arm.
+        """
+        table = self.setup.measure(machine, self.q, rng=rng, hide=self.hidden, **self.conditions)
+        for name, column in table.items():
+            if column.dtype.kind == "f" and not np.isfinite(column).all():
+                raise BadInputError(f"column {name}: not finite; make errors and effects smaller")
+        return table
+
+    def shift(self, machine: TrueMachine, effect: HiddenEffect) -> float:
+        """Return how far one of the machine's effects moves what is looked at, rms over the poses [m]."""
+        without = replace(machine, effects=tuple(e for e in machine.effects if e is not effect))
+        moved = self._line_of_sight(machine) - self._line_of_sight(without)
+        return float(np.sqrt((moved**2).sum(axis=1).mean()))
+
+    def _line_of_sight(self, machine: TrueMachine) -> np.ndarray:
+        """Return what the set-up looks at as it reads it without noise [m], shape (N, 3)."""
+        scatter = draw_scatter(machine, self.q, np.random.default_rng(0))
+        tip = tips_of(machine, machine.poses(self.q, scatter=scatter, **self.conditions))
+        return as_read(machine.effects, self.setup.line_of_sight(tip))
+
+    def truth(self, machine: TrueMachine, *, tip: str) -> dict[str, Any]:
+        """Return errors and effects of the machine, noise and set-up, as for JSON; ``tip`` names the last frame."""
+        names = machine.names
+        found = {
+            "poses": len(self.q),
+            "sensor": self.setup.kind,
+            "effects": [self._entry(machine, effect) for effect in machine.effects],
+            "geometry": {
+                "placement_errors": {
+                    end: {"translation_m": row[:3].tolist(), "rotation_rad": row[3:].tolist()}
+                    for end, row in zip((*names, tip), machine.placement_errors, strict=True)
+                },
+                "joint_offsets": dict(zip(names, machine.joint_offsets.tolist(), strict=True)),
+            },
+            "compliance": {
+                name: dict(zip(("k_x", "k_y", "k_z"), row.tolist(), strict=True))
+                for name, row in zip(names, machine.compliance, strict=True)
+            },
+            "moment_frame": machine.moment_frame,
+            "mass_factors": dict(zip(names, machine.mass_factors.tolist(), strict=True)),
+            "com_errors_m": dict(zip(names, machine.com_errors.tolist(), strict=True)),
+            "gravity": list(machine.gravity),
+            "payload_com": list(self.conditions.get("payload_com", (0.0, 0.0, 0.0))),
+            "not_recorded": list(self.hidden),
+        }
+        return found | self.setup.truth()
+
+    def _entry(self, machine: TrueMachine, effect: HiddenEffect) -> dict[str, Any]:
+        """Return an effect with its unit and by how far it moves what is looked at."""
+        values = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(effect).items()}
+        shift = 1e3 * self.shift(machine, effect)
+        return {"effect": effect.effect} | values | {"unit": effect.unit, "moves_target_rms_mm": shift}
+
+
+def draw_conditions(names: Sequence[str], poses: int, *, joints: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Return what N poses of n joints go through: a machine that warms up, minutes that pass, joints from both sides.
+
+    The names wanted are of ``temperature`` [deg C] and ``time`` [s], shape (N,), and ``approach`` (-1 or 1), shape (N, n);
+    their values do not depend on which are wanted.
+    """
+    time = _INTERVAL * np.arange(poses)
+    warming = _COLD + _WARMING * (1.0 - np.exp(-3.0 * np.arange(poses) / poses))
+    drawn = {
+        "temperature": np.round(warming + _DRAUGHT * rng.standard_normal(poses), 2),
+        "time": time,
+        "approach": rng.choice([-1.0, 1.0], (poses, joints)),
+    }
+    return {name: drawn[name] for name in names}
+
+
+def spread_payloads(values: Sequence[float], poses: int, *, order: str = "blocks") -> np.ndarray:
+    """Return the payload of each of N poses [kg], shape (N,), by one of the orders ``blocks`` and ``alternating``.
+
+    Raises:
+        BadInputError: If there is no such order.
+
+    Example:
+        >>> spread_payloads([0.0, 80.0], 4)
+        array([ 0.,  0., 80., 80.])
+    """
+    rows, loads = np.arange(poses), np.asarray(values, float)
+    if order not in ("blocks", "alternating"):
+        raise BadInputError(f"order {order!r} of the payloads; expected blocks or alternating")
+    place = rows * len(loads) // poses if order == "blocks" else rows % len(loads)
+    return np.asarray(loads[place])

@@ -1,4 +1,9 @@
-"""What an effect of the true machine sees and what it changes: poses and their conditions, loads, deformation."""
+"""What an effect of the true machine sees and what it changes: poses and their conditions, loads, deformation.
+
+The deformable arm is a Pinocchio model. Before and behind every joint stands a free joint that carries the deformation
+there, one more at the base and one at the tip. All angles of all effects are thus placed by Pinocchio, and loads are plain
+sums of cross products over the bodies where they really are.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +15,8 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
+from pincal.simulate.inertia import Inertia
+from pincal.simulate.rods import rates
 
 
 @dataclass(frozen=True)
@@ -181,11 +188,11 @@ class Deformation:
 
         The twist is in the frame after q of the joint, which is given by its index.
         """
-        rotation = arm.placements[joint + 1][:3, :3]
+        rotation = arm.ends[joint][:3, :3]
         at_end = np.hstack((twist[:, :3] @ rotation, twist[:, 3:] @ rotation))
-        if joint + 1 < len(arm.names):
-            self.before[:, joint + 1] += at_end
-        else:
+        if (following := arm.next_joint(joint)) >= 0:
+            self.before[:, following] += at_end
+        elif joint == arm.tip_joint:
             self.tip[:] += at_end
 
     def change(self, before: Deformation) -> float:
@@ -199,7 +206,7 @@ class Equilibrium:
     """The arm at rest under gravity.
 
     Attributes:
-        tip: Transform from the tip to the undeformed base frame, shape (N, 4, 4).
+        tip: Transform from the tip to the start link, by default the undeformed base, shape (N, 4, 4).
         deformation: Sum of all effects.
         loads: Gravity loads on the deformed arm.
     """
@@ -207,3 +214,141 @@ class Equilibrium:
     tip: np.ndarray
     deformation: Deformation
     loads: Loads
+
+
+# Joint number in the Pinocchio model of the base, and of what stands before, at and behind arm joint 0; the
+# next arm joint is 3 further.
+_BASE, _BEFORE, _JOINT, _AFTER = 1, 2, 3, 4
+
+
+def build_chain(arm: Arm) -> Any:
+    """Return the ``pinocchio.Model`` of an arm with a free joint at every place that can deform.
+
+    Its configurations are laid out as :func:`configurations` fills them.
+    """
+    import pinocchio as pin
+
+    model = pin.Model()
+    identity = pin.SE3.Identity()
+    # What stands behind each joint, and last the base.
+    behind = [0] * len(arm.names) + [model.addJoint(0, pin.JointModelFreeFlyer(), identity, "base")]
+    for i, name in enumerate(arm.names):
+        drive = pin.JointModelPZ() if arm.prismatic[i] else pin.JointModelRZ()
+        placement = pin.SE3(arm.placements[i])
+        parent = model.addJoint(behind[arm.parents[i]], pin.JointModelFreeFlyer(), placement, f"{name} before")
+        parent = model.addJoint(parent, drive, identity, name)
+        behind[i] = model.addJoint(parent, pin.JointModelFreeFlyer(), identity, f"{name} after")
+    model.addJoint(behind[arm.tip_joint], pin.JointModelFreeFlyer(), pin.SE3(arm.placements[-1]), "tip")
+    return model
+
+
+def configurations(q: np.ndarray, deformation: Deformation) -> np.ndarray:
+    """Return the configurations of the model, shape (N, 15 n + 14), at joint positions q [rad or m], shape (N, n)."""
+    rows = len(q)
+    joints = np.concatenate(
+        (_free(deformation.before), (q + deformation.joint)[..., None], _free(deformation.after)), axis=2
+    )
+    return np.hstack((_free(deformation.base), joints.reshape(rows, -1), _free(deformation.tip)))
+
+
+def _free(twist: np.ndarray) -> np.ndarray:
+    """Return translation and quaternion of a free joint, shape (..., 7), for twists of shape (..., 6)."""
+    from scipy.spatial.transform import Rotation
+
+    rotation = Rotation.from_euler("ZYX", twist[..., :2:-1].reshape(-1, 3))
+    quaternion = rotation.as_quat().reshape(*twist.shape[:-1], 4)
+    return np.concatenate((twist[..., :3], quaternion), axis=-1)
+
+
+def place(model: Any, data: Any, q: np.ndarray) -> np.ndarray:
+    """Return where Pinocchio places each joint of :func:`build_chain`, and last the tip, in configurations q, shape (N, nq).
+
+    ``data`` is the model's ``pinocchio.Data``: making one takes longer than a thousand poses. The transforms are those to
+    the undeformed base frame, shape (N, number of joints, 4, 4).
+    """
+    import pinocchio as pin
+
+    transforms = list(data.oMi)
+    places = np.empty((len(q), model.njoints, 4, 4))
+    for row, configuration in enumerate(q):
+        pin.forwardKinematics(model, data, configuration)
+        places[row] = [transform.homogeneous for transform in transforms]
+    return places
+
+
+def joints_and_links(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the frames of the joints, shape (N, n, 4, 4), and of base and links, shape (N, n + 1, 4, 4), among places."""
+    last = places.shape[1] - 1
+    links = np.concatenate((places[:, _BASE : _BASE + 1], places[:, _AFTER:last:3]), axis=1)
+    return places[:, _JOINT:last:3], links
+
+
+def gravity_loads(
+    arm: Arm,
+    places: np.ndarray,
+    *,
+    payload: np.ndarray,
+    payload_com: np.ndarray,
+    gravity: np.ndarray,
+    inertia: Inertia | None = None,
+) -> Loads:
+    """Return the loads on every joint of the arm as it is placed.
+
+    Args:
+        arm: The true arm.
+        places: Transforms of :func:`place`, shape (N, 3 n + 3, 4, 4).
+        payload: Mass at the tip [kg], shape (N,).
+        payload_com: Its centre of mass in the tip frame [m], shape (N, 3).
+        gravity: Acceleration in the undeformed base frame [m/s^2], shape (3,).
+        inertia: What the bodies' inertia exerts in addition; default: they are at rest.
+    """
+    last = places.shape[1] - 1
+    before, joint, after = (places[:, first:last:3] for first in (_BEFORE, _JOINT, _AFTER))
+    tip = places[:, -1]
+    links = np.einsum("njab,jb->nja", after[..., :3, :3], arm.centres) + after[..., :3, 3]
+    load = np.einsum("nab,nb->na", tip[:, :3, :3], payload_com) + tip[:, :3, 3]
+    centres = np.concatenate((links, load[:, None]), axis=1)
+    masses = np.column_stack((np.broadcast_to(arm.masses, links.shape[:2]), payload))
+    weights, couples = masses[..., None] * gravity, np.zeros((*masses.shape, 3))
+    if inertia is not None:
+        weights, couples = weights + inertia.forces, inertia.couples
+    n = len(arm.names)
+    beyond = arm.carried & ~np.eye(n, n + 1, dtype=bool)
+    moments = _moments(centres, weights, couples, joint[..., :3, 3], arm.carried)
+    following = [arm.next_joint(i) for i in range(n)]
+    ends = np.stack([before[:, k] if k >= 0 else after[:, i] for i, k in enumerate(following)], axis=1)[..., :3, 3]
+    ends[:, arm.tip_joint] = tip[:, :3, 3]
+    base = _moments(centres, weights, couples, places[:, _BASE : _BASE + 1, :3, 3], np.ones((1, n + 1), bool))
+    drive = np.where(arm.prismatic, _turned(joint, _sums(weights, arm.carried))[..., 2], _turned(after, moments)[..., 2])
+    if arm.pins:
+        # What hangs on joints that only follow is borne by those that move them (virtual work).
+        drive += np.einsum("np,npk->nk", drive[:, arm.passive], rates(arm, *joints_and_links(places)))
+        drive[:, arm.passive] = 0.0
+    return Loads(
+        before=_turned(before, moments),
+        after=_turned(joint, moments),
+        drive=drive,
+        end_moment=_turned(after, _moments(centres, weights, couples, ends, beyond)),
+        end_force=_turned(after, _sums(weights, beyond)),
+        base=_turned(places[:, _BASE : _BASE + 1], base)[:, 0],
+    )
+
+
+def _moments(
+    centres: np.ndarray, weights: np.ndarray, couples: np.ndarray, origins: np.ndarray, carried: np.ndarray
+) -> np.ndarray:
+    """Return for origin k the sum over the bodies of mask k of (centre - origin) x weight + couple, shape (N, k, 3)."""
+    pairs = zip(np.moveaxis(origins, 1, 0), carried, strict=True)
+    moments = [np.cross(centres[:, b] - o[:, None], weights[:, b]) + couples[:, b] for o, b in pairs]
+    return np.stack([each.sum(axis=1) for each in moments], axis=1)
+
+
+def _sums(weights: np.ndarray, carried: np.ndarray) -> np.ndarray:
+    """Return the sum of the weights of the bodies of each mask, shape (N, k, 3)."""
+    return np.stack([weights[:, b][:, ::-1].sum(axis=1) for b in carried], axis=1)
+
+
+def _turned(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Return vectors of the base frame in the axes of frames, shape (N, k, 3)."""
+    turned: np.ndarray = np.einsum("nkab,nka->nkb", frames[..., :3, :3], vectors)
+    return turned

@@ -1,4 +1,4 @@
-"""Errors of a laser tracker, as its parts make them: what it says of a target follows from how its parts really stand.
+"""Errors of a laser tracker, as its parts make them: its reading of a target follows from how its parts really are.
 
 A tracker turns its head until its beam meets the target, and reads its circles and its distance meter there. An effect takes
 true positions in the frame of a perfect tracker (its origin where the axes meet, z the standing axis) and returns those that
@@ -38,7 +38,6 @@ class MeasurementScale(ReadingEffect):
     typical_size: ClassVar[float] = 2e-5
 
     def as_read(self, position: np.ndarray) -> np.ndarray:
-        """Return longer positions."""
         return (1.0 + self.size) * position
 
 
@@ -67,7 +66,6 @@ class InstrumentAzimuth(_Circle):
     effect: ClassVar[str] = "instrument_azimuth"
 
     def as_read(self, position: np.ndarray) -> np.ndarray:
-        """Return positions at the azimuth that is read."""
         azimuth, elevation, distance = spherical(position)
         return cartesian(self._read(azimuth), elevation, distance)
 
@@ -79,7 +77,6 @@ class InstrumentElevation(_Circle):
     effect: ClassVar[str] = "instrument_elevation"
 
     def as_read(self, position: np.ndarray) -> np.ndarray:
-        """Return positions at the elevation that is read."""
         azimuth, elevation, distance = spherical(position)
         return cartesian(azimuth, self._read(elevation), distance)
 
@@ -138,7 +135,6 @@ class InstrumentRange(ReadingEffect):
     typical_size: ClassVar[float] = 2e-5
 
     def as_read(self, position: np.ndarray) -> np.ndarray:
-        """Return positions farther away."""
         azimuth, elevation, distance = spherical(position)
         return cartesian(azimuth, elevation, distance + self.size)
 

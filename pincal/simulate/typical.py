@@ -1,17 +1,40 @@
-"""True machines and hidden effects of a size that is typical of their arm."""
+"""Hidden effects by name, and true machines and effects of a size that is typical of their arm."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
-from pincal.errors import BadInputError
-from pincal.simulate.effect import WINDUP, HiddenEffect, Scope, Site, SizedByLoad
-from pincal.simulate.hidden import HIDDEN_EFFECTS, hidden_effect
+from pincal.errors import BadInputError, nearest_first
+from pincal.simulate.effect import HIDDEN_EFFECTS, WINDUP, HiddenEffect, Scope, Site, SizedByLoad
 from pincal.simulate.machine import TrueMachine
 from pincal.simulate.planning import plan_poses
+
+
+def hidden_effect(name: str, **values: Any) -> HiddenEffect:
+    """Make a hidden effect from its name, a key of ``HIDDEN_EFFECTS``, and its fields.
+
+    Raises:
+        BadInputError: If there is no such effect, or it has no such field.
+
+    Example:
+        >>> hidden_effect("backlash", joint="joint_2", size=2e-4)
+        Backlash(joint='joint_2', size=0.0002)
+    """
+    if name not in HIDDEN_EFFECTS:
+        near = ", ".join(nearest_first([name], HIDDEN_EFFECTS))
+        raise BadInputError(f"effect {name!r}: unknown; expected one of {near}")
+    kind = HIDDEN_EFFECTS[name]
+    known = [field.name for field in fields(kind)]
+    if unknown := sorted(set(values) - set(known)):
+        raise BadInputError(f"{name} has no {', '.join(unknown)}; it has {', '.join(known)}")
+    try:
+        return kind(**values)
+    except TypeError as error:
+        raise BadInputError(f"{name}: {error}; it has {', '.join(known)}") from error
+
 
 # Geometric errors of an industrial arm: displacements relative to its reach, angles [rad].
 _LENGTH, _ANGLE, _OFFSET = 2e-4, 1e-3, 2e-3

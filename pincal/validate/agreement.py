@@ -18,12 +18,11 @@ from pincal.identify.options import Options
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Course, likeliest_values
 from pincal.identify.station import Station
+from pincal.measure.extrinsics import sample_rows
 from pincal.measure.measurements import Measurements
-from pincal.measure.sampling import sample_rows
 from pincal.model.effects import GEOMETRIC, JointOffset
 from pincal.robot.robot import Robot
-from pincal.validate.cures import Correction, TableCorrection, cures, scaled
-from pincal.validate.zeros import shifts_found, typical_left
+from pincal.validate.cures import Correction, TableCorrection, cures, scaled, shift_words, shifts_found, typical_left
 
 # Nominal error, relative to the reach, from which a mix-up is looked for; errors of real robots are a fifth of it and less.
 _SUSPICIOUS = 0.01
@@ -42,9 +41,11 @@ _CURED = 4.0
 _RIVAL = 2.0
 # Zeros that are farther off than this are named [rad]; beside them those that are farther off than that are shifted, too.
 _SHIFT, _SLIGHT = np.deg2rad(2.0), 0.01
+# A zero of which so little is believed is unknown [rad].
+_UNKNOWN = 1.0
 # What shifted zeros have to explain of what a calibration leaves: a third of it; or nothing, where the data have pulled a
-# zero by so many times its prior.
-_IMPROVED, _NO_WORSE, _PULLED = 1.5, 1.1, 5.0
+# zero by so many times its prior, and no more is left than of real arms.
+_IMPROVED, _NO_WORSE, _PULLED, _USUAL = 1.5, 1.1, 1.2, 0.1
 # A correction by the calibration that is smaller than so many times what is left of it anyway tells no robots apart.
 _TELLING = 2.0
 # Rows that are looked at; every trial is a fit. How many of the best are fitted in full.
@@ -102,7 +103,8 @@ def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: ModelFit)
         if shifted is not None and shifted.correction is not None:
             insisted = pulled & shifted.correction.shifts.keys()
             exceeded = limits.exceeded(after)
-            if exceeded < min(1.0, limits.exceeded(left) * (_NO_WORSE if insisted else 1.0 / _IMPROVED)):
+            before = limits.exceeded(left)
+            if exceeded < (min(1.0, max(_NO_WORSE * before, _USUAL) if insisted else before / _IMPROVED)):
                 found.append((exceeded, shifted, after))
         if found:
             return _chosen(found, f"{table.source}: ", got, is_held=fit.options.earlier is not None)
@@ -144,6 +146,15 @@ def _pulled(fit: ModelFit) -> set[str]:
     """Return the joints whose zeros the data have pulled far from what is believed of them."""
     offsets = [(p, fit.values[i]) for i, p in enumerate(fit.problem.parameters) if p.effect == JointOffset.name]
     return {p.name.split(".")[0] for p, value in offsets if p.unit == "rad" and abs(value) > _PULLED * p.size}
+
+
+def unknown_zeros(fit: ModelFit) -> Iterator[str]:
+    """Yield what is to be said of joints whose zeros were not believed, where the rows tell that they are off."""
+    for i, parameter in enumerate(fit.problem.parameters):
+        is_unknown = parameter.effect == JointOffset.name and parameter.unit == "rad" and fit.priors.sizes[i] > _UNKNOWN
+        # Of the first joint it is a turn of the base, of the last one of the tool: what is as uncertain is not named.
+        if is_unknown and abs(fit.values[i]) > _SHIFT and fit.estimate.sigma[i] < _SLIGHT:
+            yield shift_words(parameter.name.split(".")[0], float(fit.values[i]))
 
 
 def _shifted(robot: Robot, table: Measurements, options: Options) -> tuple[TableCorrection | None, tuple[float, float]]:

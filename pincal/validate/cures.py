@@ -1,4 +1,4 @@
-"""What may be wrong with a table, or with the description of its robot, each with what undoes it."""
+"""What may be wrong with a table, or with the description of its robot, each with what undoes it; and zeros far off."""
 
 from __future__ import annotations
 
@@ -9,11 +9,103 @@ from itertools import chain, combinations, permutations
 
 import numpy as np
 
+from pincal.errors import BadInputError, IdentificationError
+from pincal.identify.beliefs import is_frame, priors_of, released_of
+from pincal.identify.initial import place, starts_of
+from pincal.identify.noise import Noise
+from pincal.identify.options import Options
+from pincal.identify.problem import Problem
+from pincal.identify.solve import Course, likeliest_values
+from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
+from pincal.model.effects import JointOffset
 from pincal.robot.alike import robots_alike
 from pincal.robot.mastering import free_joints, remastered
 from pincal.robot.robot import Robot
 from pincal.robot.tree import Coupling
+
+# Rows from which a typical error is told.
+_TYPICAL = 1000
+# Step of the search around the turn of one joint [rad], whose fits reach some 20 deg; how many joints are tried, the most
+# promising ones.
+_STEP, _TRIED = np.deg2rad(15.0), 4
+# Of shifts that leave as much but for this factor the smallest are meant: the first joint's is a turn of the base.
+_ALIKE = 1.2
+
+
+def typical_left(station: Station, values: np.ndarray) -> tuple[float, float]:
+    """Return the robust size of the errors of position [m] and orientation [rad]: outliers have no say."""
+    station = station.sample(_TYPICAL)
+    position = float(np.median(np.linalg.norm(station.displacements(values), axis=1)))
+    ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
+    turned = [slice(a, a + b.size) for a, b in zip(ends, station.sensor.blocks, strict=False) if b.unit == "rad"]
+    if not turned:
+        return position, 0.0
+    residuals = station.residuals(values)
+    return position, max(float(np.median(np.linalg.norm(residuals[part], axis=0))) for part in turned)
+
+
+def shifts_found(robot: Robot, table: Measurements, options: Options) -> dict[str, float]:
+    """Return the zeros of joints with which base and tool alone leave least [rad], by name.
+
+    One joint may be off by any angle, the others by as much as a fit reaches from zero.
+
+    Args:
+        robot: the arm.
+        table: some rows of it.
+        options: how the robot is placed.
+    """
+    options = replace(options, effects=(JointOffset(),), zeros=("*",), earlier=None, moment_frame="paper")
+    names = free_joints(robot)
+    turning = [i for i, kind in enumerate(robot.joint_types) if kind != "prismatic" and robot.joint_names[i] in names]
+
+    def shifted(shift: np.ndarray) -> Measurements:
+        return replace(table, q=table.q + robot.as_reported(shift[None])[0])
+
+    def starts() -> Iterator[tuple[float, np.ndarray]]:
+        for i in turning:
+            angles = np.arange(_STEP, 2.0 * np.pi - 0.5 * _STEP, _STEP)
+            shifts = [np.eye(robot.n_joints)[i] * (angle - 2.0 * np.pi * (angle > np.pi)) for angle in angles]
+            yield min(((_at_start(robot, shifted(shift), options), shift) for shift in shifts), key=lambda one: one[0])
+
+    likely = sorted(starts(), key=lambda one: one[0])[:_TRIED]
+    found = []
+    for shift in (np.zeros(robot.n_joints), *(shift for _, shift in likely)):
+        try:
+            rest, offsets = _fitted(robot, shifted(shift), options)
+        except (BadInputError, IdentificationError, np.linalg.LinAlgError):
+            continue
+        found.append((rest, shift + [offsets.get(name, 0.0) for name in robot.joint_names]))
+    if not found:
+        return {}
+    least = min(rest for rest, _ in found)
+    alike = [shift - 2.0 * np.pi * np.round(shift / (2.0 * np.pi)) for rest, shift in found if rest < _ALIKE * least]
+    best = min(alike, key=lambda shift: float(np.abs(shift).sum()))
+    return {robot.joint_names[i]: float(best[i]) for i in turning}
+
+
+def _at_start(robot: Robot, table: Measurements, options: Options) -> float:
+    try:
+        return min(typical_left(*start)[0] for start in starts_of(robot, table, options))
+    except (BadInputError, IdentificationError, np.linalg.LinAlgError):
+        return np.inf
+
+
+def _fitted(robot: Robot, table: Measurements, options: Options) -> tuple[float, dict[str, float]]:
+    """Return what base, tool and offsets of joints leave together, and these offsets [rad] by name."""
+    starts = [*place(robot, {"": table}, options)]
+    ((station, values),) = starts
+    problem = Problem((station,))
+    offsets = np.array([p.effect == JointOffset.name and p.unit == "rad" for p in problem.parameters])
+    free, noise = (is_frame(problem) | offsets) & released_of(problem, options), Noise((None,) * len(problem.blocks))
+    values = likeliest_values(problem, values, free, priors_of(problem, options), noise, Course("huber", rough=True))
+    found = {
+        p.name.split(".")[0]: float(value)
+        for p, value in zip(problem.parameters, values, strict=True)
+        if p.effect == JointOffset.name
+    }
+    return typical_left(station, values)[0], found
+
 
 HEADER = "correct the header of the table and run again"
 _TABLE = "correct the table and run again"
@@ -21,7 +113,7 @@ _FRAME = "give positions and orientations in a right-handed frame and run again"
 _RECORD = "name their columns as the joints (--columns) and run again"
 # Rows by which a column may stand off: a record that is written before or after the motion.
 _DELAYS = tuple(sign * rows for rows in (1, 2, 3, 4, 5) for sign in (1, -1))
-_OPTION = "if that is so, say it (--sign, --coupling or --zeros), and run again"
+_OPTION = "if so, declare it (--sign, --coupling or --zeros), and run again"
 # Parts of a neighbour's position that joints report; those of wrists, whose last joints are so many; and simple fractions.
 _ADDED, _WRIST = (1.0, -1.0), 3
 _OF_WRISTS = tuple(sign * part for part in (1 / 2, 1 / 3, 2 / 3, 1 / 4) for sign in (1, -1))
@@ -122,13 +214,14 @@ def descriptions(robot: Robot, table: Measurements) -> Iterator[TableCorrection]
     for name in free:
         correction = Correction(turned=(name,))
         yield correction.cure(robot, table, f"the column {name!r} looks turned round in sign")
-    pairs = [(i, j) for i, j in permutations(range(robot.n_joints), 2) if abs(i - j) == 1]
+    # Two joints are coupled once: of either by the other no positions follow.
+    coupled = [{robot.joint_names.index(name) for name in (one.joint, one.source)} for one in robot.couplings]
+    pairs = [(i, j) for i, j in permutations(range(robot.n_joints), 2) if abs(i - j) == 1 and {i, j} not in coupled]
     turns = [kind != "prismatic" and name in free for name, kind in zip(robot.joint_names, robot.joint_types, strict=True)]
     for i, j in (pair for pair in pairs if turns[pair[0]] and turns[pair[1]]):
         for factor in (*_ADDED, *(_OF_WRISTS if min(i, j) >= robot.n_joints - _WRIST else ())):
             correction = Correction(couplings=(Coupling(robot.joint_names[i], robot.joint_names[j], factor),))
-            if correction.couplings[0] not in robot.couplings:
-                yield correction.cure(robot, table, f"the column {robot.joint_names[i]!r} looks {correction.lacks[0]}")
+            yield correction.cure(robot, table, f"the column {robot.joint_names[i]!r} looks {correction.lacks[0]}")
 
 
 def delays(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:

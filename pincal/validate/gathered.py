@@ -1,18 +1,22 @@
-"""Whether what is off gathers somewhere: readings go wrong anywhere, a robot in one place; what such rows have in common.
+"""Whether what is off gathers somewhere: readings go wrong anywhere, a robot in one place.
 
-Rejected rows that lie next to each other in the positions of a joint, or in the order of the rows, are counted in windows
-from one of them to another. The chance that as many of all rejected rows fall into a window of so many rows is at
-most binomial; all windows are paid for (Bonferroni). It is a scan statistic: Kulldorff 1997, Commun. Stat. 26, 1481-1496.
+Rejected rows that lie next to each other in the positions of a joint, or in the order of the rows, are counted in
+windows from one of them to another. The chance that as many of all rejected rows fall into a window of so many rows is
+at most binomial; all windows are paid for (Bonferroni). It is a scan statistic: Kulldorff 1997, Commun. Stat. 26,
+1481-1496.
 
-A bump of a drive, which need not make outliers, moves the targets of all poses in a narrow window of its joint alike: what
-is off along the joint's lever has one sign there. The mean of each such window, each row clipped so that no few wrong
-readings make one, is compared with those of all other windows as wide: a model that misses something everywhere makes
-these larger, too, and is no bump.
+A bump of a drive, which need not make outliers, moves the targets of all poses in a narrow window of its joint alike:
+what is off along the joint's lever has one sign there. The mean of each such window, each row clipped so that no few
+wrong readings make one, is compared with those of all other windows as wide: a model that misses something everywhere
+makes these larger, too, and is no bump.
+
+Which way the targets move if something of a cell is other than its model says, as far as readings tell, is a motion
+field.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +24,78 @@ from scipy.special import bdtrc, stdtr
 
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
-from pincal.validate.motion_fields import MotionField, fields_of_joints
+
+# Differences [rad or m] by which things are moved for a derivative.
+_MOVED = 1e-5
+# Largest motion [m/m or m/rad] that is none.
+_NOTHING = 1e-5
+
+
+@dataclass(frozen=True)
+class MotionField:
+    """A motion of the targets: what it is of, and shape (n, 3, m), its directions at each row.
+
+    The motion is in metres per metre, or per radian, of what it is of.
+    """
+
+    name: str
+    directions: np.ndarray
+    unit: str = "m"
+
+    @property
+    def freedoms(self) -> int:
+        """Number of its directions, m."""
+        return int(self.directions.shape[2])
+
+
+def fields_of_setup(station: Station, values: np.ndarray) -> Iterator[MotionField]:
+    """Yield growth about a point, then the motions of an instrument that was touched, or of the tool.
+
+    Args:
+        station: the calibrated model over n rows.
+        values: shape (P,), of its parameters.
+    """
+    motion, poses = _motions(station, values)
+
+    def shifted(along: np.ndarray) -> np.ndarray:
+        moved = poses.copy()
+        moved[:, :, 3] += _MOVED * along
+        return motion(moved)
+
+    centred = poses[:, :, 3] - poses[:, :, 3].mean(axis=0)
+    shifts = [shifted(axis) for axis in np.eye(3)]
+    turns = [shifted(np.cross(axis, centred)) for axis in np.eye(3)]
+    yield MotionField("growth", np.stack([*shifts, shifted(centred)], axis=2))
+    yield MotionField("instrument", np.stack(shifts, axis=2))
+    yield MotionField("instrument", np.stack([*shifts, *turns], axis=2))
+    yield MotionField("tool", np.stack([shifted(poses[:, :, a]) for a in range(3)], axis=2))
+
+
+def fields_of_joints(station: Station, values: np.ndarray) -> Iterator[MotionField]:
+    """Yield the motion of the targets by each joint that moves them; arguments are those of :func:`fields_of_setup`."""
+    motion, _ = _motions(station, values)
+    of_model, _ = station.split(values)
+    robot = station.model.chain.robot
+    for j, (name, unit) in enumerate(zip(robot.joint_names, robot.joint_units, strict=True)):
+        moved = station.conditions.q.copy()
+        moved[:, j] += _MOVED
+        directions = motion(station.model.predict(of_model, replace(station.conditions, q=moved)))
+        # One that these poses do not see moves nothing.
+        if np.abs(directions).max() > _NOTHING:
+            yield MotionField(name, directions[:, :, None], unit)
+
+
+def _motions(station: Station, values: np.ndarray) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
+    """Return what gives the motion of the targets, (n, 3), from moved flange poses, (n, 3, 4), and these not moved."""
+    of_model, own = station.split(values)
+    sensor, poses = station.sensor, station.model.predict(of_model, station.conditions)
+    here = sensor.displacement(sensor.residuals(poses, own), poses, own)
+
+    def motion(moved: np.ndarray) -> np.ndarray:
+        return np.asarray(here - sensor.displacement(sensor.residuals(moved, own), moved, own)) / _MOVED
+
+    return motion, poses
+
 
 # Chance that outliers anywhere are taken to gather.
 _CHANCE = 1e-4

@@ -21,8 +21,8 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import chdtri
 
 from pincal.identify.station import Station
-from pincal.measure.sampling import sample_rows
-from pincal.validate.motion_fields import MotionField, fields_of_joints, fields_of_setup
+from pincal.measure.extrinsics import sample_rows
+from pincal.validate.gathered import MotionField, fields_of_joints, fields_of_setup
 
 # Fewest rows on either side of a step.
 _EACH = 10
@@ -54,6 +54,8 @@ _FUNCTIONS = 24
 # Correlation lengths that are tried, in rows, and how far the process goes from one row to the next, in white noise's
 # variances: from what 400 rows would hardly show to nothing but the process. The longest is a random walk.
 _LENGTHS, _WALKS = (3.0, 10.0, 30.0, 100.0, 1000.0), (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)
+# Largest part of the rows that may be missing between two of them.
+_LONGEST_GAP = 0.2
 # Rounds in which a step and the noise beside it are found by turns.
 _TRIES = 4
 # Turns to find a step's size beside rows that are off.
@@ -110,7 +112,7 @@ class _Rows:
         fitted: shape (n, 3, r), what the fitted parameters can make of it.
         fields: what may have happened.
         growth: what a robot or an instrument does that warms up: all grows about some point.
-        at: shape (n,), the place of each row in the table, 1 apart on average.
+        at: shape (n,), the place of each row in the table, 1 apart in the median.
     """
 
     off: np.ndarray
@@ -142,13 +144,16 @@ def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.
         station: the calibrated model over the rows.
         values: shape (P,), of its parameters.
         free: shape (P,), which of them were fitted.
-        lines: shape (N,), line of each row.
+        lines: shape (N,), line of each row, or where it stands in the order.
     """
     order = np.argsort(lines, kind="stable")
     if not station.sensor.reads_pose or len(order) < 4 * _EACH:
         return None
     few = sample_rows(len(order), _FEW)
-    rows = _rows(station.select(order[few]), values, free, few * (len(few) / len(order)))
+    # Rows that are held out are missing between others, and noise goes on there; for as many at most over a night.
+    gaps = np.diff(lines[order[few]].astype(float), prepend=lines[order[0]])
+    gaps = np.minimum(gaps / max(float(np.median(gaps)), 1e-9), _LONGEST_GAP * len(few))
+    rows = _rows(station.select(order[few]), values, free, np.cumsum(gaps))
     if not _is_loud(rows):
         return None
     steps, noise, likelihood = _judged(rows)
@@ -157,9 +162,11 @@ def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.
         _drift(rows, field, noise) for field in (best.field, rows.growth)
     ):
         return None
-    after = np.einsum("nim,m->ni", best.field.directions[best.row :], best.motion)
+    after, flat = _robust_step(rows, best)[best.row :], rows.fitted.reshape(rows.off.size, -1)
+    # As a fit leaves rows that are independent: beside a noise that persists, it leaves half of them where they are.
+    left = rows.off.ravel() - flat @ (flat.T @ rows.off.ravel())
     correlated = np.abs(np.diag(noise, 1)).mean() > _CORRELATED * np.diag(noise).mean()
-    if correlated and np.sqrt(np.mean(after**2)) < _LEAST_PART * np.sqrt(np.mean(rows.off**2)):
+    if correlated and np.sqrt(np.mean(after**2)) < _LEAST_PART * np.sqrt(np.mean(left**2)):
         return None
     causes: dict[str, StepCause] = {}
     for step in sorted(steps, key=_excess, reverse=True):
@@ -203,7 +210,8 @@ def _is_loud(rows: _Rows) -> bool:
 def _judged(rows: _Rows) -> tuple[list[_Best], np.ndarray, float]:
     """Return the best step along each field, gains in units of the noise, its precision, and the best one's likelihood.
 
-    The precision has shape (n, n); the likelihood is that of the step over none, as twice its logarithm.
+    The precision has shape (n, n); the likelihood is that of the step over none, as twice its logarithm. Along the lever of
+    a joint that arrives unevenly rows scatter more than in other directions, and both count for less.
     """
     best = _plain(rows)
     for _ in range(_TRIES):
@@ -212,7 +220,19 @@ def _judged(rows: _Rows) -> tuple[list[_Best], np.ndarray, float]:
         best = max(steps, key=_excess)
         if best.row == before.row and best.field is before.field:
             break
-    return steps, precision, likelihood
+    even = 1.0 / _unevenness(rows, best)
+    return [replace(step, gain=step.gain / _unevenness(rows, step)) for step in steps], precision, even * likelihood
+
+
+def _unevenness(rows: _Rows, step: _Best) -> float:
+    """Return how many times as much rows scatter along the lever of a joint as on average; at least 1."""
+    if step.field.freedoms > 1:
+        return 1.0
+    explained = _robust_step(rows, step)
+    flat, left = rows.fitted.reshape(rows.off.size, -1), _clipped(rows.off - explained).ravel()
+    left, way = (left - flat @ (flat.T @ left)).reshape(-1, 3), step.field.directions @ step.motion
+    along = float(np.sum(np.sum(left * way, axis=1) ** 2) / np.sum(way**2))
+    return max(along / float(np.mean(left**2)), 1.0)
 
 
 def _plain(rows: _Rows) -> _Best:

@@ -141,7 +141,9 @@ def misfit_at(
     squares = float(np.sum(normal.squares / sigma**2))
     if normal.believed is not None and found.any():
         # What the sensor knows of its own parameters counts as readings where these are found.
-        squares, readings = squares + normal.believed.square, readings + _facts(station, values)
+        facts = station.sensor.constraints(station.split(values)[1])
+        squares += normal.believed.square
+        readings += 0 if facts is None else len(facts.residuals)
     else:
         normal = replace(normal, believed=None)
     form = normal.at(sigma)
@@ -152,24 +154,15 @@ def misfit_at(
     known = free & ~found
     C = covariance[np.ix_(known, known)]
     degrees = max(readings - directions, 0)
+    size, noise = np.array([(block.size, block.noise) for block in station.sensor.blocks]).T
     return Misfit(
         square=max(plain - explained_by_uncertainty(left, C), 0.0),
         plain=max(plain, 0.0),
         expected=degrees + float(np.sum(C * left.H)),
         degrees=degrees,
         found=directions,
-        systematic=_systematic(station, sigma),
+        systematic=float(np.average(np.maximum(1.0 - (noise / sigma) ** 2, 0.0), weights=size)),
     )
-
-
-def _systematic(station: Station, sigma: np.ndarray) -> float:
-    size, noise = np.array([(block.size, block.noise) for block in station.sensor.blocks]).T
-    return float(np.average(np.maximum(1.0 - (noise / sigma) ** 2, 0.0), weights=size))
-
-
-def _facts(station: Station, values: np.ndarray) -> int:
-    facts = station.sensor.constraints(station.split(values)[1])
-    return 0 if facts is None else len(facts.residuals)
 
 
 def explained_by_uncertainty(form: Form, covariance: np.ndarray) -> float:
@@ -227,10 +220,11 @@ def tells(degrees: float, of_noise: float = np.inf) -> bool:
         of_noise: of the noise; infinite for a declared one.
 
     Example:
-        >>> tells(17.0), tells(18.0), tells(100.0, 29.0), tells(100.0, 30.0)
-        (False, True, False, True)
+        >>> tells(1e-6), tells(17.0), tells(18.0), tells(100.0, 29.0), tells(100.0, 30.0)
+        (False, False, True, False, True)
     """
-    if degrees <= 0.0 or of_noise <= 0.0:
+    # Of a small part of one degree a quantile is zero in a float, so that nothing would be missed.
+    if degrees < 1.0 or of_noise < 1.0:
         return False
     if np.isinf(of_noise):
         missed = chdtr(degrees, chdtri(degrees, MISFIT) / TWICE**2)

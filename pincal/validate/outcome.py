@@ -111,6 +111,25 @@ class StationRecord(TypedDict):
     lack_of_fit: NotRequired[LackOfFit]
 
 
+@dataclass(frozen=True)
+class Improvement:
+    """Standard deviation of the predicted position of a link in a region.
+
+    Attributes:
+        link: whose origin is predicted, as seen from the robot's base link.
+        region: "measured poses", or which part of those within the joints' limits.
+        poses: number of poses.
+        before_mm: before the calibration [mm], root mean square over the poses.
+        after_mm: afterwards [mm].
+    """
+
+    link: str
+    region: str
+    poses: int
+    before_mm: float
+    after_mm: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
     """All that ``result.json`` says beside the parameters.
@@ -138,6 +157,7 @@ class Outcome:
         iso9283: pose accuracy AP and pose repeatability RP (ISO 9283) by model and rows, and pose by pose [mm, mrad].
         lack_of_fit: test of the residuals against the scatter between repeated measurements.
         stations: results of each station.
+        improvement: how far predictions are improved, by link and region, where no instrument saw the robot.
     """
 
     noise: NoiseRecord
@@ -158,3 +178,4 @@ class Outcome:
     iso9283: dict[str, Any] | None = None
     lack_of_fit: LackOfFit | None = None
     stations: tuple[StationRecord, ...] | UnsetType = UNSET
+    improvement: tuple[Improvement, ...] | UnsetType = UNSET

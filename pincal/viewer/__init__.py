@@ -21,25 +21,15 @@ Example:
     ('kuka_kr125_2', ['base', 'tool'])
 """
 
-from __future__ import annotations
-
-from pincal.viewer.field import FieldPoses, Fields, Layer, deviation_fields
-from pincal.viewer.in_meshcat import draw_field
-from pincal.viewer.live import LiveView, show
-from pincal.viewer.page import page, write_html
-from pincal.viewer.scene import Scene, build_scene, held_out_rows
-
-__all__ = [
-    "FieldPoses",
-    "Fields",
-    "Layer",
-    "LiveView",
-    "Scene",
-    "build_scene",
-    "deviation_fields",
-    "draw_field",
-    "held_out_rows",
-    "page",
-    "show",
-    "write_html",
-]
+from pincal.viewer.field import FieldPoses as FieldPoses
+from pincal.viewer.field import Fields as Fields
+from pincal.viewer.field import Layer as Layer
+from pincal.viewer.field import deviation_fields as deviation_fields
+from pincal.viewer.page import LiveView as LiveView
+from pincal.viewer.page import draw_field as draw_field
+from pincal.viewer.page import page as page
+from pincal.viewer.page import show as show
+from pincal.viewer.page import write_html as write_html
+from pincal.viewer.scene import Scene as Scene
+from pincal.viewer.scene import build_scene as build_scene
+from pincal.viewer.scene import held_out_rows as held_out_rows

@@ -112,7 +112,7 @@ def deviation_fields(
 
     Over measured poses: from nominal (only base and tool fitted) to measured, from calibrated to measured, and what each
     effect explains: from the prediction without to the prediction with it, all else unchanged. Over the workspace: from
-    nominal to calibrated, and again each effect. A distance tells only the part along the line of sight, other readings
+    nominal to calibrated, and again each effect. A distance determines only the part along the line of sight, other readings
     none of three directions: "before" then leads to the calibrated prediction.
 
     Args:
@@ -144,7 +144,11 @@ def deviation_fields(
         if position is None:
             nominal = _nominal_from_predictions(part, over)
         notes += note
-        layers += _workspace_layers(part, over, part.model.own(nominal))
+        before, after = part.model.own(nominal), part.model_values
+        tails, heads = _positions(part.model, before, over), _positions(part.model, after, over)
+        words = "from nominal, base and tool fitted, to calibrated prediction"
+        layers.append(Layer("workspace/nominal to calibrated", "workspace", tails, heads - tails, words))
+        layers += _explained("workspace", "workspace", part.model, after, over, heads)
         poses.append(FieldPoses("workspace", over.q, over.target))
     if not layers:
         raise BadInputError("nothing to show: no measured poses, and no place of the workspace asked for")
@@ -162,14 +166,6 @@ def _measured_layers(
         yield Layer(f"deviations/{name}", "measured", tails, problem.displacements(of), meaning)
     own = model.own(values)
     yield from _explained("deviations", "measured", model, own, conditions, _positions(model, own, conditions))
-
-
-def _workspace_layers(calibrated: CalibratedModel, over: Conditions, nominal: np.ndarray) -> Iterator[Layer]:
-    model, values = calibrated.model, calibrated.model_values
-    tails, heads = _positions(model, nominal, over), _positions(model, values, over)
-    words = "from nominal, base and tool fitted, to calibrated prediction"
-    yield Layer("workspace/nominal to calibrated", "workspace", tails, heads - tails, words)
-    yield from _explained("workspace", "workspace", model, values, over, heads)
 
 
 def _explained(
@@ -221,7 +217,7 @@ def _nominal_from_predictions(calibrated: CalibratedModel, over: Conditions) -> 
     rows = np.unique(np.linspace(0, len(over) - 1, _ENOUGH).astype(int))
     sample = over.select(rows)
     poses = calibrated.predict(sample)
-    sensor = simulatable()["pose" if calibrated.model.has_tool_orientation else "position"].foreseen(poses)
+    sensor = simulatable()["pose" if calibrated.model.has_tool_orientation else "position"].simulated(poses)
     return _frames_fitted(calibrated, Station(calibrated.model, sample, sensor, np.ones(len(rows))))
 
 
@@ -248,7 +244,12 @@ def _workspace(
     payload = float(np.mean(calibrated.covered.payload)) if seen is None else float(np.median(seen.payload))
     columns = {} if seen is None else {"temperature": seen.temperature, "time": seen.time}
     known = {name: float(np.median(values)) for name, values in columns.items() if values is not None}
-    part, left_out = _without_unknown(calibrated, known)
+
+    def is_known(effect: Effect) -> bool:
+        return not any(need in ("temperature", "time") and need not in known for need in effect.needs)
+
+    left_out = [effect_name(effect) for effect in calibrated.model.effects if not is_known(effect)]
+    part = calibrated.with_effects(is_known) if left_out else calibrated
     q = _workspace_poses(part, grid, payload=payload, known=known, seed=seed)
     over = _at_conditions(q, calibrated, payload, known)
     notes = [
@@ -258,16 +259,6 @@ def _workspace(
     if left_out:
         notes.append(f"workspace: without {', '.join(left_out)}: what it needs is known of measured poses only")
     return over, part, notes
-
-
-def _without_unknown(calibrated: CalibratedModel, known: dict[str, float]) -> tuple[CalibratedModel, list[str]]:
-    """Return the model without the effects whose conditions are unknown, and their names."""
-
-    def is_known(effect: Effect) -> bool:
-        return not any(need in ("temperature", "time") and need not in known for need in effect.needs)
-
-    left_out = [effect_name(effect) for effect in calibrated.model.effects if not is_known(effect)]
-    return (calibrated.with_effects(is_known) if left_out else calibrated), left_out
 
 
 def _workspace_poses(
@@ -302,7 +293,7 @@ def _at_conditions(q: np.ndarray, calibrated: CalibratedModel, payload: float, k
     """Return the conditions of joint positions, shape (N, n), that share payload [kg], temperature and time."""
     plain = Conditions.at(q, payload=payload, payload_centre=calibrated.payload_centre)
     columns = {name: np.full(len(q), value) for name, value in known.items()}
-    # How joints arrived is unknown: 0, as for a table that does not tell; and they stand as they are commanded.
+    # How joints arrived is unknown: 0, as for a table without these columns; and they are where they are commanded.
     unknown = np.zeros(q.shape)
     return replace(plain, approach=unknown, move=unknown, droop=unknown, **columns)
 

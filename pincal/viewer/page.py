@@ -1,23 +1,41 @@
-"""The page: meshcat's viewer, a scene as numbers, and the panel beside it, in one file that needs no network."""
+"""The page: meshcat's viewer, a scene as numbers, and a control panel, in one file that needs no network.
+
+A server for it, on this machine alone, can move the robot while it is looked at. A viewer of the user's own, such as
+Pinocchio's ``MeshcatVisualizer``, can show a field of deviations, too.
+"""
 
 from __future__ import annotations
 
 import base64
 import html
+import json
 import os
+import queue
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from functools import cache
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
 from pincal.atomic import write_atomic
-from pincal.errors import OutputError
-from pincal.viewer.scene import Scene
+from pincal.calibration.calibrated import Calibrated
+from pincal.errors import BadInputError, OutputError, nearest_first, needed
+from pincal.measure.measurements import Measurements
+from pincal.robot.robot import Robot
+from pincal.viewer.field import Layer, deviation_fields
+from pincal.viewer.scene import Scene, base_of, visible_scale
+
+if TYPE_CHECKING:
+    import meshcat
+    from pinocchio.visualize import MeshcatVisualizer
 
 # Nothing may be loaded from anywhere: what the page shows is in it. The viewer's library evaluates code of its own.
 _POLICY = (
@@ -93,3 +111,243 @@ def _viewer() -> str:
         return path.read_text(encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{path}: meshcat's viewer can't be read ({error.strerror}); install meshcat again") from None
+
+
+_HOST = "127.0.0.1"
+# Interval of messages by which it is noticed that nobody listens any more [s].
+_PULSE = 5.0
+
+
+class LiveView:
+    """A page served to the browsers of this machine.
+
+    Attributes:
+        url: where to open it.
+    """
+
+    def __init__(self, scene: Scene, port: int = 0) -> None:
+        self._scene = scene
+        self._page = page(scene, live=True).encode()
+        self._listeners: set[queue.SimpleQueue[str | None]] = set()
+        self._lock = threading.Lock()
+        try:
+            self._server = _Server((_HOST, port), _Handler)
+        except (OSError, OverflowError) as error:
+            raise OutputError(f"{_HOST}:{port}: can't serve here ({error}); choose another port") from None
+        self._server.view = self
+        self.url = f"http://{_HOST}:{self._server.server_address[1]}/"
+        self._thread = threading.Thread(target=self._server.serve_forever, name="pincal-view", daemon=True)
+        self._thread.start()
+
+    def pose(self, q: np.ndarray) -> None:
+        """Move the robot to joint positions ``q``, shape (n,) [rad or m], in every open page.
+
+        Raises:
+            BadInputError: if they are not one finite number per joint.
+        """
+        values = np.asarray(q, float)
+        if values.shape != self._scene.q.shape or not np.isfinite(values).all():
+            raise BadInputError(f"a pose of shape {values.shape}; expected {len(self._scene.q)} finite numbers")
+        self._tell({"q": values.tolist()})
+
+    def replace(self, scene: Scene) -> None:
+        """Show another scene in every open page."""
+        self._scene, self._page = scene, page(scene, live=True).encode()
+        self._tell({"reload": True})
+
+    def wait(self) -> None:
+        """Serve until :meth:`close` is called elsewhere, or the program is interrupted."""
+        while self._thread.is_alive():
+            self._thread.join(0.5)
+
+    def close(self) -> None:
+        """Stop serving; open pages stay as they are."""
+        self._server.shutdown()
+        self._server.server_close()
+        with self._lock:
+            for listener in self._listeners:
+                listener.put(None)
+        self._thread.join()
+
+    def __enter__(self) -> LiveView:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _tell(self, message: dict[str, Any]) -> None:
+        with self._lock:
+            for listener in self._listeners:
+                listener.put(json.dumps(message))
+
+    @contextmanager
+    def _listening(self) -> Iterator[queue.SimpleQueue[str | None]]:
+        mine: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        with self._lock:
+            self._listeners.add(mine)
+        try:
+            yield mine
+        finally:
+            with self._lock:
+                self._listeners.discard(mine)
+
+
+def show(scene: Scene, *, port: int = 0, browser: bool = False) -> LiveView:
+    """Serve a scene to the browsers of this machine; no other machine can reach it.
+
+    Args:
+        scene: what to show.
+        port: of the server; default: a free one.
+        browser: whether to open the page.
+
+    Returns:
+        The running server; close it, or use it as a context.
+
+    Raises:
+        OutputError: if the port is taken.
+    """
+    view = LiveView(scene, port)
+    if browser:
+        import webbrowser
+
+        webbrowser.open(view.url)
+    return view
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    view: LiveView
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A browser that goes away is no error."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: _Server
+    protocol_version = "HTTP/1.1"
+
+    def do_GET(self) -> None:
+        """Answer with the page, or with the events of the program from now on."""
+        # A page of another site that calls this address by a name of its own is not served.
+        host = (self.headers.get("Host") or "").rsplit(":", 1)[0]
+        if host not in (_HOST, "localhost"):
+            self.send_error(403)
+        elif self.path == "/":
+            content = self.server.view._page
+            self._begin(
+                "text/html; charset=utf-8", {"Content-Length": str(len(content)), "X-Content-Type-Options": "nosniff"}
+            )
+            self.wfile.write(content)
+        elif self.path == "/events":
+            with suppress(OSError):
+                self._events()
+        elif self.path == "/favicon.ico":
+            self.send_response(204)
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+        else:
+            self.send_error(404)
+
+    def _begin(self, kind: str, more: dict[str, str]) -> None:
+        self.send_response(200)
+        for name, value in ({"Content-Type": kind, "Cache-Control": "no-store"} | more).items():
+            self.send_header(name, value)
+        self.end_headers()
+
+    def _events(self) -> None:
+        self._begin("text/event-stream", {"Connection": "close"})
+        self.close_connection = True
+        with self.server.view._listening() as messages:
+            self.wfile.write(b": here\n\n")
+            while True:
+                try:
+                    message = messages.get(timeout=_PULSE)
+                except queue.Empty:
+                    self.wfile.write(b": still here\n\n")
+                    continue
+                if message is None:
+                    return
+                self.wfile.write(f"data: {message}\n\n".encode())
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing: the library never prints."""
+
+
+# Length of the strokes of an arrow's head, over its length.
+_HEAD = 0.25
+
+
+def draw_field(
+    viz: meshcat.Visualizer | MeshcatVisualizer,
+    calibrated: Calibrated,
+    measurements: Measurements | None = None,
+    *,
+    layer: str | None = None,
+    scale: float | None = None,
+    path: str = "pincal",
+    grid: int = 1000,
+) -> Layer:
+    """Draw a deviation field as arrows into a meshcat viewer that shows the robot.
+
+    The viewer's world is the root of the URDF, as ``MeshcatVisualizer`` has it. A field of the same name is replaced.
+
+    Args:
+        viz: a ``meshcat.Visualizer``, or a viewer that has one as ``viewer``, such as Pinocchio's ``MeshcatVisualizer``.
+        calibrated: the robot.
+        measurements: its measured poses; default: none, arrows stand over the workspace.
+        layer: which field, by its name; default: the first one, from nominal to measured or to calibrated.
+        scale: factor of the arrows' lengths; default: a round number that makes them visible.
+        path: node of meshcat's tree below which the field is drawn, under its own name.
+        grid: about how many places of the workspace get an arrow; 0 for none.
+
+    Returns:
+        The field, true to scale, in the frame of the viewer.
+
+    Raises:
+        BadInputError: if there is no such field, or the factor is not positive.
+    """
+    with needed("meshcat", "fields in a viewer"):
+        import meshcat
+        import meshcat.geometry as g
+
+    if scale is not None and not 0.0 < scale < np.inf:
+        raise BadInputError(f"scale is {scale}; expected a positive number")
+    model = calibrated.to_model()
+    robot = model.model.chain.robot
+    fields = deviation_fields(model, measurements, grid=grid).seen_from(_root_of(robot) @ np.linalg.inv(base_of(model)))
+    names = [field.name for field in fields.layers]
+    if layer is not None and layer not in names:
+        raise BadInputError(f"no field {layer!r}; expected one of {', '.join(nearest_first([layer], names))}")
+    found = fields.layers[0 if layer is None else names.index(layer)]
+    factor = visible_scale(found, robot.reach) if scale is None else scale
+    ends, colours = _strokes(found, factor)
+    lines = g.LineSegments(g.PointsGeometry(ends.T, color=colours.T), g.LineBasicMaterial(vertexColors=True))
+    viewer = viz if isinstance(viz, meshcat.Visualizer) else viz.viewer
+    viewer[path][found.name].set_object(lines)
+    return found
+
+
+def _strokes(field: Layer, factor: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends of an arrow's three strokes, shape (6 N, 3) [m], and their colours by length, shape (6 N, 3)."""
+    from matplotlib import colormaps
+
+    tails, along = field.points, factor * field.vectors
+    heads, size = tails + along, np.linalg.norm(along, axis=1, keepdims=True)
+    side = np.cross(along, np.where(np.abs(along[:, 2:]) < 0.9 * size, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
+    side *= 0.5 * _HEAD * size / np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-300)
+    back = heads - _HEAD * along
+    ends = np.stack([tails, heads, heads, back + side, heads, back - side], axis=1).reshape(-1, 3)
+    largest = max(float(field.sizes.max(initial=0.0)), 1e-300)
+    return ends, np.repeat(colormaps["viridis"](field.sizes / largest)[:, :3], 6, axis=0)
+
+
+def _root_of(robot: Robot) -> np.ndarray:
+    """Return the base of the arm in the root of its URDF, shape (4, 4), the joints before it at zero."""
+    import pinocchio as pin
+
+    if not robot.urdf:
+        return np.eye(4)
+    model = robot.pinocchio_model()
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    return np.asarray(data.oMf[model.getFrameId(robot.base, pin.BODY)].homogeneous)

@@ -14,12 +14,110 @@ import numpy as np
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError
 from pincal.measure.measurements import Measurements
+from pincal.model.chain import Chain
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.kinematics import Kinematics
-from pincal.robot.se3 import placed, shortest_turn
-from pincal.viewer.arm import Axis, axes_of, round_down
+from pincal.robot.se3 import placed, rotation, shortest_turn, translation
 from pincal.viewer.field import FieldPoses, Fields, Layer, deviation_fields
 from pincal.viewer.shapes import DrawnShape, shapes_of
+
+# Angle [rad] as which the largest tilt of an axis is drawn, at most; and part of the reach for the largest offset.
+_DRAWN_TILT = 0.25
+_DRAWN_OFFSET = 0.06
+# Tilts and offsets below which an axis counts as undistorted [rad, m].
+_NO_TILT = 1e-12
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One joint axis, nominal and with its distortion exaggerated, in the link frame that it is mounted on.
+
+    Attributes:
+        joint: name.
+        nominal: shape (2, 3), its ends [m].
+        actual: shape (2, 3), likewise, tilt and offset times the factor.
+        tilt: how far the calibration tilts it [rad].
+        offset: how far it moves it sideways where the URDF has the joint [m].
+    """
+
+    joint: str
+    nominal: np.ndarray
+    actual: np.ndarray
+    tilt: float
+    offset: float
+
+
+def axes_of(calibrated: CalibratedModel, factor: float | None = None) -> tuple[tuple[Axis, ...], float]:
+    """Return the joint axes and the factor by which their distortions are exaggerated.
+
+    Args:
+        calibrated: the robot.
+        factor: of tilts and offsets; default: a round number, such that the largest can be seen and none misleads.
+    """
+    chain = calibrated.model.chain
+    coordinates = calibrated.model.rigid_coordinates(calibrated.model_values)
+    # Where along its own axis the URDF has each joint, from the foot of its Denavit-Hartenberg frame [m].
+    after = Kinematics.of(chain.robot).after
+    heights = [float((B @ T)[2, 3]) for B, T in zip(after, chain.robot.T_link_joint, strict=True)]
+    found = [_distortion(chain, coordinates, i, height) for i, height in enumerate(heights)]
+    reach = chain.robot.reach
+    if factor is None:
+        tilt, offset = (max(float(np.linalg.norm(change[k])) for change in found) for k in (1, 2))
+        room = [_DRAWN_TILT / tilt] if tilt > _NO_TILT else []
+        room += [_DRAWN_OFFSET * reach / offset] if offset > _NO_TILT else []
+        factor = round_down(min(room, default=1.0))
+    half = 0.11 * reach
+    return tuple(
+        Axis(
+            name,
+            _line(frame, np.zeros(2), np.zeros(2), height, half),
+            _line(frame, factor * tilt, factor * offset, height, half),
+            float(np.linalg.norm(tilt)),
+            float(np.linalg.norm(offset)),
+        )
+        for name, (frame, tilt, offset), height in zip(chain.robot.joint_names, found, heights, strict=True)
+    ), factor
+
+
+def round_down(value: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten that is not above ``value``.
+
+    Example:
+        >>> [round_down(x) for x in (730.0, 200.0, 0.19)]
+        [500.0, 200.0, 0.1]
+    """
+    power = 10.0 ** np.floor(np.log10(value) + 1e-9)
+    step = max(digit for digit in (1.0, 2.0, 5.0) if digit * power <= value * (1.0 + 1e-9))
+    return float(step * power)
+
+
+def _distortion(chain: Chain, coordinates: np.ndarray, i: int, height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the nominal axis' frame in the link before it, and tilt [rad] and offset [m] across it, shape (2,) each."""
+
+    def mounted(values: np.ndarray) -> np.ndarray:
+        link = np.eye(4)
+        if i:
+            a, d, alpha = (values[chain.joint(i - 1, symbol)] for symbol in ("a", "d", "alpha"))
+            link = translation(a, 0.0, d) @ rotation("x", alpha)
+        s_x, s_y = (values[chain.joint(i, symbol)] for symbol in ("s_x", "s_y"))
+        return np.asarray(link @ (rotation("x", s_x) @ rotation("y", s_y)))
+
+    nominal = mounted(chain.nominal)
+    change = np.linalg.inv(nominal) @ mounted(coordinates)
+    # The nominal step from the frame before the link's to the link's own is in both.
+    link = np.eye(4) if i == 0 else Kinematics.of(chain.robot).after[i - 1]
+    return np.linalg.inv(link) @ nominal, change[:2, 2], change[:2, 3] + change[:2, 2] * height
+
+
+def _line(frame: np.ndarray, tilt: np.ndarray, offset: np.ndarray, height: float, half: float) -> np.ndarray:
+    """Return the ends of a line about the z axis of a frame, shape (2, 3)."""
+    angle = float(np.linalg.norm(tilt))
+    across = tilt / angle if angle > 0.0 else np.zeros(2)
+    direction = np.array([*(np.sin(angle) * across), np.cos(angle)])
+    middle = np.array([*offset, height])
+    ends = np.array([middle - half * direction, middle + half * direction])
+    return np.asarray(ends @ frame[:3, :3].T + frame[:3, 3])
+
 
 # Length, as part of the robot's reach and of the way from one arrow to the next, at which nearly all deviations are drawn.
 _DRAWN, _CROWDED = 0.12, 0.8
@@ -79,7 +177,7 @@ class Scene:
     notes: tuple[str, ...]
 
     def opening(self, q: np.ndarray | None = None, *, notes: Sequence[str] = ()) -> Scene:
-        """Return the same scene at another pose, shape (n,) [rad or m], and with more to say.
+        """Return the same scene at another pose, shape (n,) [rad or m], and with further notes.
 
         Raises:
             BadInputError: if the pose is not one finite number per joint.
@@ -167,7 +265,7 @@ def base_of(calibrated: CalibratedModel) -> np.ndarray:
 
 
 def visible_scale(layer: Layer, reach: float) -> float:
-    """Return a round factor at which nearly all arrows are long enough to see and short enough to tell apart."""
+    """Return a round factor at which nearly all arrows are long enough to see and short enough to be distinguished."""
     size = float(np.percentile(layer.sizes, 95.0))
     apart = float(np.cbrt(np.prod(np.ptp(layer.points, axis=0)) / len(layer.points)))
     drawn = min(_DRAWN * reach, _CROWDED * apart) if apart > 0.0 else _DRAWN * reach
@@ -200,7 +298,7 @@ def _frames(
     chain, n = calibrated.model.chain, calibrated.model.chain.robot.n_joints
     known = {p.name: v for p, v in zip(calibrated.model.parameters, calibrated.values, strict=False)}
     found = [DrawnFrame("base", 0, upright)]
-    # A contact knows no instrument: all it says is relative to the robot's base.
+    # A contact has no instrument: everything is relative to the robot's base.
     if any(p.effect == "base_frame" for p in calibrated.model.parameters):
         found.append(DrawnFrame("instrument", 0, seen))
     for target, reference in zip(chain.targets, chain.tool_rotations, strict=True):
@@ -243,7 +341,7 @@ def held_out_rows(
             return unseen, f"{data.name} was held out of the fit as a whole"
         fitted = table.filter(pl.col("rows") == "fitted")["line"].cast(pl.Int64).to_numpy()
     except (OSError, pl.exceptions.PolarsError):
-        return None, f"which rows were held out stands in {residuals.name}, which is not beside the model: none is marked"
+        return None, f"{residuals.name}, which lists the held-out rows, is not in the model's folder: none is marked"
     held = ~np.isin(measurements.rows, fitted)
     words = f"{held.sum()} of {len(held)} rows were held out of the fit" if held.any() else "no row was held out of the fit"
     return held, words

@@ -53,7 +53,7 @@ def shapes_of(
     """Return what to draw of an arm, and in words what is drawn in another way than the URDF has it.
 
     Args:
-        robot: the arm; its URDF's text says what its links look like, its source where their meshes may be.
+        robot: the arm; its URDF's text gives the look of its links, its source where their meshes may be.
         folders: further folders with meshes, or with the packages that the URDF names.
 
     Returns:
@@ -73,7 +73,10 @@ def shapes_of(
         bare = list(range(robot.n_joints + 1))
     elif bare:
         notes.append(f"drawn as simple shapes: what moves with {', '.join(robot.joint_names[i - 1] for i in bare)}")
-    return (*_thinned(drawn), *_simple(robot, bare)), tuple(notes)
+    if (total := sum(len(shape.faces) for shape in drawn)) > _FACES:
+        # The finest meshes are thinned until all together have no more than the page can carry.
+        drawn = [_thin(shape, max(200, int(len(shape.faces) * _FACES / total))) for shape in drawn]
+    return (*drawn, *_simple(robot, bare)), tuple(notes)
 
 
 class _NotShown(Exception):
@@ -179,14 +182,6 @@ def _mesh_colour(mesh: Any) -> tuple[float, float, float] | None:
     look = mesh.visual
     rgba = getattr(getattr(look, "material", look), "main_color", None) if look.defined else None
     return None if rgba is None else (rgba[0] / 255, rgba[1] / 255, rgba[2] / 255)
-
-
-def _thinned(shapes: list[DrawnShape]) -> list[DrawnShape]:
-    """Thin the finest meshes until all together have no more than the faces that a page can carry."""
-    total = sum(len(shape.faces) for shape in shapes)
-    if total <= _FACES:
-        return shapes
-    return [_thin(shape, max(200, int(len(shape.faces) * _FACES / total))) for shape in shapes]
 
 
 def _thin(shape: DrawnShape, most: int) -> DrawnShape:

@@ -1,11 +1,13 @@
 // The page: files in and out, the table of corrections, and the drawing.
 
 const $ = (id) => document.getElementById(id);
-const DEGREE = Math.PI / 180, SHOWN_ROWS = 500;
+const SHOWN_ROWS = 500;
 const WORDS = { ok: "corrected", joint_limit: "beyond a joint limit", singular: "singular", unreached: "out of reach", no_pose: "no pose" };
 const options = { payload: 0, temperature: ABOUT.days.temperature ?? 0, time: ABOUT.days.time ?? 0, target: 0, frame: ABOUT.frame,
   start: ABOUT.start.slice() };
-let file = null, result = null, here = 0;
+// What programs do not say of their cell, as it was entered.
+const said = { tool: {}, base: {}, world: "", flange: "", axes: "", pulses: "", seed: null };
+let chosen = [], result = null, here = 0;
 
 // --- settings
 
@@ -41,37 +43,72 @@ function settings() {
   }
   JOINTS.forEach((name, i) => {
     const size = ABOUT.types[i] === "prismatic" ? 1e-3 : DEGREE;
-    quantity(`Start of ${name} [${size === DEGREE ? "°" : "mm"}]`, () => options.start[i] / size, (v) => { options.start[i] = v * size; });
+    quantity(`Start of ${name} [${size === DEGREE ? "°" : "mm"}]`, () => options.start[i] / size, (v) => { options.start[i] = v * size; said.seed = options.start; });
   });
+  for (const [name, words, hint] of [["world", "Controller's world in the robot's base", "as in the robot's description"],
+    ["flange", "Controller's flange on the robot's tip", "as in the robot's description"], ["axes", "Axes by the model's joints", "q1, 90-q2, q3-q2, ..."]]) {
+    entry("fields", words, hint, () => said[name], (text) => { said[name] = text; });
+  }
+}
+// A field for numbers or sums, as programs have them.
+function entry(place, words, hint, get, set) {
+  const box = document.createElement("label"), input = Object.assign(document.createElement("input"), { value: get(), placeholder: hint });
+  input.onchange = () => { set(input.value); run(); };
+  box.append(words, input);
+  box.className = "wide";
+  $(place).append(box);
+}
+// Fields for what the program does not say.
+function ask() {
+  $("asked").replaceChildren();
+  $("ask").hidden = !(result?.asked?.length || Object.keys({ ...said.tool, ...said.base }).length || result?.pulses || said.pulses);
+  if (!result?.kind) { $("ask").hidden = true; return; }
+  const { convention, length } = result.kind.prototype, columns = ORIENTATIONS[convention].columns.join(", ");
+  const open = [...Object.keys(said.tool).map((name) => ({ option: "tool", name })), ...Object.keys(said.base).map((name) => ({ option: "base", name })), ...result.asked].sort((a, b) => b.option.localeCompare(a.option));
+  for (const { option, name } of new Map(open.map((one) => [`${one.option} ${one.name}`, one])).values()) {
+    entry("asked", `${option === "tool" ? "Tool" : "Base"} ${name}`, `X, Y, Z [${length === 1 ? "m" : "mm"}], ${columns}`, () => said[option][name] ?? "", (text) => { said[option][name] = text; });
+  }
+  if (result.pulses || said.pulses) entry("asked", "Pulses of each axis for a degree", "P1 P2 ...", () => said.pulses, (text) => { said.pulses = text; });
 }
 
 // --- files
 
-async function take(chosen) {
-  if (!chosen) return;
-  const bytes = new Uint8Array(await chosen.arrayBuffer()), parts = [];
-  for (let i = 0; i < bytes.length; i += 8192) parts.push(String.fromCharCode(...bytes.subarray(i, i + 8192)));
-  file = { name: chosen.name, text: parts.join("") };
+async function take(files) {
+  if (!files.length) return;
+  chosen = [];
+  for (const file of files) {
+    const bytes = new Uint8Array(await file.arrayBuffer()), parts = [];
+    for (let i = 0; i < bytes.length; i += 8192) parts.push(String.fromCharCode(...bytes.subarray(i, i + 8192)));
+    chosen.push({ name: file.name, text: parts.join("") });
+  }
   run();
+}
+// What the chosen files are with corrected numbers: programs of one controller, or a table.
+function correctAll() {
+  const kinds = new Set(chosen.map((file) => languageOf(file.name))), [kind] = kinds;
+  if (kinds.size > 1 || (!kind && chosen.length > 1)) throw new Refused("several files that are not programs of one controller: drop one table, or the files of one program");
+  if (kind) return correctPrograms(kind, chosen, options, said);
+  const { text, rows, notes } = correct(chosen[0].name, chosen[0].text, options);
+  return { files: [{ name: chosen[0].name.replace(/(\.[^.]*)?$/, "-corrected$1"), text }], rows, notes };
 }
 function run() {
   result = null;
   here = 0;
   $("refused").hidden = true;
-  if (file) try {
-    result = correct(file.name, file.text, options);
+  if (chosen.length) try {
+    result = correctAll();
   } catch (error) {
-    $("refused").textContent = error instanceof Refused ? error.message : `${file.name} can't be read (${error.message})`;
+    $("refused").textContent = error instanceof Refused ? error.message : `${chosen[0].name} can't be read (${error.message})`;
     $("refused").hidden = false;
   }
-  $("walk").hidden = $("result").hidden = !result;
-  if (result) tell();
+  $("walk").hidden = !result?.rows.length;
+  $("result").hidden = !result;
+  if (result) { tell(); ask(); }
   draw();
 }
-function corrected() { return file.name.replace(/(\.[^.]*)?$/, "-corrected$1"); }
-function save() {
-  const url = URL.createObjectURL(new Blob([Uint8Array.from(result.text, (c) => c.charCodeAt(0))]));
-  const link = Object.assign(document.createElement("a"), { href: url, download: corrected() });
+function save({ name, text }) {
+  const url = URL.createObjectURL(new Blob([Uint8Array.from(text, (c) => c.charCodeAt(0))]));
+  const link = Object.assign(document.createElement("a"), { href: url, download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(url), 1000);
 }
@@ -80,25 +117,26 @@ function save() {
 
 function tell() {
   const rows = result.rows, ok = rows.filter((row) => row.status === "ok"), left = rows.filter((row) => row.status !== "ok");
-  const most = (list, k) => Math.max(0, ...list.map((row) => row.before[k]));
+  const most = (list, k) => Math.max(0, ...list.map((row) => row.before[k])), all = rows.length + (result.left?.length ?? 0) - (result.kind ? left.length : 0);
   const mean = ok.length ? ok.reduce((sum, row) => sum + row.before[0], 0) / ok.length : 0;
-  $("summary").textContent = `${file.name}: ${ok.length} of ${rows.length} points corrected. ` + (ok.length
+  $("summary").textContent = `${chosen.map((file) => file.name).join(", ")}: ${ok.length} of ${all} points corrected. ` + (ok.length
     ? `Without correction this robot misses by ${(1e3 * mean).toFixed(3)} mm in the mean and ${(1e3 * most(ok, 0)).toFixed(3)} mm at most.` : "");
-  $("save").textContent = `Save ${corrected()}`;
-  $("save").disabled = !ok.length;
+  $("saves").replaceChildren(...result.files.map((one) => Object.assign(document.createElement("button"), { textContent: `Save ${one.name}`, disabled: !ok.length, onclick: () => save(one) })));
   const named = (list) => `${list.length > 1 ? `${list.length} lines` : "line"} ${list.length > 1 ? "(" : ""}` +
     `${list.slice(0, 20).join(", ")}${list.length > 20 ? ", ..." : ""}${list.length > 1 ? ")" : ""}`;
-  const notes = Object.entries(WORDS).map(([status, words]) => [words, left.filter((row) => row.status === status).map((row) => row.line)])
-    .filter(([, list]) => list.length).map(([words, list]) => ["bad", `left as it was, ${words}: ${named(list)}`]);
+  const notes = result.kind ? result.left.map(({ file, line, name, reason }) => ["bad", `left as it was: ${file} line ${line}, ${name}: ${reason}`])
+    : Object.entries(WORDS).map(([status, words]) => [words, left.filter((row) => row.status === status).map((row) => row.line)])
+      .filter(([, list]) => list.length).map(([words, list]) => ["bad", `left as it was, ${words}: ${named(list)}`]);
   const turned = Math.max(0, ...ok.map((row) => row.after[1]));
   if (JOINTS.length < 6 && ok.length) notes.push(["bad", `an arm of ${JOINTS.length} joints reaches positions: orientations stay off by ${(1e3 * turned).toFixed(3)} mrad at most`]);
   const moved = ok.filter((row) => row.q.some((q, i) => Math.abs(q - row.seed[i]) > 2 * DEGREE)).map((row) => row.line);
   if (moved.length) notes.push(["bad", `a joint moves by more than 2° in ${named(moved)}: look at it before the robot moves`]);
-  notes.push(...result.notes.map((note) => ["", note]));
+  notes.push(...(result.notes ?? []).map((note) => ["", note]));
+  if (result.kind && ok.length) notes.push(["", "between corrected points lines and circles are not checked: pincal compensate --path-error does that"]);
   if (rows.length > SHOWN_ROWS) notes.push(["", `the table shows the first ${SHOWN_ROWS} of ${rows.length} points; all are in the file`]);
   $("notes").replaceChildren(...notes.map(([kind, text]) => Object.assign(document.createElement("li"), { className: kind, textContent: text })));
-  const head = document.createElement("tr");
-  for (const [name, unit] of [["line", ""], ["off by", "mm"], ["off by", "mrad"], ["", ""],
+  const head = document.createElement("tr"), program = result.kind ? [["point", ""], ["moved by", "mm"], ["moved by", "mrad"]] : [];
+  for (const [name, unit] of [["line", ""], ...program, ["off by", "mm"], ["off by", "mrad"], ["", ""],
     ...JOINTS.map((name, i) => [`Δ ${name}`, ABOUT.types[i] === "prismatic" ? "mm" : "deg"])]) {
     const cell = document.createElement("th");
     cell.append(name, Object.assign(document.createElement("small"), { textContent: unit }));
@@ -106,19 +144,20 @@ function tell() {
   }
   $("rows").tHead.replaceChildren(head);
   $("rows").tBodies[0].replaceChildren(...rows.slice(0, SHOWN_ROWS).map((row, i) => {
-    const line = document.createElement("tr"), add = (text, kind = "") => {
+    const line = document.createElement("tr"), is_ok = row.status === "ok", add = (text, kind = "") => {
       line.append(Object.assign(document.createElement("td"), { textContent: text, className: kind }));
     };
     add(row.line);
+    if (result.kind) [row.name, is_ok ? (1e3 * row.shift).toFixed(4) : "", is_ok ? (1e3 * row.turn).toFixed(4) : ""].forEach((text) => add(text));
     add(row.before ? (1e3 * row.before[0]).toFixed(3) : "");
     add(row.before ? (1e3 * row.before[1]).toFixed(3) : "");
-    add(row.status === "ok" ? "✓" : WORDS[row.status], row.status === "ok" ? "" : "bad");
-    row.q.forEach((q, k) => add(row.status === "ok" ? ((q - row.seed[k]) / (ABOUT.types[k] === "prismatic" ? 1e-3 : DEGREE)).toFixed(4) : ""));
+    add(is_ok ? "✓" : result.kind ? "left" : WORDS[row.status], is_ok ? "" : "bad");
+    row.q.forEach((q, k) => add(is_ok ? ((q - row.seed[k]) / (ABOUT.types[k] === "prismatic" ? 1e-3 : DEGREE)).toFixed(4) : ""));
     line.onclick = () => show(i);
     return line;
   }));
   $("row").max = rows.length - 1;
-  show(0);
+  if (rows.length) show(0);
 }
 function show(i) {
   here = i;
@@ -238,13 +277,12 @@ function begin() {
   settings();
   look();
   $("joints").textContent = JOINTS.join(", ");
-  $("file").onchange = (e) => { take(e.target.files[0]); e.target.value = ""; };
-  $("save").onclick = save;
+  $("file").onchange = async (e) => { await take([...e.target.files]); e.target.value = ""; };
   $("row").oninput = () => show(Number($("row").value));
   const over = (e, is) => { e.preventDefault(); $("drop").classList.toggle("over", is); };
   document.ondragover = (e) => over(e, true);
   document.ondragleave = (e) => over(e, false);
-  document.ondrop = (e) => { over(e, false); take(e.dataTransfer.files[0]); };
+  document.ondrop = (e) => { over(e, false); take([...e.dataTransfer.files]); };
   window.onresize = draw;
   matchMedia("(prefers-color-scheme: dark)").onchange = draw;
   draw();

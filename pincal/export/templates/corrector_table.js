@@ -1,6 +1,8 @@
-// Files: what a table or a URScript program means, and the same text again with corrected numbers. Text is a string of bytes.
+// Tables: what one means, and the same text again with corrected numbers. Text is a string of bytes.
 
 class Refused extends Error {}
+
+const DEGREE = Math.PI / 180, NUMBERED = new RegExp(`^(?:${ABOUT.numbered})$`, "i");
 
 const CONVENTIONS = [
   { columns: ["A", "B", "C"], order: "zyx", unit: "deg", kind: "angles", words: "KUKA's A B C" },
@@ -12,24 +14,17 @@ const CONVENTIONS = [
   { columns: ["Roll", "Pitch", "Yaw"], order: "xyz", unit: "rad", kind: "angles", words: "roll, pitch, yaw" },
   { columns: ["qx", "qy", "qz", "qw"], order: "xyzw", unit: "", kind: "quaternion", words: "a quaternion x y z w" },
 ];
-// Decimals that a written number has at least: a millionth of a degree, a hundred-thousandth of a millimetre.
-const DECIMALS = { m: 8, cm: 6, mm: 5, um: 2, "µm": 2, in: 7, rad: 9, mrad: 6, deg: 7, "°": 7, "": 10 };
+// Decimals that a written number has at least, as in pincal/compensate/returned_table.py.
+const DECIMALS = { m: 11, cm: 9, mm: 8, um: 5, "µm": 5, in: 10, rad: 11, mrad: 8, urad: 5, deg: 9, "°": 9 };
 // Sizes beyond which numbers without a unit are taken to be in another one: rad, and reaches of the robot.
 const MOST_RAD = 13, MOST_REACHES = 50;
-const OTHERS = { src: "a KUKA program", dat: "a KUKA data list", mod: "an ABB module", prg: "an ABB program", modx: "an ABB module",
-  ls: "a FANUC program", tp: "a FANUC binary", jbi: "a Yaskawa job", xlsx: "an Excel workbook", xls: "an Excel workbook",
-  ods: "a spreadsheet", parquet: "a Parquet table", json: "a JSON file", urp: "a packed PolyScope program" };
+const OTHERS = { tp: "a FANUC binary: save it as .ls", xlsx: "an Excel workbook: save it as CSV", xls: "an Excel workbook: save it as CSV",
+  ods: "a spreadsheet: save it as CSV", parquet: "a Parquet table", json: "a JSON file", urp: "a packed PolyScope program: the .script beside it is the program" };
 
-function kindOf(name, text) {
+function refuseOther(name, text) {
   const end = name.toLowerCase().split(".").pop();
-  if (OTHERS[end]) {
-    const sheet = ["xlsx", "xls", "ods"].includes(end) ? " Save it as CSV and drop that, or" : "";
-    throw new Refused(`${name} is ${OTHERS[end]}: this page corrects tables of text and URScript.${sheet} run: ` +
-      `pincal compensate model.json ${name} --out corrected.${end}`.trim());
-  }
+  if (OTHERS[end]) throw new Refused(`${name} is ${OTHERS[end]}. Or run: pincal compensate model.json ${name} --out corrected.${end}`);
   if (/[\0]/.test(text)) throw new Refused(`${name} is not text in UTF-8 or Latin-1: save it as CSV UTF-8 and drop that.`);
-  if (end === "script" || end === "urscript") return "urscript";
-  return "table";
 }
 
 function utf8(bytes) {
@@ -53,12 +48,12 @@ function readNumber(text, comma) {
   const plain = comma ? text.replace(",", ".") : text;
   return /^[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$/.test(plain) ? Number(plain) : NaN;
 }
-// A value [SI] as a number like the one that it replaces: decimal mark, sign, and no fewer decimals.
+// A value [SI] as a number like the one that it replaces: decimal mark, sign, no fewer decimals; that one if it says the same.
 function writeNumber(value, unit, old) {
-  const has = (/[.,](\d*)/.exec(old) || ["", ""])[1].length;
-  const text = (value / (unit ? sizeOf(unit) : 1)).toFixed(Math.min(Math.max(has, DECIMALS[unit] ?? 9), 20));
-  const marked = old.includes(",") ? text.replace(".", ",") : text;
-  return old.startsWith("+") && !marked.startsWith("-") ? `+${marked}` : marked;
+  const has = (/[.,](\d*)/.exec(old) || ["", ""])[1].length, least = DECIMALS[unit] ?? 11, number = value / (unit ? sizeOf(unit) : 1);
+  if (Math.abs(number - Number(old.replace(",", "."))) < 0.5 * 10 ** -least) return old;
+  const text = number.toFixed(Math.max(has, least)), marked = old.includes(",") ? text.replace(".", ",") : text;
+  return old.startsWith("+") && number >= 0 ? `+${marked}` : marked;
 }
 
 function product(a, b) {
@@ -184,7 +179,7 @@ function understood(labels) {
     const families = {};
     labels.forEach((label, index) => {
       const split = taken.has(index) ? [] : spellings(label).map(([name, unit]) =>
-        [/^(j|joint|a|axis|q|actual_q|actualq|theta|rax)[ _.-]?(\d{1,2})$/i.exec(name), unit]).filter(([m]) => m);
+        [NUMBERED.exec(name), unit]).filter(([m]) => m);
       if (split.length) (families[split[0][0][1].toLowerCase()] ??= []).push([Number(split[0][0][2]), index, split[0][1], label]);
     });
     const n = JOINTS.length, whole = Object.entries(families).filter(([prefix, all]) => {
@@ -286,39 +281,6 @@ function checkUnits(rows, columns, options) {
   }
 }
 
-// --- URScript
-
-// Motions whose target is written in numbers; where any target is not, the program is refused: it is corrected as a whole or not.
-function readScript(text, options) {
-  const lines = text.split("\n"), rows = [], wrong = [];
-  if (JOINTS.length !== 6) throw new Refused("URScript is for arms of six joints");
-  lines.forEach((raw, index) => {
-    const code = raw.replace(/"[^"]*"/g, (s) => " ".repeat(s.length)).replace(/#.*$/, "");
-    for (const call of code.matchAll(/\b(move[a-z]|servo[a-z]|speed[a-z])\s*\(/g)) {
-      const rest = code.slice(call.index + call[0].length);
-      const found = /^\s*(?:pose\s*=\s*|q\s*=\s*)?(p?)\[([^[\]]*)\]\s*[,)]/.exec(rest);
-      const parts = found ? [...found[2].matchAll(/[^,]+/g)] : [];
-      const values = parts.map((m) => readNumber(m[0].trim(), false));
-      if (!/^move[jlp]$/.test(call[1]) || values.length !== 6 || !values.every(Number.isFinite)) { wrong.push(index + 1); continue; }
-      const start = call.index + call[0].length + found[0].indexOf("[") + 1;
-      const spots = parts.map((m) => ({ line: index, text: m[0].trim(), start: start + m.index + m[0].indexOf(m[0].trim()) }));
-      spots.forEach((s) => { s.end = s.start + s.text.length; });
-      const names = found[1] ? ["x", "y", "z", "turn rx", "turn ry", "turn rz"] : JOINTS;
-      const named = Object.fromEntries(names.map((name, i) => [name, { ...spots[i], unit: found[1] && i < 3 ? "m" : "rad" }]));
-      const convention = CONVENTIONS.find((c) => c.kind === "vector"), turn = found[1] ? rotationOf(convention, values.slice(3)) : null;
-      const conditions = conditionsOf({}, null, null, options, index + 1);
-      rows.push({ line: index + 1, spots: named, q: found[1] ? null : values, place: turn && values.slice(0, 3), turn, old: turn && values.slice(3), conditions });
-    }
-  });
-  if (wrong.length) {
-    throw new Refused(`line ${wrong.slice(0, 8).join(", ")}: a motion whose target is not written in numbers, or another than movej, movel, movep: ` +
-      "nothing is corrected; run: pincal compensate model.json PROGRAM.script --out CORRECTED.script");
-  }
-  if (!rows.length) throw new Refused("no movej, movel or movep with a target in numbers");
-  const convention = CONVENTIONS.find((c) => c.kind === "vector");
-  return { lines, rows, convention, notes: ["poses are those of the target, in the robot's base frame"] };
-}
-
 // --- correction
 
 function toBase(pose, options) { return options.frame === "instrument" && ABOUT.base ? product(inverted(ABOUT.base), pose) : pose; }
@@ -342,29 +304,29 @@ function nominalJoints(wanted, state) {
   return best;
 }
 
-// Correct what a file holds: {text, rows}, each row with its error before and after, its change and its status.
+// Correct what a table holds: {text, rows}, each row with its error before and after, its change and its status.
 function correct(name, text, options) {
-  const kind = kindOf(name, text), read = kind === "urscript" ? readScript(text, options) : readTable(text, options);
-  const said = kind === "urscript" ? { ...options, frame: "base" } : options, notes = read.notes.slice();
+  refuseOther(name, text);
+  const read = readTable(text, options), notes = read.notes.slice();
   if (read.rows.some((row) => row.conditions.lacks)) {
     notes.push("no columns approach_JOINT: from which side joints arrive is not known, and their backlash is not corrected");
   }
   let last = options.start;
   const edits = [], rows = read.rows.map((row) => {
     const state = { ...row.conditions, q: row.q ?? last };
-    let wanted = row.place && row.turn ? toBase(posed(row.turn, row.place), said) : null;
+    let wanted = row.place && row.turn ? toBase(posed(row.turn, row.place), options) : null;
     if (!row.q) {
       const q = nominalJoints(wanted, state);
       if (!q) return { line: row.line, status: "unreached", wanted, q: state.q, seed: state.q };
       state.q = q;
     } else if (row.place && !row.turn) {
-      const meant = nominal(state)[0], at = toBase(posed([1, 0, 0, 0, 1, 0, 0, 0, 1], row.place), said);
+      const meant = nominal(state)[0], at = toBase(posed([1, 0, 0, 0, 1, 0, 0, 0, 1], row.place), options);
       wanted = meant.map((x, i) => (i % 4 === 3 ? at[i] : x));
     }
     wanted ??= nominal(state)[0];
     last = state.q;
     const found = compensate(calibrated, wanted, state), after = { ...state, q: found.q };
-    if (found.status === "ok") edits.push(...editsOf(row, after, read.convention, said));
+    if (found.status === "ok") edits.push(...editsOf(row, after, read.convention, options));
     return { line: row.line, status: found.status, wanted, seed: state.q, q: found.q, state: after,
       from: calibrated(state)[0], before: distances(calibrated(state)[0], wanted), after: distances(calibrated(after)[0], wanted) };
   });

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from pincal.calibration.information import InformationFile
+from pincal.calibration.information import RobotInformation
 from pincal.calibration.model_file import ModelFile, StationsFile
 from pincal.calibration.result import ResultFile
 from pincal.io.camera_file import CameraFile
@@ -27,7 +27,7 @@ FILES: dict[str, type] = {
     "discovery": Findings,
     "diagnosis": DiagnosisFile,
     "camera": CameraFile,
-    "information": InformationFile,
+    "information": RobotInformation,
 }
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 

@@ -5,7 +5,7 @@ object. Where no point of the object is known, its points are found in the robot
 
 Where it starts: P - R_i (W c_i + t) = p_i with the point c_i in the camera's frame, P that in the base frame, is linear in P
 and in the camera's place t, W on the tool. P is eliminated by taking each point's rows about their mean. An image lacks the
-depth of c_i: :mod:`pincal.measure.triangulation` lays the lines of sight so that they meet in the points.
+depth of c_i: :mod:`pincal.measure.lens` lays the lines of sight so that they meet in the points.
 """
 
 from __future__ import annotations
@@ -16,20 +16,18 @@ from typing import ClassVar, Self, final
 
 import numpy as np
 
-from pincal.measure.extrinsics import Extrinsics
-from pincal.measure.fields import POINT, Field, TableRows
-from pincal.measure.lens import NEAREST, Lens
+from pincal.measure.extrinsics import Extrinsics, by_target, sample_rows
+from pincal.measure.fields import CONDITIONS, POINT, Field, TableRows
+from pincal.measure.lens import NEAREST, Lens, Views, camera_starts, rays
 from pincal.measure.point_sensor import PointSensor, centred, index_of, solved
-from pincal.measure.sampling import sample_rows
-from pincal.measure.sensor import Additive, Block, Excluded, KnownParameters, Plausible
-from pincal.measure.sensors.position import check_spread
+from pincal.measure.sensor import Additive, Block, Excluded, KnownParameters, OwnParameters, Plausible
+from pincal.measure.sensors.pose import check_spread
 from pincal.measure.setup import Setup
-from pincal.measure.triangulation import Views, camera_starts
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import nearest_rotation, transform
 
 PIXEL = Field("pixel", ("u", "v"), "pixel")
-# Rows of the first search.
+# Rows that the first search looks at, for a fixed camera of each target.
 _SAMPLE = 300
 
 
@@ -58,13 +56,11 @@ class Images(Additive, KnownParameters):
     @property
     @final
     def is_given(self) -> bool:
-        """Whether the user gave the camera."""
         return self.setup.lens is not None
 
     @property
     @final
     def doubt(self) -> str:
-        """The images don't fit the camera."""
         return "the images contradict the given camera parameters: --fit-camera identifies them"
 
     @final
@@ -76,7 +72,7 @@ class Images(Additive, KnownParameters):
 
 @dataclass(frozen=True)
 class CameraSensor(PointSensor):
-    """Readings of a camera, each of one point; ``has_scale`` says whether they tell how far away it is."""
+    """Readings of a camera, each of one point; ``has_scale`` states whether they determine its distance."""
 
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
     twist_rows: ClassVar[int] = 6
@@ -139,21 +135,17 @@ class CameraPointSensor(CameraSensor, Additive, Plausible):
 
     @classmethod
     def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the points of a table."""
         points = setup.named()
         return cls(points, index_of(table, points), table.array("camera_point"))
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return reading minus prediction, shape (3, N) [m]."""
         return np.asarray((self.camera_point - self.seen(poses, own)).T)
 
     def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the motion of the point in the camera's frame."""
         by_place = poses[:, :, :3].transpose(1, 2, 0)
         return np.concatenate([self.seen_motion(poses, motion, own), self.by_points(by_place)])
 
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return how far the camera is off: opposite to the point in its frame."""
         return np.asarray(-np.einsum("nij,jn->ni", poses[:, :, :3], residuals))
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
@@ -168,13 +160,11 @@ class CameraPointSensor(CameraSensor, Additive, Plausible):
 
     @property
     def impossible(self) -> Excluded:
-        """Points behind the camera."""
         behind = self.camera_point[:, 2] <= 0.0
         return Excluded(behind, "have cz <= 0, a point behind the camera", "points in front of the camera")
 
     @classmethod
     def check_plausible(cls, table: TableRows, reach_m: float) -> None:
-        """Refuse points whose distances from the camera differ by more than the arm can span."""
         ranges = np.linalg.norm(table.array("camera_point"), axis=1, keepdims=True)
         check_spread(table, ranges, label="cx", reach_m=reach_m)
 
@@ -191,21 +181,17 @@ class CameraPixelSensor(CameraSensor, Images):
 
     @classmethod
     def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the images of a table."""
         points = setup.named()
         return cls(points=points, index=index_of(table, points), pixel=table.array("pixel"), setup=setup)
 
     @property
     def other_parameters(self) -> tuple[Parameter, ...]:
-        """The camera's own."""
         return self.setup.lens_parameters()
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return reading minus prediction, shape (2, N) [px]."""
         return np.asarray((self.pixel - self.lens(own).project(self.seen(poses, own))).T)
 
     def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the motion of the image, by the point's motion and by the camera's parameters."""
         _, by_seen, by_lens = self.lens(own).linearise(self.seen(poses, own))
         moved = np.einsum("nab,pbn->pan", by_seen, self.seen_motion(poses, motion, own))
         by_place = np.einsum("nab,nib->ian", by_seen, poses[:, :, :3])
@@ -224,3 +210,101 @@ class CameraPixelSensor(CameraSensor, Images):
         nominal = self.setup.lens_values
         for hand, places, lens in camera_starts(views, self.setup.lens, rows=rows):
             yield self.start_with_points(places, hand[None], rest=lens.values - nominal)
+
+
+@dataclass(frozen=True)
+class FixedCameraSensor(Images, OwnParameters):
+    """2D: the image of a target on the tool, shape (N, 2) [px], in a fixed camera."""
+
+    kind: ClassVar[str] = "fixed_camera_pixel"
+    fields: ClassVar[tuple[Field, ...]] = (PIXEL, CONDITIONS["target"])
+    tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
+    base_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
+    twist_rows: ClassVar[int] = 3
+    per_row: ClassVar[tuple[str, ...]] = ("pixel",)
+    has_camera: ClassVar[bool] = True
+    own_words: ClassVar[str] = ""
+
+    @classmethod
+    def of(cls, table: TableRows, setup: Setup) -> Self:
+        return cls(table.array("pixel"), setup)
+
+    @property
+    def own_parameters(self) -> tuple[Parameter, ...]:
+        return self.setup.lens_parameters()
+
+    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        return np.asarray((self.pixel - self.lens(own).project(poses[:, :, 3])).T)
+
+    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
+        _, by_seen, by_lens = self.lens(own).linearise(poses[:, :, 3])
+        return np.concatenate([np.einsum("nab,pbn->pan", by_seen, motion), by_lens.transpose(2, 1, 0)])
+
+    def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        return self.least_displacement(residuals, poses, own)
+
+    def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
+        """Yield where the camera sees the tips, then the targets, which the images place on the tool if they can."""
+        rows = sample_rows(len(self), _SAMPLE, target)
+        lens, tips, target, pixel = self.setup.lens, tips[rows], target[rows], self.pixel[rows]
+        if lens is not None:
+            sight = rays(lens, pixel)
+            pixel = sight[:, :2] / sight[:, 2:]
+        p, R = tips[:, :, 3], tips[:, :, :3]
+        tools = np.tile(np.eye(4), (n_targets, 1, 1))
+        yield self._start(_matrix(p, pixel)[0], tools)
+        M, products = _matrix(p, pixel, by_target(R.reshape(-1, 9), target, n_targets))
+        if products is None:
+            return
+        for t, product in enumerate(products):
+            tools[t, :3, 3] = np.einsum("ac,acd->d", M[:, :3], product) / np.sum(M[:, :3] ** 2)
+        ends = p + np.einsum("nij,nj->ni", R, tools[target, :3, 3])
+        yield self._start(_matrix(ends, pixel)[0], tools.copy())
+
+    def unobservable(self) -> Iterator[str]:
+        yield "images do not determine the scale, which relies on the nominal lengths of the arm"
+
+    def _start(self, M: np.ndarray, tools: np.ndarray) -> Extrinsics:
+        """Return where all stands for a camera matrix from the robot's base, shape (3, 4)."""
+        from scipy.linalg import rq
+
+        nominal = self.setup.lens_values
+        if self.setup.lens is not None:
+            scale = np.linalg.svd(M[:, :3], compute_uv=False).mean()
+            return Extrinsics(transform(nearest_rotation(M[:, :3]), M[:, 3] / scale), tools, np.zeros(len(nominal)))
+        K, R = rq(M[:, :3])
+        signs = np.where(np.diag(K) < 0.0, -1.0, 1.0)
+        K, R = K * signs, signs[:, None] * R
+        place = np.linalg.solve(K, M[:, 3])
+        K = K / K[2, 2]
+        values = np.concatenate([[K[0, 0], K[1, 1], K[0, 2], K[1, 2]], np.zeros(len(nominal) - 4)])
+        return Extrinsics(transform(nearest_rotation(R), place), tools, values - nominal)
+
+
+def _matrix(p: np.ndarray, image: np.ndarray, columns: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the matrix that projects points to their images, and with it what multiplies further columns.
+
+    Args:
+        p: shape (N, 3), points in the robot's base frame.
+        image: shape (N, 2).
+        columns: shape (N, 9 T), rotations of the tip, target by target.
+
+    Returns:
+        Shape (3, 4), of a right-handed camera before which the points lie; shape (T, 3, 3, 3), [a, c, d] multiplies the
+        element [c, d] of the rotation in row a. The latter is None without columns, or if there are too few rows for them.
+    """
+    n, middle = len(p), image.mean(axis=0)
+    width, size = np.abs(image - middle).max(), np.abs(p).max()
+    X = np.hstack([p / size, np.ones((n, 1))] + ([] if columns is None else [columns]))
+    k = X.shape[1]
+    if 2 * n < 3 * k:
+        return np.eye(3, 4), None
+    u, v = ((image - middle) / width).T
+    none = np.zeros_like(X)
+    A = np.vstack([np.hstack([X, none, -u[:, None] * X]), np.hstack([none, X, -v[:, None] * X])])
+    found = np.linalg.eigh(A.T @ A)[1][:, 0].reshape(3, k)
+    found = np.array([[width, 0.0, middle[0]], [0.0, width, middle[1]], [0.0, 0.0, 1.0]]) @ found
+    found[:, :3] /= size
+    found *= np.sign(np.median(X[:, :4] @ (found[2, :4] * [size, size, size, 1.0])))
+    products = None if columns is None else found[:, 4:].reshape(3, -1, 3, 3).swapaxes(0, 1)
+    return found[:, :4], products

@@ -17,8 +17,8 @@ from pincal.errors import MeasurementError
 from pincal.measure.extrinsics import Extrinsics, by_target, least_squares
 from pincal.measure.fields import POSITIVE, Field, TableRows
 from pincal.measure.point_sensor import PointSensor, index_of
-from pincal.measure.sensor import Additive, Block, Foreseeable, Plausible
-from pincal.measure.sensors.position import check_spread
+from pincal.measure.sensor import Additive, Block, Plausible, Simulatable
+from pincal.measure.sensors.pose import check_spread
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import transform
@@ -50,7 +50,6 @@ class Distances(Additive, Plausible):
 
     @final
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return reading minus prediction, shape (1, N) [m]."""
         return np.asarray(self.distance - np.linalg.norm(self.lines(poses, own), axis=0))[None]
 
     @final
@@ -66,7 +65,6 @@ class Distances(Additive, Plausible):
 
     @final
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the part along the line of sight."""
         return np.asarray(residuals[0][:, None] * self._direction(poses, own).T)
 
     def _direction(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -76,7 +74,6 @@ class Distances(Additive, Plausible):
     @classmethod
     @final
     def check_plausible(cls, table: TableRows, reach_m: float) -> None:
-        """Refuse distances that can't be in metres."""
         distance = table.array("distance")
         check_spread(table, distance[:, None], label="distance", reach_m=reach_m)
         middle, longest = float(np.median(distance)), float(distance.max())
@@ -94,7 +91,7 @@ class Distances(Additive, Plausible):
 
 
 @dataclass(frozen=True)
-class DistanceSensor(Distances, Foreseeable):
+class DistanceSensor(Distances, Simulatable):
     """1D: the distance, shape (N,) [m], from the instrument's point to the target.
 
     The instrument's frame stands at this point and is parallel to the robot's base: a distance sees no orientation.
@@ -107,20 +104,16 @@ class DistanceSensor(Distances, Foreseeable):
 
     @classmethod
     def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the distances of a table."""
         return cls(table.array("distance"))
 
     @classmethod
-    def foreseen(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
-        """Return the distances of poses."""
+    def simulated(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
         return cls(np.linalg.norm(poses[:, :, 3], axis=1))
 
     def lines(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the targets: the instrument's point is the origin."""
         return poses[:, :, 3].T
 
     def by_own(self, direction: np.ndarray) -> np.ndarray:
-        """Return nothing: there are no own parameters."""
         return np.zeros((0, 1, direction.shape[1]))
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
@@ -128,35 +121,23 @@ class DistanceSensor(Distances, Foreseeable):
         return _starts(self.distance, tips, target, n_targets)
 
     def unobservable(self) -> Iterator[str]:
-        """Yield the place of the base."""
         yield _NO_BASE
 
 
 @dataclass(frozen=True)
-class AnchoredDistanceSensor(Distances, PointSensor):
-    """1D: distances, shape (N,) [m], each from a named anchor to the target; a ball-bar's length is one, too."""
+class PointDistances(Distances, PointSensor):
+    """1D: distances, shape (N,) [m], each from a named point to the target."""
 
-    fields: ClassVar[tuple[Field, ...]] = (DISTANCE, Field("anchor", ("anchor",), "name"))
     per_row: ClassVar[tuple[str, ...]] = ("index", "distance")
-    names_points: ClassVar[str | None] = "anchor"
-    thing: ClassVar[str] = "an anchor"
     fewest: ClassVar[int] = 4
     needs_all_rows: ClassVar[bool] = False
     impossible: ClassVar[None] = None
     other_parameters: ClassVar[tuple[Parameter, ...]] = ()
 
-    @classmethod
-    def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the distances of a table."""
-        points = setup.named()
-        return cls(points=points, index=index_of(table, points), distance=table.array("distance"))
-
     def lines(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the lines from anchor to target."""
         return np.asarray(poses[:, :, 3].T - self.points.positions(own)[self.index].T)
 
     def by_own(self, direction: np.ndarray) -> np.ndarray:
-        """Return how the anchors move the distances."""
         return self.by_points(-direction[:, None])
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
@@ -170,6 +151,21 @@ class AnchoredDistanceSensor(Distances, PointSensor):
             anchors = np.array([np.zeros(3) if start is None else -start.base[:3, 3] for start in chosen])
             tools = np.mean([start.tools for start in chosen if start is not None], axis=0)
             yield self.start_with_points(anchors, tools)
+
+
+@dataclass(frozen=True)
+class AnchoredDistanceSensor(PointDistances):
+    """1D: distances, shape (N,) [m], each from a named anchor to the target; a ball-bar's length is one, too."""
+
+    fields: ClassVar[tuple[Field, ...]] = (DISTANCE, Field("anchor", ("anchor",), "name"))
+    names_points: ClassVar[str | None] = "anchor"
+    thing: ClassVar[str] = "an anchor"
+
+    @classmethod
+    def of(cls, table: TableRows, setup: Setup) -> Self:
+        """Return the distances of a table."""
+        points = setup.named()
+        return cls(points=points, index=index_of(table, points), distance=table.array("distance"))
 
     def unobservable_with(self, known: int) -> Iterator[str]:
         """Yield the place of the base where no anchor is known, and what one anchor alone leaves open."""

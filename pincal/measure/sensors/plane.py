@@ -82,14 +82,12 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
 
     @property
     def own_parameters(self) -> tuple[Parameter, ...]:
-        """Normal and distance of each plane."""
         units = ("1", "1", "1", "m")
         both = list(zip(_SYMBOLS, units, strict=True))
         return tuple(Parameter(f"{name}.{s}", unit, "plane", 0.0, ANYWHERE) for name in self.planes for s, unit in both)
 
     @property
     def row_groups(self) -> np.ndarray:
-        """The plane of each row."""
         return self.index
 
     @final
@@ -112,16 +110,13 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
     @classmethod
     @final
     def unscorable_rows(cls, table: TableRows, setup: Setup) -> Iterator[Excluded]:
-        """Yield rows of planes that the calibration did not have."""
         rows, listed = rows_of_new(table, setup)
         yield Excluded(rows, f"are of planes not used in the calibration ({listed})", "planes of the calibration")
 
     def shifted(self, change: np.ndarray) -> Self:
-        """Return readings larger by ``change``, shape (1, N) [m]."""
         return replace(self, reading=self.reading + change[0])
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return reading minus prediction, shape (1, N) [m]."""
         _, length, height = self._heights(poses, own)
         return np.asarray(self.reading - height / length)[None]
 
@@ -138,7 +133,6 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
         return np.concatenate([moved, by_plane.reshape(-1, len(self))])[:, None]
 
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the part across the plane."""
         normal, length, _ = self._heights(poses, own)
         return np.asarray(residuals[0][:, None] * normal / length[:, None])
 
@@ -157,7 +151,6 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
         yield Extrinsics(np.eye(4), tools, self._through(self._ends(tips, target, tools)))
 
     def unobservable(self) -> Iterator[str]:
-        """Yield the place of the base, and the scale."""
         yield "planes determine only the relative geometry of the arm, not the pose of its base"
         yield "planes of unknown pose do not determine the scale of the arm, which relies on its nominal lengths"
 
@@ -191,7 +184,7 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
         return own.ravel()
 
     def _probes(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> np.ndarray:
-        """Return where the probes are on the tool, shape (targets, 3), zero where no plane has rows enough to tell."""
+        """Return where the probes are on the tool, shape (targets, 3), zero where no plane has enough rows."""
         total, count = np.zeros((n_targets, 3)), 0
         for k in range(len(self.planes)):
             here = self.index == k
@@ -214,11 +207,11 @@ class PlaneContactSensor(PlaneSensor):
     """1D: contact of the probe's tip with a plane."""
 
     kind: ClassVar[str] = "plane"
+    is_of_joints: ClassVar[bool] = True
     fields: ClassVar[tuple[Field, ...]] = (PLANE,)
 
     @classmethod
     def read(cls, table: TableRows) -> np.ndarray:
-        """Return zero for each row."""
         return np.zeros(len(table.rows))
 
 
@@ -231,5 +224,4 @@ class GaugeSensor(PlaneSensor):
 
     @classmethod
     def read(cls, table: TableRows) -> np.ndarray:
-        """Return what the dial reads."""
         return table.array("gauge")

@@ -15,52 +15,32 @@ import numpy as np
 from pincal.measure.extrinsics import Extrinsics, by_target
 from pincal.measure.fields import Field, TableRows
 from pincal.measure.point_sensor import PointSensor, centred, index_of, solved
-from pincal.measure.sensor import Block, Foreseeable
+from pincal.measure.sensor import Block, Simulatable
 from pincal.measure.setup import NamedPoints, Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 
 
 @dataclass(frozen=True)
-class ContactSensor(PointSensor, Foreseeable):
-    """3D: coincidence of the tool point with its socket.
+class Coincidences(PointSensor):
+    """3D: coincidence of the target with a named point.
 
-    Rows in a socket that ``points`` do not know (``index`` -1 and below, one number for each socket) are judged by their
-    distance from their own mean: how well the model keeps the tool point in one place.
+    Rows of a point that ``points`` do not know (``index`` -1 and below, one number for each) are judged by their distance
+    from their own mean: how well the model keeps the target in one place.
 
     Attributes:
-        shift: shape (N, 3), how far each row's point sits off its socket [m]; None if nowhere.
+        shift: shape (N, 3), how far each row's target sits off its point [m]; None if nowhere.
     """
 
-    kind: ClassVar[str] = "socket"
-    fields: ClassVar[tuple[Field, ...]] = (Field("socket", ("socket",), "name"),)
     blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3),)
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
     twist_rows: ClassVar[int] = 3
+    is_of_joints: ClassVar[bool] = True
     per_row: ClassVar[tuple[str, ...]] = ("index", "shift")
-    names_points: ClassVar[str | None] = "socket"
-    deviation_end: ClassVar[str] = "the socket"
-    thing: ClassVar[str] = "a socket"
     fewest: ClassVar[int] = 2
     impossible: ClassVar[None] = None
     other_parameters: ClassVar[tuple[Parameter, ...]] = ()
-    judges_new_points: ClassVar[bool] = True
-    needs_places: ClassVar[bool] = True
 
     shift: np.ndarray | None = None
-
-    @classmethod
-    def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the contacts of a table; sockets that the setup does not have are judged by their mean."""
-        points = setup.named()
-        return cls(points, index_of(table, points, may_be_new=True))
-
-    @classmethod
-    def foreseen(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
-        """Return the contacts of poses in sockets of unknown position, called socket_1, socket_2, ..."""
-        assert places is not None, "contacts need places"
-        points = poses[:, :, 3]
-        index = np.linalg.norm(points[:, None] - places, axis=2).argmin(axis=1)
-        return cls(NamedPoints({f"socket_{k + 1}": None for k in range(len(places))}), index, points - places[index])
 
     @property
     def needs_all_rows(self) -> bool:
@@ -68,11 +48,9 @@ class ContactSensor(PointSensor, Foreseeable):
         return bool(np.any(self.index < 0))
 
     def shifted(self, change: np.ndarray) -> Self:
-        """Return contacts whose point sits off its socket by ``change``, shape (3, N) [m]."""
         return replace(self, shift=change.T if self.shift is None else change.T + self.shift)
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return socket minus tool point, shape (3, N) [m]."""
         places = self.points.positions(own)
         place = places[np.maximum(self.index, 0)].T if len(places) else np.zeros((3, len(self)))
         place = self._about_means(poses[:, :, 3].T, place)
@@ -88,7 +66,6 @@ class ContactSensor(PointSensor, Foreseeable):
         return np.concatenate([motion, self.by_points(by_place)])
 
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the residual: a socket holds the tool point in all directions."""
         return residuals.T
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
@@ -102,8 +79,41 @@ class ContactSensor(PointSensor, Foreseeable):
         tools[:, :3, 3] = offsets.reshape(n_targets, 3)
         yield self.start_at_means(p + columns @ offsets, tools)
 
+    def _about_means(self, values: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """Put the mean of ``values``, shape (3, N), in place of what is not known."""
+        for unknown in np.unique(self.index[self.index < 0]):
+            rows = self.index == unknown
+            place[:, rows] = values[:, rows].mean(axis=1, keepdims=True)
+        return place
+
+
+@dataclass(frozen=True)
+class ContactSensor(Coincidences, Simulatable):
+    """3D: coincidence of the tool point with its socket; new sockets are judged by their means."""
+
+    kind: ClassVar[str] = "socket"
+    fields: ClassVar[tuple[Field, ...]] = (Field("socket", ("socket",), "name"),)
+    names_points: ClassVar[str | None] = "socket"
+    deviation_end: ClassVar[str] = "the socket"
+    thing: ClassVar[str] = "a socket"
+    judges_new_points: ClassVar[bool] = True
+    needs_places: ClassVar[bool] = True
+
+    @classmethod
+    def of(cls, table: TableRows, setup: Setup) -> Self:
+        """Return the contacts of a table; sockets that the setup does not have are judged by their mean."""
+        points = setup.named()
+        return cls(points, index_of(table, points, may_be_new=True))
+
+    @classmethod
+    def simulated(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
+        """Return the contacts of poses in sockets of unknown position, called socket_1, socket_2, ..."""
+        assert places is not None, "contacts need places"
+        points = poses[:, :, 3]
+        index = np.linalg.norm(points[:, None] - places, axis=2).argmin(axis=1)
+        return cls(NamedPoints({f"socket_{k + 1}": None for k in range(len(places))}), index, points - places[index])
+
     def unobservable_with(self, known: int) -> Iterator[str]:
-        """Yield the place of the base, and the scale."""
         if not known:
             yield "contacts determine only the relative geometry of the arm, not the pose of its base"
         if known < 2 and not self.points.distances:
@@ -111,10 +121,3 @@ class ContactSensor(PointSensor, Foreseeable):
                 "contacts without a known length do not determine the scale of the arm, which relies on its nominal "
                 "lengths: give the distance between two sockets (--socket-distance A B METRES)"
             )
-
-    def _about_means(self, values: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """Put the mean of ``values``, shape (3, N), in place of what is not known."""
-        for unknown in np.unique(self.index[self.index < 0]):
-            rows = self.index == unknown
-            place[:, rows] = values[:, rows].mean(axis=1, keepdims=True)
-        return place

@@ -99,7 +99,7 @@ class BearingPlace(Effect):
 def bearing_features(chain: Chain, effects: Iterable[Effect]) -> tuple[Effect, ...]:
     """Return what else there is to know of each bearing that is compliant; nothing in the paper's frame."""
     bearings = [effect for effect in effects if isinstance(effect, BearingElasticity) and chain.moment_frame != "paper"]
-    joints = [joint for bearing in bearings for joint in (bearing.joints or chain.robot.joint_names)]
+    joints = [joint for bearing in bearings for joint in (bearing.joints or chain.robot.measured_joints)]
     return tuple(kind(joint) for joint in joints for kind in (ObliqueBearing, BearingPlace))
 
 

@@ -92,7 +92,7 @@ def why_not_testable(candidate: Candidate, situation: PoseSet) -> str:
     joint = effect.locus.joint
     for name in effect.needs if joint is not None else ():
         column = conditions.column(name)
-        if column is not None and column.ndim == 2 and not np.ptp(column[:, situation.joints.index(str(joint))]):
+        if column is not None and column.ndim == 2 and not np.ptp(column[:, situation.index(str(joint))]):
             reason = _UNTOLD.get(name, f"column {RECORDABLE[name].column} is missing or constant")
             return reason.replace("<joint>", str(joint))
     if candidate.obstacle:

@@ -118,7 +118,7 @@ class JointCoupling(DriveEffect):
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield it on every joint, from every other of the same arm."""
-        robot, joints = situation.chain.robot, list(enumerate(situation.joints))
+        robot, joints = situation.chain.robot, [(situation.index(joint), joint) for joint in situation.joints]
         yield from (
             Candidate(cls(joint, source))
             for i, joint in joints

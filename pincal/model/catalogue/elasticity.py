@@ -252,7 +252,7 @@ class PayloadError(Discoverable, Reducible):
         return tuple(Term(p, at, k * change[:, m]) for p, change in enumerate(changes) for m, at, k in bent)
 
     def _names(self, chain: Chain) -> Sequence[str]:
-        return chain.robot.joint_names if self.joints is None else self.joints
+        return chain.robot.measured_joints if self.joints is None else self.joints
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,8 @@ class LinkBending(Discoverable):
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield it on every link from one joint to the next."""
         robot = situation.chain.robot
-        yield from (Candidate(cls(joint)) for i, joint in enumerate(situation.joints) if robot.next_joint(i) is not None)
+        joints = (joint for joint in robot.measured_joints if robot.next_joint(situation.index(joint)) is not None)
+        yield from (Candidate(cls(joint)) for joint in joints)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Flexibility b = 1 / (E I) [1/(N m^2)].

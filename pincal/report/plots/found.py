@@ -256,7 +256,7 @@ def map_figure(trace: PartialResidual, title: str) -> Figure:
     turns = trace.error_unit == "rad"
     own = np.degrees(trace.own) if turns else trace.own
     most = float(np.abs(trace.fitted).max()) * factor or 1.0
-    # Rows with a short lever say little of the joint.
+    # Rows with a short lever carry little information on the joint.
     telling = trace.weights > 0.05 * np.quantile(trace.weights, 0.9)
     extent = (float(x.min()), float(x.max()), float(own.min()), float(own.max()))
     cells = {"gridsize": _CELLS, "extent": extent, "cmap": "PuOr", "vmin": -most, "vmax": most, "linewidths": 0.1}
@@ -288,14 +288,14 @@ def _axis(trace: PartialResidual) -> tuple[np.ndarray, str]:
 
 
 def _draw_errors(axes: Axes, x: np.ndarray, errors: np.ndarray, weights: np.ndarray) -> list[float]:
-    """Draw rows and their means in bins; return what the axis should reach, whatever rows with short levers say."""
+    """Draw rows and their means in bins; return what the axis should reach, regardless of rows with short levers."""
     shown = thinned(len(x))
     jitter = np.zeros(len(x))
     values = np.unique(x)
     if len(values) <= _CATEGORIES:
         jitter = np.random.default_rng(0).uniform(-0.12, 0.12, len(x)) * (np.diff(values).min() if len(values) > 1 else 1.0)
         axes.set_xticks(values)
-    # Rows with a short lever say little: they are drawn faintly. Three strengths, as one for each row makes the file large.
+    # Rows with a short lever carry little information: they are drawn faintly, in three strengths to keep files small.
     strength = np.clip(weights / np.quantile(weights, 0.9), 0.05, 1.0)
     for k, (low, high) in enumerate(((0.0, 0.2), (0.2, 0.6), (0.6, 1.1))):
         rows = shown[(strength[shown] >= low) & (strength[shown] < high)]

@@ -12,7 +12,7 @@ from scipy.special import chdtr
 
 from pincal.report.plots import style
 from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, WIDTH, dress, legend, log_axis, panel, thinned
-from pincal.report.row_errors import RowErrors
+from pincal.report.subject import RowErrors
 
 _MODELS = (("before", BEFORE), ("after", AFTER))
 # Bins of a histogram over the whole logarithmic axis.
@@ -66,7 +66,7 @@ def histogram_figure(evidence: RowErrors, *, held: bool = True) -> Figure:
 
 
 def cumulative_figure(evidence: RowErrors) -> Figure:
-    """Draw which share of poses has an error below each size, beside what noise alone would leave."""
+    """Draw which share of poses has an error below each size, compared with noise alone."""
     figure, axes = panel()
     low, high = _error_axis(axes, "x", evidence)
     for which, colour in _MODELS:
@@ -111,7 +111,7 @@ def median_range(evidence: RowErrors, joint: int) -> tuple[float, float]:
 
 
 def _band(x: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return centres, 5 %, median and 95 % in bins of equal width; not a number where there are too few rows to say."""
+    """Return centres, 5 %, median and 95 % in bins of equal width; not a number where there are too few rows."""
     count = int(np.clip(len(x) // _FEWEST, 1, _BINS))
     edges = np.linspace(x.min(), x.max(), count + 1)
     place = np.clip(np.digitize(x, edges) - 1, 0, count - 1)

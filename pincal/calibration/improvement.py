@@ -1,0 +1,139 @@
+r"""How far a calibration improves predictions where nobody measured: standard deviations before and after, by region.
+
+Before it, a robot is off its description by what the priors of the calibration say, afterwards by what these and its rows
+leave unknown, with covariances P and C. An instrument that sees the end of a path takes up what its own placement explains:
+with J the derivative of the end's positions at many poses [m per parameter] and B that by the placement of an instrument
+and of its target, the positions have the covariances :math:`J_\perp P J_\perp^T` and :math:`J_\perp C J_\perp^T`, with
+:math:`J_\perp = J - B B^+ J`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.caveats import Caveat, CaveatKind
+from pincal.identify.criteria import CRITERIA
+from pincal.identify.fit import ModelFit
+from pincal.identify.station import Station
+from pincal.model.chain import MOUNT_SYMBOLS
+from pincal.validate.outcome import Improvement
+
+# Poses that are drawn within the joints' limits, measured poses at most, and the seed of both.
+_DRAWN, _MEASURED, _SEED = 400, 200, 0
+_MEASURED_POSES = "measured poses"
+
+
+def improvements(fit: ModelFit) -> tuple[Improvement, ...]:
+    """Return how far predictions are improved, for each link that a reading begins or ends at, region by region."""
+    stations, robot = fit.problem.stations, fit.problem.chain.robot
+    ends = dict.fromkeys(link for s in stations for link in (s.model.chain.path.start, s.model.chain.path.tip))
+    return tuple(found for link in ends if link != robot.base for found in _of_link(fit, link))
+
+
+def unseen_directions(fit: ModelFit) -> tuple[np.ndarray, ...]:
+    """Return the directions, each of shape (3,), in the axes of the robot's base link, along which no reading varies."""
+    pairs = zip(fit.problem.stations, fit.problem.places, strict=True)
+    squares, axes = np.linalg.eigh(sum(_directions(station, fit.values[places]) for station, places in pairs))
+    return tuple(axes[:, squares < CRITERIA.unseen_direction * squares.sum()].T)
+
+
+def _directions(station: Station, values: np.ndarray) -> np.ndarray:
+    """Return the squares and products of the directions in which a station's rows read, summed, shape (3, 3)."""
+    of_model, own = station.split(values)
+    poses, size = station.model.predict(of_model, station.conditions), station.sensor.twist_rows
+    units = np.zeros((3, size, len(station)))
+    units[[0, 1, 2], [0, 1, 2]] = 1.0
+    along = station.sensor.jacobian(poses, units, own)[:3, : station.sensor.blocks[0].size]
+    robot, path = station.model.chain.robot, station.model.chain.path
+    if path.start != robot.base:
+        turned = robot.forward_kinematics(station.conditions.q, robot.between(robot.base, path.start, at_rest=True))
+        along = np.einsum("nij,jmn->imn", turned[:, :3, :3], along)
+    return np.asarray(np.einsum("imn,jmn->ij", along, along))
+
+
+def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) -> Iterator[Caveat]:
+    """Yield what readings without an instrument leave unknown, and what they moved though they do not hold it."""
+    if not improved:
+        return
+    robot, falls = fit.problem.chain.robot, list[str]()
+    for link in dict.fromkeys(region.link for region in improved):
+        regions = [region for region in improved if region.link == link and region.region != _MEASURED_POSES]
+        sizes = np.array([(region.before_mm, region.after_mm) for region in regions])
+        before, after = (float(size) for size in np.sqrt(np.mean(sizes**2, axis=0)))
+        falls.append(f"from {before:.2g} to {after:.2g} mm at {link}")
+        if after > CRITERIA.not_improved * before:
+            yield Caveat(CaveatKind.BLIND, {"link": link, "before": before, "after": after})
+    geometry, elasticity = fit.options.prior_scale or (1.0, 1.0)
+    figures = {"geometry": geometry, "elasticity": elasticity, "how": ", ".join(falls)}
+    yield Caveat(CaveatKind.NO_INSTRUMENT, figures)
+    if unseen := unseen_directions(fit):
+        yield Caveat(CaveatKind.UNSEEN_DIRECTION, {"where": _within(unseen), "base": robot.base})
+    estimate = fit.estimate
+    for joint in dict.fromkeys(name.partition(".")[0] for name in fit.problem.chain.mounts):
+        lengths = [
+            k for k, name in enumerate(estimate.names) if name in {f"{joint}.{symbol}" for symbol in (*MOUNT_SYMBOLS, "d")}
+        ]
+        moved, sigma = (float(np.linalg.norm(of[lengths])) for of in (fit.values, estimate.sigma))
+        if moved > CRITERIA.mount_moved and sigma > CRITERIA.mount_held * moved:
+            yield Caveat(CaveatKind.MOUNT_MOVED, {"joint": joint, "moved": 1e3 * moved, "sigma": 1e3 * sigma})
+
+
+def _within(unseen: tuple[np.ndarray, ...]) -> str:
+    """Return what directions lie in that have no part along one or two given ones."""
+
+    def named(axis: np.ndarray) -> str:
+        return "({:.2f} {:.2f} {:.2f})".format(*(axis * np.sign(axis[np.abs(axis).argmax()]) + 0.0))
+
+    if len(unseen) == 1:
+        return f"the plane across {named(unseen[0])}"
+    return f"the line along {named(np.cross(unseen[0], unseen[1]))}"
+
+
+def _of_link(fit: ModelFit, link: str) -> Iterator[Improvement]:
+    """Yield what is known of a link before and after, region by region."""
+    found, robot = CalibratedModel.of(fit, station=fit.problem.stations[0].name), fit.problem.chain.robot
+    rng, stations = np.random.default_rng(_SEED), fit.problem.stations
+    measured = np.vstack([s.conditions.q for s in stations if link in (s.model.chain.path.start, s.model.chain.path.tip)])
+    q = np.vstack([rng.permutation(measured)[:_MEASURED], robot.random_configurations(_DRAWN, rng)])
+    seen = np.arange(len(q)) < len(q) - _DRAWN
+    chain = replace(found.model.chain, ends=robot.between(robot.base, link, at_rest=True))
+    model = found.model.with_chain(chain.with_references(np.eye(3), np.tile(np.eye(3), (len(chain.targets), 1, 1))))
+    robots, names = ~model.of_station, model.names
+    tips, J = model.linearise(np.where(robots, found.model_values, 0.0), found.of_its_day(found.conditions_at(q)))
+    J = _unplaced(J[:, :3, robots], tips)
+    estimate = fit.estimate.names
+    places = [estimate.index(name) for name, own in zip(names, robots, strict=True) if own]
+    free, prior = fit.solution.free[places], fit.priors.sizes[places]
+    known = np.where(free & np.isfinite(prior), prior, 0.0)
+    covariance = found.estimate.take(name for name, own in zip(names, robots, strict=True) if own).dense_covariance()
+    before = np.sum((J * known) ** 2, axis=(1, 2))
+    after = np.einsum("nip,pq,niq->n", J, covariance, J)
+    for region, rows in _regions(tips[:, :, 3], seen):
+        sizes = [1e3 * float(np.sqrt(np.mean(np.maximum(of[rows], 0.0)))) for of in (before, after)]
+        yield Improvement(link, region, int(rows.sum()), *sizes)
+
+
+def _unplaced(J: np.ndarray, tips: np.ndarray) -> np.ndarray:
+    """Return derivatives of positions, shape (N, 3, P), without what a placement of instrument and target explains."""
+    n, parts = len(J), np.zeros((len(J), 3, 9))
+    parts[:, :, :3], parts[:, :, 6:] = np.eye(3), tips[:, :, :3]
+    for k, axis in enumerate(np.eye(3)):
+        parts[:, :, 3 + k] = np.cross(axis, tips[:, :, 3])
+    B, flat = np.linalg.qr(parts.reshape(3 * n, 9))[0], J.reshape(3 * n, -1)
+    return np.asarray((flat - B @ (B.T @ flat)).reshape(J.shape))
+
+
+def _regions(p: np.ndarray, seen: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the regions of positions, shape (N, 3) in the base link's axes, and which are in each."""
+    yield _MEASURED_POSES, seen
+    far = np.hypot(p[:, 0], p[:, 1])
+    is_far, is_high = far > np.median(far[~seen]), p[:, 2] > np.median(p[~seen, 2])
+    for distance, by_distance in (("near", ~is_far), ("far", is_far)):
+        for height, by_height in (("low", ~is_high), ("high", is_high)):
+            rows = ~seen & by_distance & by_height
+            if rows.any():
+                yield f"{distance}, {height}", rows

@@ -1,0 +1,199 @@
+"""A table given back as it came: other numbers in some of its columns, further columns behind them, all else as it was."""
+
+from __future__ import annotations
+
+import codecs
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pincal.atomic import replacing, write_atomic
+from pincal.errors import MeasurementError, needed
+from pincal.measure.excel_sheet import ENDINGS
+from pincal.measure.reader import Cells
+from pincal.measure.sheet import FrameSheet, SheetColumn
+from pincal.measure.table import write_table
+from pincal.measure.text_sheet import TextSheet
+from pincal.units import SIZES, in_unit
+
+DECIMALS = {"m": 11, "cm": 9, "mm": 8, "um": 5, "µm": 5, "in": 10, "rad": 11, "mrad": 8, "urad": 5, "deg": 9, "°": 9}
+"""Digits behind the point that a written number has at least, by its unit."""
+_TEXT = (".csv", ".txt", ".tsv")
+
+
+def write_returned(out: Path, cells: Cells, columns: Mapping[str, np.ndarray], joints: Sequence[str]) -> None:
+    """Write a table: as the one that was read, with other numbers, if the file's name allows it; else anew, in SI units.
+
+    Args:
+        out: the file.
+        cells: what was read.
+        columns: values in SI units, shape (N,), by name, in their order.
+        joints: those of them that take the places of the table's own, in its units, where it has them. Others that the table
+            has stay as they were, and the rest stands behind them.
+
+    Raises:
+        OutputError: for a name that no table can have, or a place that can't be written to.
+    """
+    sheet, kind = cells.sheet, out.suffix.lower()
+    mine = {column.name: column for column in cells.columns}
+    again = {label: SheetColumn(i, label, label, "", "number") for i, label in enumerate(sheet.labels) if label not in mine}
+    changed = {mine[name]: columns[name] for name in joints if name in mine}
+    changed |= {again[name]: values for name, values in columns.items() if name in again}
+    told = {*mine, *again, *(joints if changed.keys() & mine.values() else ())}
+    told |= {"qx", "qy", "qz", "qw"} if cells.orientation is not None else set()
+    more = {name: values for name, values in columns.items() if name not in told}
+    if isinstance(sheet, TextSheet) and kind in _TEXT and (kind != ".tsv" or sheet.separator == "\t"):
+        write_atomic(out, _text(sheet, cells.rows, changed, more))
+    elif isinstance(sheet, FrameSheet) and sheet.worksheet and kind in ENDINGS:
+        _write_workbook(out, sheet, cells.rows, changed, more)
+    elif isinstance(sheet, FrameSheet) and sheet.path.suffix.lower() == kind == ".parquet" and sheet.rows is None:
+        _write_parquet(out, sheet, cells.rows, changed, more)
+    else:
+        write_table(out, columns)
+
+
+def _text(
+    sheet: TextSheet, rows: np.ndarray, changed: Mapping[SheetColumn, np.ndarray], more: Mapping[str, np.ndarray]
+) -> bytes:
+    """Return a text with other cells and further ones at the end of each line of the table."""
+    raw = sheet.path.read_bytes()
+    encoding = "utf-16" if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "latin-1"
+    lines = re.split(r"(?<=\n)|(?<=\r)(?!\n)", raw.decode(encoding))
+    header = lines[sheet.header_line - 1]
+    separator = sheet.separator if sheet.separator in header else " "
+    places = {int(line): k for k, line in enumerate(rows)}
+    commas = False
+    for number, line in enumerate(lines, start=1):
+        body = line.rstrip("\r\n")
+        end = line[len(body) :]
+        spans = cells_in(body, separator)
+        if number == sheet.header_line:
+            lines[number - 1] = _extended(body, separator, more) + end
+        elif (k := places.get(number)) is not None:
+            for column in sorted(changed, key=lambda column: -column.index):
+                start, stop = spans[column.index]
+                commas |= sheet.decimal_comma and "," in body[start:stop]
+                body = body[:start] + _cell(changed[column][k], column.unit, body[start:stop]) + body[stop:]
+            new = [_plain(values[k]) for values in more.values()]
+            lines[number - 1] = _extended(body, separator, [text.replace(".", ",") for text in new] if commas else new) + end
+        elif number > sheet.header_line and len(spans) == len(sheet.labels) and not body.lstrip().startswith("#"):
+            lines[number - 1] = _extended(body, separator, ["" if separator != " " else "-"] * len(more)) + end
+    return "".join(lines).encode(encoding)
+
+
+def _extended(body: str, separator: str, cells: Iterable[str]) -> str:
+    return separator.join([body.rstrip(" ") if separator == " " else body, *cells])
+
+
+def cells_in(line: str, separator: str) -> list[tuple[int, int]]:
+    """Return start and end of the cells of a line, blanks and quotation marks around them left out.
+
+    Example:
+        >>> cells_in('1; "2,5" ;x', ";")
+        [(0, 1), (4, 7), (10, 11)]
+    """
+    if separator == " ":
+        return [match.span() for match in re.finditer(r"\S+", line)]
+    found, start, is_quoted = list[tuple[int, int]](), 0, False
+    for i, letter in enumerate(line + separator):
+        is_quoted ^= letter == '"'
+        if letter == separator and (not is_quoted or i == len(line)):
+            raw = line[start:i]
+            text = re.sub(r'^"(.*)"$', r"\1", raw.strip()).strip()
+            at = start + raw.find(text)
+            found.append((at, at + len(text)))
+            start = i + 1
+    return found
+
+
+def _cell(value: Any, unit: str, old: str) -> str:
+    """Return a value [SI] as a number like the one that it replaces, which stays if it says the same."""
+    if isinstance(value, str):
+        return value
+    return number_like(float(in_unit(np.array([value]), unit)[0]), DECIMALS.get(unit, 11), old)
+
+
+def number_like(value: float, least: int, old: str) -> str:
+    """Return a value with the decimal mark and the sign of the number that it replaces, which stays if it says the same.
+
+    Example:
+        >>> number_like(1.25, 3, "1,2"), number_like(1.2, 3, "+1.2"), number_like(2.5, 1, "+1.2")
+        ('1,250', '+1.2', '+2.5')
+    """
+    try:
+        if abs(value - float(old.replace(",", "."))) < 0.5 * 10.0**-least:
+            return old
+    except ValueError:
+        pass
+    decimals = re.search(r"[.,](\d*)", old)
+    text = f"{value:.{max(len(decimals[1]) if decimals else 0, least)}f}"
+    text = text.replace(".", ",") if "," in old else text
+    return f"+{text}" if old.startswith("+") and value >= 0.0 else text
+
+
+def _plain(value: Any) -> str:
+    return repr(value.item()) if isinstance(value, (np.floating, np.integer)) else str(value)
+
+
+def _write_workbook(
+    out: Path, sheet: FrameSheet, rows: np.ndarray, changed: Mapping[SheetColumn, np.ndarray], more: Mapping[str, np.ndarray]
+) -> None:
+    with needed("openpyxl", "Excel files", install="'pincal[excel]'", error=MeasurementError):
+        import openpyxl
+    book = openpyxl.load_workbook(sheet.path, keep_vba=sheet.path.suffix.lower() == ".xlsm")
+    page, width = book[sheet.worksheet], len(sheet.labels)
+    for k, name in enumerate(more, start=1):
+        page.cell(sheet.header_line, width + k, name)
+    for i, row in enumerate(map(int, rows)):
+        for column, values in changed.items():
+            page.cell(row, column.index + 1).value = _value(values[i], column.unit)
+        for k, values in enumerate(more.values(), start=1):
+            page.cell(row, width + k, _value(values[i], ""))
+    with replacing(out) as draft:
+        book.save(draft)
+
+
+def _value(value: Any, unit: str) -> Any:
+    return str(value) if isinstance(value, str) else in_unit(np.array([value]), unit)[0].item()
+
+
+def _write_parquet(
+    out: Path, sheet: FrameSheet, rows: np.ndarray, changed: Mapping[SheetColumn, np.ndarray], more: Mapping[str, np.ndarray]
+) -> None:
+    import polars as pl
+
+    frame = sheet.frame.collect()
+    at = rows - 2
+    pairs = [(frame.columns[column.index], values, column.unit) for column, values in changed.items()]
+    for name, values, unit in [*pairs, *((name, values, "") for name, values in more.items())]:
+        old = frame[name].to_numpy().astype(float) if name in frame.columns else np.full(frame.height, np.nan)
+        if values.dtype.kind in "US":
+            frame = frame.with_columns(pl.Series(name, values.tolist()))
+            continue
+        old[at] = in_unit(values, unit)
+        frame = frame.with_columns(pl.Series(name, old))
+    with replacing(out) as draft:
+        frame.write_parquet(draft)
+
+
+def false_columns(cells: Cells, poses: np.ndarray) -> dict[str, np.ndarray]:
+    """Return poses, shape (N, 3, 4) [m], as columns that begin with false_, in the units and angles of the table's own.
+
+    Raises:
+        ValueError: if the table has no poses.
+    """
+    by_name = {column.name: column for column in cells.columns}
+    found = {}
+    for i, axis in enumerate("xyz"):
+        column = by_name[axis]
+        found[f"false_{column.label}"] = in_unit(poses[:, i, 3], column.unit)
+    if (told := cells.orientation) is not None:
+        values = np.array([told.values(pose[:, :3]) for pose in poses])
+        for k, name in enumerate(told.columns):
+            column = by_name[name]
+            ratio = SIZES[told.unit] / SIZES[column.unit] if told.unit and column.unit else 1.0
+            found[f"false_{column.label}"] = values[:, k] * ratio
+    return found

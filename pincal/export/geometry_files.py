@@ -1,0 +1,304 @@
+r"""The calibrated geometry as files of other programs: URDF, Denavit-Hartenberg tables, frames of controllers.
+
+A table of Denavit-Hartenberg parameters, standard or modified, is, between a base frame and a tool frame, with q added
+to theta, or to d of a prismatic joint,
+
+.. math::
+
+    \text{standard:}\; \prod_i R_z(\theta_i) T_z(d_i) T_x(a_i) R_x(\alpha_i) R_y(\beta_i), \qquad
+    \text{modified:}\; \prod_i T_x(a_i) R_x(\alpha_i) R_y(\beta_i) R_z(\theta_i) T_z(d_i).
+
+:math:`\beta` is Hayati's parameter [Hayati1983]_: two axes that are parallel but for a fraction of a milliradian have
+their common normal kilometres away, which no controller can calculate with; it is zero for all others.
+
+.. [Hayati1983] S. Hayati, Robot arm geometric link parameter estimation, IEEE CDC 1983.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from typing import ClassVar, Literal, get_args
+
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.errors import BadInputError
+from pincal.export.exported import FORMATS, Exported, Format, as_comment
+from pincal.io.urdf_export import calibrated_urdf, rigid_notes, rigid_tips
+from pincal.io.urdf_text import read_origins, rpy_of
+from pincal.measure.orientation import CONVENTIONS
+from pincal.model.augmented import joint_mounts, joint_placements
+from pincal.model.model import Model
+from pincal.parameters import FRAME_SYMBOLS
+from pincal.robot.dh import DhFrames, dh_frames
+from pincal.robot.se3 import placed, rotation, rotation_vectors, translation
+from pincal.robot.urdf_file import parse_urdf
+
+_COLUMNS = ("theta", "d", "a", "alpha", "beta")
+_POSE = ("x", "y", "z", "roll", "pitch", "yaw")
+_HEAD = ["convention", "row", "type", *(f"{c} [{'m' if c in 'da' else 'rad'}]" for c in _COLUMNS)]
+_HEAD += [f"{c} [{'m' if c in 'xyz' else 'rad'}]" for c in _POSE]
+_TOLERANCE = 1e-9
+_CHECKED_POSES = 50
+
+
+@FORMATS.register
+@dataclass(frozen=True)
+class DhTable(Format):
+    """A CSV with a row a joint between a base frame and a tool frame, in both conventions."""
+
+    name: ClassVar[str] = "dh"
+    meaning: ClassVar[str] = "Denavit-Hartenberg parameters, standard and modified"
+    of_robot: ClassVar[bool] = True
+
+    def export(self, calibrated: CalibratedModel) -> Exported:
+        model, values = calibrated.model, calibrated.model_values
+        robot = model.chain.robot
+        frames = _calibrated_frames(model, values)
+        rows = _rows(frames)
+        q = robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0))
+        true = rigid_tips(model, values, q)[:, :, 3]
+        slides = np.array([kind == "prismatic" for kind in robot.joint_types])
+        tables = {"standard": rows, "modified": _modified(rows)}
+        tips = {name: _tips(name, table, frames, q=q, slides=slides) for name, table in tables.items()}
+        worst = max(float(np.linalg.norm(found - true, axis=1).max()) for found in tips.values())
+        if not worst <= _TOLERANCE:
+            raise BadInputError(f"{robot.name}: its parameters would be off by up to {worst:.2g} m; use another format")
+        notes = rigid_notes(model, what="table of DH parameters")
+        notes += tuple(
+            f"{mimic.joint} follows {mimic.source}: {mimic.multiplier!r} times its position plus {mimic.offset!r}"
+            for mimic in robot.mimics
+        )
+        if np.any(rows[:, 4]):
+            flat = _tips("standard", rows * [1.0, 1.0, 1.0, 1.0, 0.0], frames, q=q, slides=slides)
+            off = 1e3 * float(np.linalg.norm(flat - true, axis=1).max())
+            pairs = ", ".join(f"{robot.joint_names[i]} and the next" for i in np.flatnonzero(rows[:, 4]))
+            cost = f"without beta the tip is off by up to {off:.3f} mm"
+            notes += (f"beta (Hayati): the axes of {pairs} are nearly parallel; {cost}",)
+        text = [f"# {note}" for note in notes] + [",".join(_HEAD)]
+        for name, table in tables.items():
+            text += _lines(name, table, frames, names=robot.joint_names, types=robot.joint_types)
+        return Exported({"": ("\n".join(text) + "\n").encode()}, notes, worst)
+
+
+def _calibrated_frames(model: Model, values: np.ndarray) -> DhFrames:
+    """Return DH frames along the calibrated axes."""
+    chain, x = model.chain, model.rigid_coordinates(values)
+    frame, origins, axes = chain.robot.frames.T_base_first, [], []
+    for i in range(chain.robot.n_joints):
+        at = {s: x[chain.joint(i, s)] for s in ("s_x", "s_y", "theta", "d", "a", "alpha")}
+        frame = frame @ rotation("x", at["s_x"]) @ rotation("y", at["s_y"])
+        origins.append(frame[:3, 3])
+        axes.append(frame[:3, 2])
+        frame = frame @ rotation("z", at["theta"]) @ translation(at["a"], 0.0, at["d"]) @ rotation("x", at["alpha"])
+    return dh_frames(np.array(origins), np.array(axes), frame @ chain.robot.frames.T_last_tip)
+
+
+def _rows(frames: DhFrames) -> np.ndarray:
+    """Return theta, d, a, alpha, beta of each joint, shape (n, 5): the tilt before an axis belongs to the row before it."""
+    tilt = np.vstack([frames.parameters[1:, :2], np.zeros((1, 2))])
+    theta, d, a, alpha = frames.parameters[:, 2:].T
+    return np.column_stack([theta, d, a, alpha + tilt[:, 0], tilt[:, 1]])
+
+
+def _modified(rows: np.ndarray) -> np.ndarray:
+    """Return the rows in which a, alpha and beta stand before their joint; those behind the last are zero."""
+    assert not rows[-1, 2:].any()
+    return np.column_stack([rows[:, :2], np.vstack([np.zeros((1, 3)), rows[:-1, 2:]])])
+
+
+def _tips(name: str, rows: np.ndarray, frames: DhFrames, *, q: np.ndarray, slides: np.ndarray) -> np.ndarray:
+    """Return the tip's positions by a table, shape (N, 3) [m]."""
+    out = []
+    for at in q:
+        T = frames.T_base_first
+        for (theta, d, a, alpha, beta), position, is_sliding in zip(rows, at, slides, strict=True):
+            turned, moved = (theta, d + position) if is_sliding else (theta + position, d)
+            joint = rotation("z", turned) @ translation(0.0, 0.0, moved)
+            link = translation(a, 0.0, 0.0) @ rotation("x", alpha) @ rotation("y", beta)
+            T = T @ (joint @ link if name == "standard" else link @ joint)
+        out.append((T @ frames.T_last_tip)[:3, 3])
+    return np.array(out)
+
+
+def _lines(name: str, rows: np.ndarray, frames: DhFrames, *, names: tuple[str, ...], types: tuple[str, ...]) -> list[str]:
+    """Return the lines of one convention; numbers in full precision."""
+
+    def frame(what: str, T: np.ndarray) -> str:
+        pose = [*T[:3, 3], *rpy_of(T[:3, :3], np.zeros(3))]
+        return ",".join([name, what, "frame", *[""] * len(_COLUMNS), *(repr(float(v)) for v in pose)])
+
+    joints = [
+        ",".join([name, joint, kind, *(repr(float(v)) for v in row), *[""] * len(_POSE)])
+        for joint, kind, row in zip(names, types, rows, strict=True)
+    ]
+    return [frame("base", frames.T_base_first), *joints, frame("tool", frames.T_last_tip)]
+
+
+Controller = Literal["kuka", "fanuc", "abb", "ur"]
+# Digits behind the point: a hundredth of what any controller keeps, and of what is ever measured.
+_DIGITS = 9
+
+
+@FORMATS.register
+@dataclass(frozen=True)
+class ControllerFrames(Format):
+    """The instrument's frame seen from the robot's base, and the targets on the tip, in a controller's convention.
+
+    Attributes:
+        controller: "kuka" (X Y Z A B C), "fanuc" (X Y Z W P R), "abb" (x y z q1 q2 q3 q4) or "ur" (x y z rx ry rz).
+    """
+
+    controller: str = "kuka"
+    name: ClassVar[str] = "frames"
+    meaning: ClassVar[str] = "base and tool frames for a controller"
+
+    def export(self, calibrated: CalibratedModel) -> Exported:
+        if self.controller not in get_args(Controller):
+            raise BadInputError(f"controller {self.controller!r}; expected one of {', '.join(get_args(Controller))}")
+        convention, frames = CONVENTIONS[self.controller], _frames(calibrated)
+        unit = "m" if self.controller == "ur" else "mm"
+        rows = [(name, T, np.concatenate([T[:3, 3] * (1.0 if unit == "m" else 1e3), convention.values(T[:3, :3])])) for
+                name, T in frames.items()]  # fmt: skip
+        numbers = [(name, [f"{value:.{_DIGITS}f}" for value in values]) for name, _, values in rows]
+        angles = f" [{convention.unit}]" if convention.unit else ""
+        notes = _notes(calibrated, convention.words)
+        head = ",".join(["frame", *(f"{axis} [{unit}]" for axis in "xyz"), *(f"{c}{angles}" for c in convention.columns)])
+        lines = [
+            *(f"# {note}" for note in notes),
+            head,
+            *(f"{as_comment(name)},{','.join(cells)}" for name, cells in numbers),
+        ]
+        scale = 1.0 if unit == "m" else 1e-3
+        lost = [np.linalg.norm(T[:3, 3] - scale * np.array(cells[:3], float))
+                for (_, T, _), (_, cells) in zip(rows, numbers, strict=True)]  # fmt: skip
+        return Exported({"": ("\n".join(lines) + "\n").encode()}, notes, float(max(lost)))
+
+
+def _frames(calibrated: CalibratedModel) -> dict[str, np.ndarray]:
+    model, estimate = calibrated.model, calibrated.estimate
+    chain = model.chain
+
+    def coordinates(element: str) -> np.ndarray:
+        names = [f"{element}.{symbol}" for symbol in FRAME_SYMBOLS]
+        return np.array([estimate[name] if name in estimate.names else 0.0 for name in names])
+
+    found = {}
+    if "base.x" in estimate.names:
+        found["base"] = np.linalg.inv(placed(chain.base_rotation, coordinates("base")))
+    return found | {t: placed(R, coordinates(t)) for t, R in zip(chain.targets, chain.tool_rotations, strict=True)}
+
+
+def _notes(calibrated: CalibratedModel, words: str) -> tuple[str, ...]:
+    model, robot = calibrated.model, calibrated.model.chain.robot
+    base, tip = as_comment(robot.base), as_comment(robot.tip)
+    turned = "" if model.has_tool_orientation else "; only their positions were measured, their axes are those of the tip"
+    moving = [e.name for e in model.effects if e.scope == "station" and e.needs]
+    lacking = (f"{', '.join(moving)}: the frames are those at its reference",) if moving else ()
+    return (
+        f"orientation as {words}",
+        f"base: the instrument's frame seen from {base}; the others: targets seen from {tip}{turned}",
+        f"a controller whose own base or flange is not {base} or {tip} needs them transformed by the difference",
+        "frames hold no geometry, elasticity or other effects: they are valid with the calibrated robot only",
+        *lacking,
+    )
+
+
+# The six transforms of the yaml by the ends of the joints' names, and the link that the first stands on.
+_JOINTS = {
+    "shoulder_pan_joint": "shoulder", "shoulder_lift_joint": "upper_arm", "elbow_joint": "forearm",
+    "wrist_1_joint": "wrist_1", "wrist_2_joint": "wrist_2", "wrist_3_joint": "wrist_3",
+}  # fmt: skip
+_FOOT = "base_link_inertia"
+# What a tip has to move by [m or rad] to be worth a note.
+_MOVED = 1e-9
+
+
+@FORMATS.register
+@dataclass(frozen=True)
+class UrKinematics(Format):
+    """The yaml of ur_description: expanded through its xacro (``kinematics_params``) it is the calibrated arm."""
+
+    name: ClassVar[str] = "ur-kinematics"
+    meaning: ClassVar[str] = "the kinematics of ur_description"
+    of_robot: ClassVar[bool] = True
+
+    def export(self, calibrated: CalibratedModel) -> Exported:
+        model, robot = calibrated.model, calibrated.model.chain.robot
+        _refuse_others(calibrated)
+        found = calibrated_urdf(model, calibrated.model_values)
+        origins = read_origins(found.text, robot.source)
+        lines = ["kinematics:"]
+        for joint, part in zip(robot.joint_names, _JOINTS.values(), strict=True):
+            pose = (*origins[joint].xyz, *origins[joint].rpy)
+            lines.append(f"  {part}:")
+            lines += [f"    {key}: {float(value)!r}" for key, value in zip(_KEYS, pose, strict=True)]
+        digest = int.from_bytes(hashlib.sha256("\n".join(lines).encode()).digest()[:8]) >> 1
+        lines.append(f"  hash: calib_{digest}")
+        notes = (*rigid_notes(model, what="yaml of ur_description"), *_tip_note(calibrated))
+        text = "\n".join([*(f"# {as_comment(note)}" for note in notes), *lines]) + "\n"
+        return Exported({"": text.encode()}, notes, found.max_error_m)
+
+
+_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def _refuse_others(calibrated: CalibratedModel) -> None:
+    """Refuse an arm that is not one of ur_description.
+
+    Raises:
+        BadInputError: saying what is different.
+    """
+    robot = calibrated.model.chain.robot
+    expected = "expected a robot of ur_description, expanded from its xacro"
+    matches = len(robot.joint_names) == len(_JOINTS) and all(
+        name.endswith(end) for name, end in zip(robot.joint_names, _JOINTS, strict=True)
+    )
+    if not matches:
+        raise BadInputError(f"{robot.name}: joints {', '.join(robot.joint_names)} are not those of a UR; {expected}")
+    tree = parse_urdf(robot.urdf, source=robot.source)
+    foot = next(joint.parent for joint in tree.joints if joint.name == robot.joint_names[0])
+    axes = joint_mounts(calibrated.model.chain)[:, 2, :3]
+    if not foot.endswith(_FOOT) or np.abs(axes - [0.0, 0.0, 1.0]).max() > _MOVED:
+        raise BadInputError(f"{robot.name}: an older description with other frames; {expected}")
+
+
+def _tip_note(calibrated: CalibratedModel) -> tuple[str, ...]:
+    model = calibrated.model
+    (_, before), (_, after) = (joint_placements(model, v) for v in (0.0 * calibrated.model_values, calibrated.model_values))
+    change = np.linalg.inv(before) @ after
+    moved, turned = change[:3, 3], rotation_vectors(change[None, :3, :3])[0]
+    if max(np.abs(moved).max(), np.abs(turned).max()) <= _MOVED:
+        return ()
+    numbers = "x {:.6f} y {:.6f} z {:.6f} mm, rx {:.6f} ry {:.6f} rz {:.6f} mrad".format(*(1e3 * moved), *(1e3 * turned))
+    return (f"the tip has moved by {numbers} in its own axes, which the yaml can't hold; add it to the tool",)
+
+
+@FORMATS.register
+@dataclass(frozen=True)
+class CalibratedUrdf(Format):
+    """The original URDF with corrected joint origins, verified with Pinocchio."""
+
+    name: ClassVar[str] = "urdf"
+    meaning: ClassVar[str] = "the calibrated URDF"
+    of_robot: ClassVar[bool] = True
+
+    def export(self, calibrated: CalibratedModel) -> Exported:
+        if not calibrated.model.chain.robot.urdf:
+            raise BadInputError("the model holds no URDF to correct; calibrate again from a URDF file")
+        found = calibrated_urdf(calibrated.model, calibrated.values)
+        return Exported({"": found.text}, found.notes, found.max_error_m)
+
+
+@FORMATS.register
+@dataclass(frozen=True)
+class CameraJson(Format):
+    """Parameters and mount of the camera as JSON."""
+
+    name: ClassVar[str] = "camera"
+    meaning: ClassVar[str] = "the camera, parameters and mount"
+
+    def export(self, calibrated: CalibratedModel) -> Exported:
+        return Exported({"": (json.dumps(calibrated.camera(), indent=1) + "\n").encode()})

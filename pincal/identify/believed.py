@@ -1,0 +1,176 @@
+r"""What is believed of parameters beyond the prior of each: earlier fits, smooth curves, the scale of contacts.
+
+With m the values and C the covariance that an earlier fit found of the robot's parameters x, whatever belonged to the
+stations of that time left out, its term is :math:`(x - m)^T C^{-1} (x - m)`. It takes the place of these parameters' priors,
+which are in C already. For a linear model the fit of new rows beside it is the joint fit of old and new ones.
+
+A solver counts in units of priors, so the term is handed to it as what it says beyond them, :math:`C^{-1} - D^{-2}` for
+priors of sizes D. What the old rows did not see has only the priors then, as if the rows were there. That a curve is smooth
+is such a term about zero, beside the priors of its heights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.identify.quadratic import Form
+from pincal.identify.station import Station
+from pincal.model.effects import LENGTHS
+from pincal.parameters import Estimate, Parameter
+
+# Smallest standard deviation of a direction, in parts of the largest, each parameter in units of its own: below is rounding.
+_LEAST = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Earlier:
+    """A normal distribution of K parameters, or what is believed of them beside the prior of each: (x - m)^T H (x - m).
+
+    Attributes:
+        names: the parameters.
+        mean: shape (K,), m.
+        information: shape (K, K), H, of a distribution the inverse of its covariance.
+        sigma: shape (K,), standard deviations, if the priors about zero are part of it already; None for what stands beside
+            them.
+        places: shape (K,), where the parameters stand in a problem's table.
+    """
+
+    names: tuple[str, ...]
+    mean: np.ndarray
+    information: np.ndarray
+    sigma: np.ndarray | None
+    places: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+
+    @classmethod
+    def of(cls, estimate: Estimate) -> Earlier:
+        """Return what an estimate of a robot's parameters says of those that were fitted.
+
+        Raises:
+            BadInputError: if there are parameters of a station among them.
+        """
+        foreign = [p.name for p in estimate.parameters if p.station or p.is_extrinsic]
+        if foreign:
+            raise BadInputError(
+                f"{foreign[0]} belongs to a station; expected the robot's own parameters, such as model.robot_estimate has"
+            )
+        free = estimate.free
+        root, sigma = estimate.covariance.root, np.sqrt(estimate.covariance.variance)
+        axes, lengths, _ = np.linalg.svd(root / sigma[:, None], full_matrices=False)
+        lengths = np.maximum(lengths, _LEAST * lengths.max(initial=0.0))
+        inverse = axes / lengths / sigma[:, None]
+        names = tuple(name for name, is_free in zip(estimate.names, free, strict=True) if is_free)
+        return cls(names, estimate.values[free], inverse @ inverse.T, sigma)
+
+    def known_zero(self, others: np.ndarray) -> Earlier:
+        """Return the distribution of the other parameters if some, shape (K,), are known to be zero."""
+        if not others.any():
+            return self
+        kept = ~others
+        H = self.information[np.ix_(kept, kept)]
+        C = np.linalg.inv(H)
+        mean = self.mean[kept] + C @ (self.information[np.ix_(kept, others)] @ self.mean[others])
+        names = tuple(name for name, is_kept in zip(self.names, kept, strict=True) if is_kept)
+        return Earlier(names, mean, H, np.sqrt(np.diag(C)))
+
+    def taken_back(self, sizes: np.ndarray) -> np.ndarray:
+        """Return the sizes of the priors that are part of it, shape (K,), inf for none, given those of all parameters."""
+        return np.full(len(self.places), np.inf) if self.sigma is None else sizes[self.places]
+
+
+class Beliefs(NamedTuple):
+    """What is believed of a problem's parameters beyond the prior of each.
+
+    Attributes:
+        terms: no parameter is in two of them.
+        is_remembered: shape (P,), which parameters are known from an earlier fit.
+        is_slope: whether there is nothing but the slope of contacts, which counts for nothing beside exact readings.
+    """
+
+    terms: tuple[Earlier, ...]
+    is_remembered: np.ndarray
+    is_slope: bool
+
+    def recalled(self, values: np.ndarray) -> np.ndarray:
+        """Return values, shape (P,), with those of an earlier fit where it has any."""
+        recalled = values.copy()
+        for term in self.terms:
+            if term.sigma is not None:
+                recalled[term.places] = term.mean
+        return recalled
+
+    def widened(self, sizes: np.ndarray) -> np.ndarray:
+        """Return sizes of priors, shape (P,), no smaller than these, beyond which no earlier fit says less than nothing."""
+        found = sizes.copy()
+        for term in self.terms:
+            if term.sigma is not None:
+                wide = np.maximum(sizes[term.places], term.sigma)
+                least = float(np.linalg.eigvalsh(term.information * np.outer(wide, wide)).min(initial=1.0))
+                found[term.places] = wide / np.sqrt(np.clip(least, 1e-6, 1.0))
+        return found
+
+    def square(self, values: np.ndarray, sizes: np.ndarray) -> float:
+        """Return what they add to the sum of squares of the priors; arguments as of :meth:`beyond_priors`."""
+        total = 0.0
+        for term in self.terms:
+            here, off = values[term.places], values[term.places] - term.mean
+            total += float(off @ term.information @ off - np.sum((here / term.taken_back(sizes)) ** 2))
+        return total
+
+    def beyond_priors(self, kept: np.ndarray, values: np.ndarray, sizes: np.ndarray) -> Form:
+        """Return what they add to the priors of some parameters.
+
+        Args:
+            kept: shape (K,), their places, ascending.
+            values: shape (P,), present values.
+            sizes: shape (P,), standard deviations of the priors.
+        """
+        information, slope = np.zeros((len(kept), len(kept))), np.zeros(len(kept))
+        for term in self.terms:
+            back, here = term.taken_back(sizes), values[term.places]
+            of = np.flatnonzero(np.isin(term.places, kept))
+            at = np.searchsorted(kept, term.places[of])
+            information[at[:, None], at] += (term.information - np.diag(back**-2.0))[of[:, None], of]
+            slope[at] += (term.information @ (term.mean - here) + here / back**2)[of]
+        return Form.of(information, slope)
+
+
+def slope_of_contacts(station: Station) -> np.ndarray:
+    r"""Return what keeps the noise of contacts from shrinking the robot: the slope of a row's log-likelihood, shape (P,).
+
+    Contacts read joints q at which residuals r(q) are small. The smaller the robot, the smaller they are, whatever it is:
+    the likelihood of q is the density of r times :math:`\sqrt{\det (J J^T)}` with J = dr/dq, which grows with the scale s
+    of the robot as :math:`s^m` for m components of r. Without this :math:`m \ln s` of each row N rows shrink a robot whose
+    scale is known to sigma by about :math:`m N \sigma^2`. The scale is that of the lengths L on the path,
+    :math:`\ln s = L^T \delta / L^T L` for deviations delta of theirs.
+    """
+    chain, nothing = station.model.chain, np.zeros(len(station.parameters))
+    if not station.sensor.is_of_joints:
+        return nothing
+    passed = {name for name, on in zip(chain.robot.joint_names, chain.on_path, strict=True) if on}
+    lengths = np.array([p.nominal if p.symbol in LENGTHS and p.element in passed else 0.0 for p in station.parameters])
+    return int(station.block_sizes.sum()) * lengths / (lengths @ lengths) if lengths.any() else nothing
+
+
+def scale_of_contacts(
+    stations: Sequence[Station], places: Sequence[np.ndarray], parameters: Sequence[Parameter]
+) -> Earlier | None:
+    """Return :func:`slope_of_contacts` of all rows as squares about a point so far away that they are straight.
+
+    Args:
+        stations: all stations.
+        places: where the parameters of each stand among all.
+        parameters: all P of them.
+    """
+    slope = np.zeros(len(parameters))
+    for station, local in zip(stations, places, strict=True):
+        slope[local] += len(station) * slope_of_contacts(station)
+    at = np.flatnonzero(slope)
+    if not len(at):
+        return None
+    along = slope[at] / np.linalg.norm(slope)
+    return Earlier(tuple(parameters[int(k)].name for k in at), slope[at], np.outer(along, along), None, at)

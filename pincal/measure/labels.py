@@ -1,0 +1,223 @@
+"""The labels of a header: names and units in many spellings, joints by numbers, a position by other names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from pincal.errors import MeasurementError
+from pincal.measure.heading import NUMBERED, normal_unit
+from pincal.units import UNITS
+
+# What stands beside the letter of an axis where a position is named.
+_PLACES = frozenset(
+    ("p", "pos", "position", "tcp", "point", "target", "meas", "measured", "tracker", "reflector", "smr", "laser", "trans",
+     "translation", "t", "loc", "location", "coord", "coordinate", "actual", "act", "value")
+)  # fmt: skip
+# `x [mm]` is how pincal writes a unit; these are the other spellings: `x (mm)`, `x_mm`, `x mm`, `x/mm`.
+_OTHER_SPELLINGS = (r"(.*?)\s*\(\s*([^()]*?)\s*\)", r"(.*)_([^_]*)", r"(.*?)\s+(\S*)", r"(.*?)\s*/\s*(\S*)")
+# An ending that is a unit and a word of its own.
+_WORDS = ("in",)
+
+
+@dataclass(frozen=True)
+class Label:
+    """A label of a header.
+
+    Attributes:
+        index: of the column.
+        text: the label in the header.
+        meant: the same after the user's word on it.
+    """
+
+    index: int
+    text: str
+    meant: str
+
+    @property
+    def name(self) -> str:
+        """What it is called, a unit in brackets left out."""
+        return name_of(self.meant)
+
+
+def name_of(label: str) -> str:
+    """Return a label without its unit in brackets."""
+    return label.split("[")[0].strip()
+
+
+def renamed(labels: Sequence[str], columns: Mapping[str, str], *, source: str, others: Sequence[str] = ()) -> list[Label]:
+    """Return the labels with the user's meaning of some; a unit of the header stays unless the user names one.
+
+    Args:
+        labels: the header.
+        columns: names and what they hold.
+        source: the file, for messages.
+        others: labels of a file that is joined with it, which the user may mean, too.
+
+    Raises:
+        MeasurementError: for a name that no column or more than one has.
+    """
+    found = [Label(i, text, text) for i, text in enumerate(labels)]
+    for name, meaning in columns.items():
+        hits = [i for i, text in enumerate(labels) if is_named(text, name)]
+        if not hits and any(is_named(text, name) for text in others):
+            continue
+        if len(hits) != 1:
+            column, bracket, unit = meaning.partition("[")
+            swapped = not hits and any(is_named(text, column.strip()) for text in labels)
+            hint = f'; is "{column.strip()}={name}{bracket and f" [{unit}"}" meant?' if swapped else ""
+            count = "no column" if not hits else f"{len(hits)} columns"
+            raise MeasurementError(
+                f'{source}: {count} "{name}" for --columns {name}={meaning}{hint}; {columns_listed(labels)}'
+            )
+        text = labels[hits[0]]
+        unit = unit_in(text)
+        found[hits[0]] = Label(hits[0], text, meaning if "[" in meaning or not unit else f"{meaning} [{unit}]")
+    return found
+
+
+def is_named(text: str, name: str) -> bool:
+    """Return whether the user may call a column so: by its label, with or without a unit."""
+    return name in (text, name_of(text), _bare(text))
+
+
+def unignored(labels: Sequence[Label], ignored: Sequence[str]) -> list[Label]:
+    """Return the labels without those that the user wants to be ignored, by whatever name."""
+    return [label for label in labels if not {label.name, label.meant, label.text} & set(ignored)]
+
+
+def columns_listed(labels: Sequence[str], most: int = 20) -> str:
+    """Return what a table has, for messages."""
+    shown = ", ".join(f'"{text[:30]}"' for text in labels[:most])
+    return f"the table has {shown}{', ...' if len(labels) > most else ''}"
+
+
+def _bare(text: str) -> str:
+    """Return a label without a unit in parentheses."""
+    match = re.fullmatch(_OTHER_SPELLINGS[0], text)
+    return match[1] if match else text
+
+
+def unit_in(text: str) -> str:
+    """Return the unit that a label has in brackets of whatever kind."""
+    match = re.fullmatch(r"[^\[(]*[\[(]([^\])]*)[\])]\s*", text)
+    return match[1].strip() if match else ""
+
+
+def spelled(label: Label, quantities: Mapping[str, str]) -> tuple[str, str] | None:
+    """Return the known name and the unit of a label in another spelling than ``name [unit]``; None if there is none.
+
+    Example:
+        >>> known = {"x": "length", "joint_1": "angle"}
+        >>> [spelled(Label(0, text, text), known) for text in ("X", "x (mm)", "Joint_1_deg", "x_kg")]
+        [('x', ''), ('x', 'mm'), ('joint_1', 'deg'), None]
+    """
+    folded: dict[str, list[str]] = {}
+    for each in quantities:
+        folded.setdefault(each.casefold(), []).append(each)
+
+    def known(text: str) -> str | None:
+        same = folded.get(text.strip().casefold(), [])
+        return text.strip() if text.strip() in quantities else same[0] if len(same) == 1 else None
+
+    if (plain := known(label.name)) is not None:
+        return plain, label.meant[len(label.meant.split("[")[0]) :]
+    for place, pattern in enumerate(_OTHER_SPELLINGS):
+        match = re.fullmatch(pattern, label.meant)
+        name = known(match[1]) if match else None
+        if match and name:
+            unit = normal_unit(match[2])
+            if unit in UNITS[quantities[name]] and (place == 0 or unit not in _WORDS):
+                return name, unit
+    return None
+
+
+def unit_of(label: str, quantity: str, *, where: str) -> str:
+    """Return the unit that a label has in brackets; empty without any.
+
+    Raises:
+        MeasurementError: for a unit that is not closed or not of this quantity.
+    """
+    match = re.fullmatch(r"[^\[\]]*(?:\[([^\[\]]*)\])?", label)
+    unit = normal_unit(match[1] or "") if match else ""
+    accepted = ", ".join(f"[{unit}]" for unit in UNITS[quantity]) or "no unit"
+    if match is None:
+        raise MeasurementError(f"{where}: unclosed unit; expected at its end one of {accepted}")
+    if "[" in label and unit not in UNITS[quantity]:
+        raise MeasurementError(f"{where}: [{unit}] is no unit of this column; expected one of {accepted}")
+    return unit
+
+
+def numbered_joints(labels: Sequence[Label], joints: Sequence[str]) -> dict[str, str]:
+    """Return the labels, as they are meant, that number all the joints of an arm; empty if none do or several.
+
+    Joints stand in their order from the base to the flange, counted from 1 or from 0. Labels with a further number, such as
+    that of an external axis, are not taken for those of an arm; nor are q1 q2 q3 q4, which may be a quaternion.
+
+    Example:
+        >>> labels = [Label(i, f"J{i + 1} (deg)", f"J{i + 1} (deg)") for i in range(2)]
+        >>> numbered_joints(labels, ["shoulder", "elbow"])
+        {'J1 (deg)': 'shoulder [deg]', 'J2 (deg)': 'elbow [deg]'}
+    """
+    families: dict[str, dict[int, tuple[Label, str]]] = {}
+    for label in labels:
+        for base, unit in _splits(label.meant):
+            if match := NUMBERED.fullmatch(base):
+                prefix = base[: match.start(2)].casefold()
+                families.setdefault(prefix, {})[int(match[2])] = label, unit
+                break
+    n = len(joints)
+    whole = [
+        [family[i] for i in sorted(family)]
+        for prefix, family in families.items()
+        if sorted(family) in ([*range(n)], [*range(1, n + 1)]) and not (prefix == "q" and n == 4)
+    ]
+    if len(whole) != 1:
+        return {}
+    pairs = zip(whole[0], joints, strict=True)
+    return {label.meant: f"{joint} [{unit}]" if unit else joint for (label, unit), joint in pairs}
+
+
+def without_unit(text: str) -> str:
+    """Return a label without the unit of an angle or a length, in whatever spelling.
+
+    Example:
+        >>> without_unit("Roll (deg)"), without_unit("rx_deg"), without_unit("q_1")
+        ('Roll', 'rx', 'q_1')
+    """
+    return next((base for base, unit in _splits(text) if unit), name_of(text))
+
+
+def _splits(text: str) -> Iterator[tuple[str, str]]:
+    """Yield a label as name and unit, in all spellings."""
+    yield name_of(text), unit_in(text) if "[" in text else ""
+    known: Collection[str] = {*UNITS["angle"], *UNITS["length"]}
+    for pattern in _OTHER_SPELLINGS:
+        match = re.fullmatch(pattern, text)
+        if match and normal_unit(match[2]) in known:
+            yield match[1], normal_unit(match[2])
+
+
+def place_columns(labels: Sequence[Label]) -> dict[str, str]:
+    """Return the labels, as they are meant, that name a position otherwise than by x y z; empty if none do or several.
+
+    Example:
+        >>> labels = [Label(i, text, text) for i, text in enumerate(("TCP_X (mm)", "TCP_Y (mm)", "TCP_Z (mm)", "RMS"))]
+        >>> place_columns(labels)
+        {'TCP_X (mm)': 'x [mm]', 'TCP_Y (mm)': 'y [mm]', 'TCP_Z (mm)': 'z [mm]'}
+    """
+    found: dict[tuple[str, ...], dict[str, tuple[Label, str]]] = {}
+    for label in labels:
+        for base, unit in _splits(label.meant):
+            words = [word for word in re.split(r"[^a-z0-9]+", base.casefold()) if word]
+            # ``PosX`` is one word.
+            parts = [part for word in words for part in ((word[:-1], word[-1]) if word[:-1] in _PLACES else (word,))]
+            rest = tuple(part for part in parts if part not in ("x", "y", "z"))
+            axes = [part for part in parts if part in ("x", "y", "z")]
+            if len(axes) == 1 and rest and _PLACES.issuperset(rest):
+                found.setdefault(rest, {}).setdefault(axes[0], (label, unit))
+    whole = [axes for axes in found.values() if len(axes) == 3]
+    if len(whole) != 1:
+        return {}
+    return {label.meant: f"{axis} [{unit}]" if unit else axis for axis, (label, unit) in whole[0].items()}

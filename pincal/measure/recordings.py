@@ -1,0 +1,357 @@
+"""Parquet files, data sets of LeRobot and recordings of ROS as sheets.
+
+In Parquet each number of a list is a column, named by the data set: a data set is a folder with ``meta/info.json``,
+which names the numbers of each feature, and ``data/*/*.parquet``.
+
+A recording of ROS (rosbag2 folders, .mcap, .db3, and .bag of ROS 1) has a row per pose that was held still. Joints come
+from a topic of JointState, readings from one of PoseStamped, PointStamped or TransformStamped; without such a topic from
+the one transform of /tf that moves freely, which no joint of a robot does. Times are those of the recorder, so that clocks
+of several computers don't matter. Joints and readings are means over the pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pincal.errors import MeasurementError, needed, warn
+from pincal.measure.joined import HeldPoses, held_poses, mean_turn
+from pincal.measure.nested_sheet import vector_labels
+from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
+
+# Size of a cell in memory [bytes], a number's.
+_BYTES = 8
+# Numbers of a list that are columns: images are longer.
+_MOST = 32
+
+
+def open_parquet(path: Path) -> FrameSheet:
+    """Read the header of a Parquet file.
+
+    Raises:
+        MeasurementError: if it holds far more than fits into its size.
+    """
+    return _with_vectors(_scanned(path))
+
+
+def _scanned(path: Path) -> FrameSheet:
+    import polars as pl
+
+    lazy = pl.scan_parquet(path, glob=False)
+    labels = lazy.collect_schema().names()
+    check_unpacked(path, _BYTES * len(labels) * int(lazy.select(pl.len()).collect().item()))
+    return FrameSheet(path, tuple(labels), decimal_comma=True, frame=lazy)
+
+
+def is_dataset(path: Path) -> bool:
+    """Return whether a path is the folder of a data set."""
+    return (path / "meta" / "info.json").is_file()
+
+
+def open_dataset(path: Path) -> FrameSheet:
+    """Read the headers of all episodes of a data set.
+
+    Raises:
+        MeasurementError: for a folder without data, or files that differ in their columns.
+    """
+    import polars as pl
+
+    files = sorted((path / "data").rglob("*.parquet"))
+    if not files:
+        raise MeasurementError(f"{path.name}: no Parquet file in data/; expected a data set of LeRobot")
+    sheets = [_scanned(file) for file in files]
+    if len({sheet.labels for sheet in sheets}) > 1:
+        raise MeasurementError(f"{path.name}: files in data/ differ in their columns; expected one data set")
+    whole = replace(sheets[0], path=path, frame=pl.concat([sheet.frame for sheet in sheets]))
+    return _with_vectors(whole)
+
+
+def _with_vectors(sheet: FrameSheet) -> FrameSheet:
+    """Return a sheet with a column for each number of those lists that are short and of one length; others stay."""
+    import polars as pl
+
+    kinds = sheet.frame.collect_schema()
+    lists = [name for name, kind in kinds.items() if isinstance(kind, pl.List | pl.Array) and kind.inner.is_numeric()]
+    if not lists:
+        return sheet
+    place = sheet.path.resolve()
+    names = next((_names(folder) for folder in (place, *place.parents) if is_dataset(folder)), {})
+    count = [pl.col(name).cast(pl.List(pl.Float64)).list.len() for name in lists]
+    low, high = (sheet.frame.select(ends).collect().row(0) for ends in ([n.min() for n in count], [n.max() for n in count]))
+    sizes = {name: b for name, a, b in zip(lists, low, high, strict=True) if a == b and 0 < (b or 0) <= _MOST}
+    asked, labels = list[Any](), list[str]()
+    for name in kinds.names():
+        found, _, note = vector_labels(name, np.zeros((1, sizes.get(name, 1))))
+        said = names.get(name, [])
+        is_named = len(said) == sizes.get(name) and name != "action"
+        if name not in sizes or (found[0].startswith(name) and not is_named):
+            asked, labels = [*asked, pl.col(name)], [*labels, name]
+            continue
+        if is_named:
+            found = tuple(n.removesuffix(".pos") + " [deg]" * n.endswith(".pos") for n in said)
+            if any(n.endswith(".pos") for n in said):
+                warn(f"{sheet.path.name}: positions in {name} are taken for degrees, not for shares of the range")
+        if note:
+            warn(f"{sheet.path.name}: {note}")
+        values = pl.col(name).cast(pl.List(pl.Float64))
+        asked += [values.list.get(i).alias(f"{name} {i}") for i in range(sizes[name])]
+        labels += found
+    return replace(sheet, labels=tuple(labels), frame=sheet.frame.select(asked))
+
+
+def _names(folder: Path) -> dict[str, list[str]]:
+    """Return the names of the numbers of each feature of a data set."""
+    import msgspec
+
+    try:
+        found = msgspec.json.decode((folder / "meta" / "info.json").read_bytes())["features"]
+        listed = {name: feature.get("names") for name, feature in found.items()}
+    except (OSError, msgspec.DecodeError, KeyError, TypeError, AttributeError) as error:
+        raise MeasurementError(
+            f"{folder.name}: meta/info.json can't be read; expected that of a data set of LeRobot"
+        ) from error
+    flat = {n: next(iter(v.values()), None) if isinstance(v, Mapping) else v for n, v in listed.items()}
+    return {name: [str(each) for each in value] for name, value in flat.items() if isinstance(value, list)}
+
+
+_ENDINGS = (".mcap", ".db3", ".bag")
+# Topics that a message lists.
+_LISTED = 20
+_JOINTS, _IMU = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu"
+_READINGS = tuple(f"geometry_msgs/msg/{kind}Stamped" for kind in ("Pose", "Point", "Transform", "PoseWithCovariance"))
+_TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+# A frame moves if its place or quaternion changes by more, and freely if its place does so in two directions [m].
+_MOVES = 1e-3
+_LABELS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_OF_IMU = ("ax", "ay", "az", "wx", "wy", "wz")
+
+
+@dataclass(frozen=True)
+class _Topic:
+    """What one topic holds.
+
+    Attributes:
+        name: of the topic.
+        labels: of the values.
+        time: by the recorder, shape (T,), strictly increasing [s].
+        values: shape (T, k).
+        own: by the stamps of the messages, shape (T,) [s].
+        frames: of a transform, the frame that it is in and its own.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    time: np.ndarray
+    values: np.ndarray
+    own: np.ndarray
+    frames: tuple[str, ...] = ()
+
+    @property
+    def stamps(self) -> np.ndarray:
+        """Times by the clock of the topic's own node, by the recorder's where those do not increase [s]."""
+        return self.own if len(self.own) > 1 and np.all(np.diff(self.own) > 0.0) else self.time
+
+    @property
+    def moves(self) -> bool:
+        """Whether its values change."""
+        return bool(len(self.time) > 1 and np.ptp(self.values, axis=0).max() > _MOVES)
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a path is a recording of ROS, by its name or, of a folder, its contents."""
+    return path.suffix.lower() in _ENDINGS or (path / "metadata.yaml").is_file()
+
+
+def open_bag(path: Path, *, ignore: Collection[str] = (), only_joints: bool = False, joints: Collection[str] = ()) -> Sheet:
+    """Read the poses that were held still and have readings; without any topic of readings all samples of the joints.
+
+    Args:
+        path: the recording.
+        ignore: topics to leave out.
+        only_joints: whether to read the joints alone, sample by sample.
+        joints: those that have to stand still; default: all of the topic.
+
+    Raises:
+        MeasurementError: without the library rosbags, for a recording that can't be read, or one in which joints or readings
+            come from several topics, or no pose was held still.
+    """
+    found, listed = _topics(path, ignore)
+    arm = _arm([topic for topic in found if topic.labels[:3] != _LABELS[:3]], path, listed)
+    frames = [topic for topic in found if topic.frames]
+    readings = [topic for topic in found if topic.labels[:3] == _LABELS[:3] and not topic.frames]
+    if not only_joints:
+        readings = readings or _free(frames, path)
+    if not only_joints and not readings:
+        warn(f"{path.name}: no topic of readings ({', '.join(_READINGS)}), no freely moving frame in /tf; topics: {listed}")
+    if only_joints or not readings:
+        return _sheet(path, {"time": arm.time} | dict(zip(arm.labels, arm.values.T, strict=True)))
+    if len(readings) > 1:
+        raise _several("readings", readings, path)
+    (reading,) = readings
+    watched = [i for i, name in enumerate(arm.labels) if name in joints] or [*range(len(arm.labels))]
+    poses = held_poses(arm.time, arm.values[:, watched])
+    middle = _middle(poses, arm.time, reading.time)
+    seen = np.flatnonzero(middle[:, 1] > middle[:, 0])
+    if not len(seen):
+        raise MeasurementError(
+            f"{path.name}: {len(poses)} poses of {arm.name} are held still, none with readings of {reading.name}; expected "
+            "poses held for some tenths of a second while the instrument reads"
+        )
+    warn(
+        f"{path.name}: {len(seen)} poses held still, joints from {arm.name}, readings from {reading.name}; poses without a "
+        f"reading: {len(poses) - len(seen)}"
+    )
+    values = np.array([_mean(reading.values[first:last]) for first, last in middle[seen]])
+    joints = poses.means(arm.values)[seen]
+    columns = {"time": arm.time[poses.begin[seen]]} | dict(zip(arm.labels, joints.T, strict=True))
+    return _sheet(path, columns | dict(zip(reading.labels, values.T, strict=True)))
+
+
+def open_streams(path: Path, *, ignore: Collection[str] = ()) -> dict[str, Sheet]:
+    """Return the sheets of "joints", "imu" and "tracker", as far as a recording has topics of them.
+
+    Raises:
+        MeasurementError: as :func:`open_bag`, and for several IMUs or readings.
+    """
+    found, listed = _topics(path, ignore, imu=True)
+    imus = [topic for topic in found if topic.labels == _OF_IMU]
+    readings = [topic for topic in found if topic.labels[:3] == _LABELS[:3] and not topic.frames]
+    others = [topic for topic in found if topic.labels[:3] != _LABELS[:3] and topic not in imus]
+    chosen = {"joints": [_arm(others, path, listed)], "imu": imus, "tracker": readings}
+    for what, topics in chosen.items():
+        if len(topics) > 1:
+            raise _several(what, topics, path)
+    return {
+        what: _sheet(path, {"time": topics[0].stamps} | dict(zip(topics[0].labels, topics[0].values.T, strict=True)))
+        for what, topics in chosen.items()
+        if topics
+    }
+
+
+def _sheet(path: Path, columns: dict[str, np.ndarray]) -> Sheet:
+    import polars as pl
+
+    return FrameSheet(path, tuple(columns), False, pl.LazyFrame(columns), takes_unknown=True)
+
+
+def _middle(poses: HeldPoses, time: np.ndarray, asked: np.ndarray) -> np.ndarray:
+    """Return the first and past the last of the times asked for in the middle half of each pose, shape (K, 2)."""
+    begin, end = time[poses.begin], time[poses.end]
+    quarter = 0.25 * (end - begin)
+    return np.column_stack([np.searchsorted(asked, begin + quarter), np.searchsorted(asked, end - quarter, side="right")])
+
+
+def _mean(values: np.ndarray) -> np.ndarray:
+    """Return the mean of positions, or of poses with quaternions, shape (k,)."""
+    place, turned = values[:, :3].mean(axis=0), values[:, 3:]
+    return np.append(place, mean_turn(turned)) if turned.size else np.asarray(place)
+
+
+def _free(frames: list[_Topic], path: Path) -> list[_Topic]:
+    """Return the transforms that move freely; those of a camera on the hand the other way round.
+
+    The joints of a robot turn about a place that stands still, or slide along a line.
+    """
+    from scipy.spatial.transform import Rotation
+
+    found = list[_Topic]()
+    by_child = {topic.frames[1]: topic for topic in frames}
+    for topic in frames:
+        spread = np.linalg.svd(topic.values[:, :3] - topic.values[:, :3].mean(axis=0), compute_uv=False)
+        if len(topic.time) < 3 or spread[1] < _MOVES * np.sqrt(len(topic.time)):
+            continue
+        above, steps = by_child.get(topic.frames[0]), 0
+        while above is not None and not above.moves and steps < len(frames):
+            above, steps = by_child.get(above.frames[0]), steps + 1
+        if above is not None and above.moves:
+            parent, child = topic.frames
+            warn(f"{path.name}: {parent} is on the moving {above.frames[1]}: its pose in {child} is the reading")
+            back = Rotation.from_quat(topic.values[:, 3:]).inv()
+            topic = replace(topic, values=np.column_stack([-back.apply(topic.values[:, :3]), back.as_quat()]))
+        found.append(topic)
+    return found
+
+
+def _arm(topics: list[_Topic], path: Path, listed: str) -> _Topic:
+    """Return the topic with the most joints; joints in two topics are refused."""
+    if not topics:
+        raise MeasurementError(f"{path.name}: no joints; expected a topic of {_JOINTS}; topics: {listed}")
+    arm = max(topics, key=lambda topic: len(topic.labels))
+    rivals = [topic for topic in topics if topic is not arm and set(topic.labels) & set(arm.labels)]
+    if rivals:
+        raise _several("joints", [arm, *rivals], path)
+    return arm
+
+
+def _several(what: str, topics: list[_Topic], path: Path) -> MeasurementError:
+    names = ", ".join(topic.name for topic in topics)
+    return MeasurementError(f"{path.name}: {what} in several topics: {names}; expected one: --ignore the others")
+
+
+def _topics(path: Path, ignore: Collection[str], *, imu: bool = False) -> tuple[list[_Topic], str]:
+    """Return all topics of joints, of readings and perhaps of IMUs, and in words what else there is.
+
+    Messages with other joints are topics of their own, and so is each frame of /tf.
+    """
+    with needed("rosbags", f"{path.name}: recordings of ROS", install="'pincal[ros]'", error=MeasurementError):
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    found: dict[tuple[str, tuple[str, ...], tuple[str, ...]], list[tuple[float, float, Any]]] = {}
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+            kinds = (_JOINTS, *_READINGS, *((_IMU,) if imu else _TRANSFORMS))
+            wanted = [each for each in reader.connections if each.msgtype in kinds and each.topic not in ignore]
+            listed = ", ".join(f"{each.topic} ({each.msgtype.split('/')[-1]})" for each in reader.connections[:_LISTED])
+            for connection, stamp, raw in reader.messages(connections=wanted) if wanted else ():
+                message = reader.deserialize(raw, connection.msgtype)
+                for frames, labels, values in _values(message, connection.msgtype):
+                    if not {*frames[1:], " > ".join(frames)} & {*ignore}:
+                        sample = (1e-9 * stamp, _stamp(message), values)
+                        found.setdefault((connection.topic, frames, labels), []).append(sample)
+    except Exception as error:  # Whatever a broken recording does to the libraries below.
+        raise MeasurementError(f"{path.name}: can't be read ({error}); expected a recording of ROS") from error
+    return [_topic(*place, samples) for place, samples in found.items()], listed
+
+
+def _stamp(message: Any) -> float:
+    """Return the stamp of a message, 0 for one without [s]."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return 0.0 if stamp is None else stamp.sec + 1e-9 * stamp.nanosec
+
+
+def _values(message: Any, kind: str) -> Iterator[tuple[tuple[str, ...], tuple[str, ...], Any]]:
+    """Yield frames, labels and values of a message that has some."""
+    if kind in _TRANSFORMS:
+        for each in message.transforms:
+            (_, labels, values), *_ = _values(each, "")
+            yield (each.header.frame_id.strip("/"), each.child_frame_id.strip("/")), labels, values
+        return
+    if kind == _IMU:
+        force, rate = message.linear_acceleration, message.angular_velocity
+        yield (), _OF_IMU, (force.x, force.y, force.z, rate.x, rate.y, rate.z)
+        return
+    if kind == _JOINTS:
+        if len(message.position) == len(message.name) > 0:
+            yield (), tuple(message.name), message.position
+        return
+    if (transform := getattr(message, "transform", None)) is not None:
+        at, turn = transform.translation, transform.rotation
+        yield (), _LABELS, (at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w)
+        return
+    pose = getattr(message, "pose", None)
+    pose = getattr(pose, "pose", pose)
+    at = message.point if pose is None else pose.position
+    turned = () if pose is None else (pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w)
+    values = (at.x, at.y, at.z, *turned)
+    yield (), _LABELS[: len(values)], values
+
+
+def _topic(name: str, frames: tuple[str, ...], labels: tuple[str, ...], samples: list[tuple[float, float, Any]]) -> _Topic:
+    time, first = np.unique(np.array([stamp for stamp, *_ in samples]), return_index=True)
+    own, values = (np.array([sample[k] for sample in samples], float)[first] for k in (1, 2))
+    name += " " * bool(frames) + " > ".join(frames)
+    return _Topic(name, labels, time, values, own, frames)

@@ -1,0 +1,330 @@
+r"""Closed loops of the calibrated arm: where passive joints stand, how they follow, and what loads act through them.
+
+The equations C of the closures that passive joints P meet hold on the chain's coordinates x, deformed ones too:
+
+.. math:: C(x) = 0, \qquad \frac{d x_P}{d x_k} = D_k = -C_P^{-1} C_k
+
+A passive joint bears nothing about its own axis. What its subtree weighs there, n_P, acts on the joints that move it: by
+virtual work a drive i of a loop bears n_i + D_i . n_P. With the forces at the pins, lambda = C_P^{-T} n_P, its derivative is
+
+.. math:: d n_i + D_i \cdot d n_P - \lambda \cdot (d C_i + dC_P D_i)
+
+All of that is a linear map of coordinates, so it is one more list of terms: where a parameter moves a coordinate of a loop,
+it moves those of the passive joints as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pincal.model import kernels
+from pincal.model.chain import Chain
+from pincal.model.kernel_inputs import FRAME, Compliances, Layout, MassTerms, Payload, Places, Terms, Values, Wanted
+from pincal.robot.closure import CLOSED, Closure, least_step
+
+# From where the nominal arm closes, errors of millimetres need three steps; the last is one that begins nearer than this.
+_STEPS, _LAST = 12, 1e-8
+# Farther off [m, rad] steps are kept short.
+_NEAR = 0.1
+# What moves passive joints by less than this part of a unit moves nothing.
+_STILL = 1e-3
+# Poses in which it is looked at.
+_SAMPLES = 8
+_NONE = np.empty(0, np.int64)
+_NO_LOAD = Payload(np.empty(0), np.zeros(3))
+_NO_COMPLIANCE = Compliances(_NONE, _NONE, np.empty((0, 1)))
+_NO_MASSES = MassTerms(_NONE, _NONE, np.empty(0), np.empty((0, 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Walk:
+    """One closure: its walk, and where each coordinate stands on it."""
+
+    closure: Closure
+    layout: Layout
+
+    @cached_property
+    def order(self) -> dict[int, int]:
+        return {int(k): t for t, k in enumerate(self.layout.path.coordinate)}
+
+
+@dataclass(frozen=True, eq=False)
+class Loops:
+    """The loops of a chain.
+
+    Attributes:
+        walks: of each closure.
+        passive: shape (p,), the joints that follow.
+        follow: shape (p,), the coordinates of their positions.
+        drives: the other joints of the loops that turn, with the coordinates of their positions.
+        size: number K of coordinates of the chain.
+    """
+
+    walks: tuple[_Walk, ...]
+    passive: np.ndarray
+    follow: np.ndarray
+    drives: dict[int, int]
+    size: int
+
+    @classmethod
+    def of(cls, chain: Chain) -> Loops | None:
+        """Return the loops of a chain; None if it has none."""
+        linkage = chain.robot.linkage
+        if linkage is None:
+            return None
+        known = chain.kept.about("loops", chain.robot, chain.bearing_heights)
+        if chain.moment_frame not in known:
+            walks = tuple(_Walk(closure, chain.loop_layout(closure)) for closure in chain.robot.closures)
+            turning = [int(i) for i in linkage.drivers if chain.robot.joint_types[i] != "prismatic"]
+            drives = {i: int(chain.drives[i]) for i in turning}
+            known[chain.moment_frame] = cls(walks, linkage.passive, chain.drives[linkage.passive], drives, chain.size)
+        found: Loops = known[chain.moment_frame]
+        return found
+
+    @cached_property
+    def coordinates(self) -> frozenset[int]:
+        """The coordinates that move passive joints, and theirs."""
+        on_walks = frozenset(k for walk in self.walks for k in walk.order)
+        return on_walks & frozenset(range(FRAME, self.size - FRAME))
+
+    def closed(self, values: Values) -> Values:
+        """Return coordinates at N poses with passive joints where the loops close, or as near as they come."""
+        values = values._replace(varying=values.varying.copy())
+        for _ in range(_STEPS):
+            missing, C, _ = self._motion(values, self.follow)
+            open_by = float(np.abs(missing).max(initial=0.0))
+            if open_by <= CLOSED:
+                break
+            step = _solved(C, missing[..., None])[..., 0] if open_by < _NEAR else least_step(C, missing)
+            values.varying[values.slot[self.follow]] -= step.T
+            if open_by < _LAST:
+                break
+        return values
+
+    def _motion(
+        self, values: Values, coordinates: Sequence[int] | np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
+        """Return what the loops are open by, shape (N, p), its derivatives by M coordinates, shape (N, p, M), and ends.
+
+        Of each walk these are where it ends, shape (N, 3, 4), and how that moves and turns, shape (M, 6, N).
+        """
+        N, M = values.varying.shape[1], len(coordinates)
+        constant, slot = values.constant.copy(), values.slot.copy()
+        for outside in (slice(FRAME), slice(self.size - FRAME, None)):
+            constant[outside], slot[outside] = 0.0, -1
+        values = Values(constant, slot, values.varying)
+        terms = Terms(np.array(coordinates, np.int64), np.arange(M), np.full(M, -1), np.zeros(M, bool), np.empty((0, N)))
+        wanted = Wanted(terms, _NO_COMPLIANCE, _NO_MASSES, n_columns=M, rows=6, sweeps=0)
+        here = np.zeros(N, np.int64)
+        missing, derivatives, ends = [], [], []
+        for walk in self.walks:
+            T, _, J = kernels.evaluate(walk.layout, values, values, Places(here, here), _NO_LOAD, wanted)
+            T, rows = np.moveaxis(T, -1, 0), list(walk.closure.rows)
+            missing.append(walk.closure.residuals(T)[:, rows])
+            derivatives.append(walk.closure.derivatives(T, J.transpose(2, 1, 0))[:, rows])
+            ends.append((T, J))
+        return np.concatenate(missing, axis=1), np.concatenate(derivatives, axis=1), ends
+
+    def rates(self, values: Values, coordinates: Sequence[int]) -> np.ndarray:
+        """Return how passive joints follow coordinates at closed positions, shape (M, p, N)."""
+        p = len(self.follow)
+        _, C, _ = self._motion(values, [*self.follow, *coordinates])
+        return _solved(C[..., :p], -C[..., p:]).transpose(2, 1, 0)
+
+    def borne(self, values: Values, moments: np.ndarray) -> np.ndarray:
+        """Return the moments that joints bear, shape (3 n, N), from those of the open tree [N m]."""
+        out, z = moments.copy(), 3 * self.passive + 2
+        for i, D in zip(self.drives, self.rates(values, list(self.drives.values())), strict=True):
+            out[3 * i + 2] += (D * moments[z]).sum(axis=0)
+        out[z] = 0.0
+        return out
+
+    def followed(
+        self,
+        layout: Layout,
+        rigid: Values,
+        deformed: Values,
+        payload: Payload,
+        terms: Terms,
+        compliances: Compliances,
+        *,
+        equilibrium: bool,
+    ) -> tuple[Terms, Compliances]:
+        """Return terms and compliances with what they do through the passive joints.
+
+        Args:
+            layout: the chain, with masses.
+            rigid: coordinates that moments are computed on.
+            deformed: coordinates of the deformed arm.
+            payload: mass beyond the tip.
+            terms: what parameters do to coordinates.
+            compliances: how coordinates follow moments.
+            equilibrium: whether moments follow what is elastic.
+        """
+        p, drives = len(self.follow), list(self.drives.values())
+        own = self.coordinates.intersection([*terms.coordinate.tolist(), *compliances.coordinate.tolist()])
+        ks = [*self.follow.tolist(), *sorted(own.union(drives).difference(self.follow.tolist()))]
+        at = {k: m for m, k in enumerate(ks)}
+        on_rigid = self._motion(rigid, ks)
+        D = _solved(on_rigid[1][..., :p], -on_rigid[1]).transpose(2, 1, 0)
+        bent = D if rigid is deformed else self.rates(deformed, ks)
+        felt = any(n % 3 == 2 and n // 3 in self.drives for n in compliances.moment.tolist())
+        loads = kernels.static_moments(layout, rigid, payload)[3 * self.passive + 2] if felt else np.empty((0, 0))
+        direct = self._direct(at, on_rigid, D, loads, compliances) if felt else {}
+        found: list[tuple[int, int, bool, np.ndarray]] = []
+        for e in range(len(terms.coordinate)):
+            k, column = int(terms.coordinate[e]), int(terms.parameter[e])
+            if k not in at:
+                continue
+            basis = 1.0 if terms.slot[e] < 0 else terms.basis[terms.slot[e]]
+            follows = equilibrium or not terms.elastic[e]
+            turned = {c: by[at[k]] for c, by in direct.items()} if follows else {}
+            elastic = bent[at[k]] - D[at[k]] if follows else bent[at[k]]
+            for c, by in turned.items():
+                found.append((c, column, True, basis * by))
+                elastic = elastic + bent[at[c]] * by if c in at else elastic
+            for q, joint in enumerate(self.follow.tolist()):
+                if follows:
+                    found.append((joint, column, False, basis * D[at[k], q]))
+                if bent is not D or turned or not follows:
+                    found.append((joint, column, True, basis * elastic[q]))
+        return _with_terms(terms, found), self._with_compliances(compliances, at, D, bent)
+
+    def _direct(
+        self,
+        at: dict[int, int],
+        on_rigid: tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]],
+        D: np.ndarray,
+        loads: np.ndarray,
+        compliances: Compliances,
+    ) -> dict[int, np.ndarray]:
+        """Return by how much elastic coordinates follow others as loops hand loads on otherwise: by coordinate, (M, N)."""
+        p, found = len(self.follow), dict[int, np.ndarray]()
+        entries = [e for e, n in enumerate(compliances.moment) if n % 3 == 2 and int(n) // 3 in self.drives]
+        forces = _solved(on_rigid[1][..., :p].swapaxes(1, 2), loads.T[..., None])[..., 0]
+        of_passive = [self._turned(at, on_rigid[2], forces, k) for k in self.follow.tolist()]
+        for e in entries:
+            k = self.drives[int(compliances.moment[e]) // 3]
+            change = -self._turned(at, on_rigid[2], forces, k)
+            for q in range(p):
+                change -= D[at[k], q] * of_passive[q]
+            change = change + (change[:p] * D).sum(axis=1)
+            c = int(compliances.coordinate[e])
+            found[c] = found.get(c, 0.0) + compliances.rate[e] * change
+        return found
+
+    def _turned(
+        self, at: dict[int, int], ends: list[tuple[np.ndarray, np.ndarray]], forces: np.ndarray, k: int
+    ) -> np.ndarray:
+        """Return forces at the pins, shape (N, p), times the second derivatives of the equations by k and others, (M, N)."""
+        total, first = np.zeros((len(at), len(forces))), 0
+        for walk, (T, J) in zip(self.walks, ends, strict=True):
+            force = np.zeros((6, len(forces)))
+            force[walk.closure.rows, :] = forces[:, first : first + len(walk.closure.rows)].T
+            first += len(walk.closure.rows)
+            if k not in walk.order:
+                continue
+            place, turn, v, w = force[:3], force[3:], J[:, :3], J[:, 3:]
+            v_k, w_k = v[at[k]], w[at[k]]
+            # Of two coordinates the earlier one turns what the later one does.
+            behind = (v * _cross(place, w_k)).sum(axis=1)
+            before = (w * _cross(v_k, place)).sum(axis=1)
+            if walk.closure.kind == "axis":
+                z = T[:, :, 2].T
+                behind += (w * _cross(z, _cross(turn, w_k))).sum(axis=1)
+                before += (w * _cross(_cross(w_k, z), turn)).sum(axis=1)
+            elif walk.closure.kind == "pose":
+                half = 0.5 * (w * _cross(turn, w_k)).sum(axis=1)
+                behind, before = behind + half, before - half
+            for other, m in at.items():
+                if other in walk.order:
+                    total[m] += behind[m] if walk.order[other] >= walk.order[k] else before[m]
+        return total
+
+    def _with_compliances(
+        self, compliances: Compliances, at: dict[int, int], D: np.ndarray, bent: np.ndarray
+    ) -> Compliances:
+        """Return compliances with the moments of passive joints on their drives, and their coordinates that follow."""
+        found = []
+        z = (3 * self.passive + 2).tolist()
+        for k, n, rate in zip(compliances.coordinate.tolist(), compliances.moment.tolist(), compliances.rate, strict=True):
+            drive = self.drives.get(n // 3) if n % 3 == 2 else None
+            felt = [] if n in z else [(n, rate)]
+            felt += [] if drive is None else [(z[q], rate * D[at[drive], q]) for q in range(len(z))]
+            for moment, by in felt:
+                found.append((k, moment, by))
+                if k in at:
+                    found += [(int(joint), moment, by * bent[at[k], q]) for q, joint in enumerate(self.follow)]
+        N = D.shape[2]
+        return Compliances(
+            np.array([k for k, _, _ in found], np.int64),
+            np.array([moment for _, moment, _ in found], np.int64),
+            np.array([np.broadcast_to(by, N) for _, _, by in found]).reshape(len(found), N),
+        )
+
+
+def closed_loops(chain: Chain, values: Values) -> Values:
+    """Return coordinates at some poses with passive joints, if the chain has any, where its loops close."""
+    loops = Loops.of(chain)
+    return values if loops is None else loops.closed(values)
+
+
+def borne_moments(chain: Chain, values: Values, moments: np.ndarray) -> np.ndarray:
+    """Return the moments that joints bear, shape (3 n, N), from those of the tree whose loops, if any, are open [N m]."""
+    loops = Loops.of(chain)
+    return moments if loops is None else loops.borne(values, moments)
+
+
+def inert_coordinates(chain: Chain) -> frozenset[int]:
+    """Return the coordinates of joints and pins that change nothing, as loops have it.
+
+    They are the positions of passive joints, which follow, and what moves a rod or a crank in ways that loops don't pass on.
+    """
+    loops, robot = Loops.of(chain), chain.robot
+    if loops is None:
+        return frozenset()
+    known = chain.kept.about("inert", robot, chain.bearing_heights)
+    if chain.moment_frame not in known:
+        q = robot.random_configurations(_SAMPLES, np.random.default_rng(0))
+        slot = np.full(chain.size, -1)
+        slot[chain.drives] = np.arange(robot.n_joints)
+        values = Values(chain.nominal.copy(), slot, np.array(chain.nominal[chain.drives, None] + q.T, order="C"))
+        ks = sorted(loops.coordinates)
+        moved = np.abs(loops.rates(values, ks)).max(axis=(1, 2))
+        rods = loops.coordinates.difference(chain.layout.path.coordinate.tolist())
+        still = [k for k, move in zip(ks, moved, strict=True) if k in rods and move < _STILL]
+        own = [chain.joint(int(i), "gamma_z") for i in loops.passive]
+        known[chain.moment_frame] = frozenset([*still, *loops.follow.tolist(), *own])
+    found: frozenset[int] = known[chain.moment_frame]
+    return found
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the vector product of vectors in columns, shape (3, N)."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _with_terms(terms: Terms, more: list[tuple[int, int, bool, np.ndarray]]) -> Terms:
+    """Return terms with further ones: coordinate, column, whether it is elastic, and basis."""
+    if not more:
+        return terms
+    coordinates, columns, elastic, bases = zip(*more, strict=True)
+    return Terms(
+        np.append(terms.coordinate, np.array(coordinates, np.int64)),
+        np.append(terms.parameter, np.array(columns, np.int64)),
+        np.append(terms.slot, len(terms.basis) + np.arange(len(more))),
+        np.append(terms.elastic, np.array(elastic, bool)),
+        np.concatenate([terms.basis, np.array(bases)]),
+    )
+
+
+def _solved(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Return the solutions of A X = B, of least squares where loops are at a dead centre in some pose."""
+    try:
+        return np.asarray(np.linalg.solve(A, B))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(A) @ B)

@@ -1,0 +1,159 @@
+"""The statements of ABB's language: what stands before one semicolon, and what it means to the order in which they run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from pincal.programs.flow import InForce, Step
+from pincal.programs.program import Path
+from pincal.programs.syntax import (
+    Brackets,
+    Source,
+    Statement,
+    calls_in,
+    is_token,
+    nested,
+    place_of,
+    split,
+    text_of_items,
+    word,
+    words_in,
+)
+
+_TOKENS = r"""
+TEXT: /"([^"\r\n]|"")*"/
+BITS.3: /\x05/
+SIGN: /:=|[<>]=|[^\x04\s\w()\[\]{}"!;$#]/
+_END: ";" | "\x04"
+COMMENT.5: /![^\r\n]*/
+%ignore COMMENT
+%ignore /[ \t\f\r\n\xa0]+/
+"""
+GRAMMAR = nested(_TOKENS)
+_WORDS = "RAPID: MODULE ... ENDMODULE with statements that end in ';'"
+_ROUTINES = {"PROC": "ENDPROC", "FUNC": "ENDFUNC", "TRAP": "ENDTRAP"}
+_LOOPS = {"WHILE": "ENDWHILE", "FOR": "ENDFOR"}
+_BLOCKS = {"MODULE": "ENDMODULE", "RECORD": "ENDRECORD", "IF": "ENDIF", "TEST": "ENDTEST", **_ROUTINES, **_LOOPS}
+_CLOSES = {end: (opens,) for opens, end in _BLOCKS.items()}
+# Words behind which a statement may follow without a semicolon, the last of these heads, and words that stand by themselves.
+_HEADS = {"IF": "THEN", "ELSEIF": "THEN", "FOR": "DO", "WHILE": "DO", "CASE": ":", "DEFAULT": ":"}
+_JUMPS = ("ELSE", "ELSEIF", "CASE", "DEFAULT", "ERROR", "UNDO", "BACKWARD")
+_ALONE = (*_CLOSES, "ELSE", "ERROR", "UNDO", "BACKWARD")
+ONCE = "IF without THEN"
+_PLAIN = {"MOVEL": "line", "MOVEJ": "joint", "MOVEC": "circle", "MOVEABSJ": "joint"}
+_PLAIN |= {
+    f"{name}{more}": path for name, path in _PLAIN.items() for more in ("DO", "AO", "GO", "SYNC") if name != "MOVEABSJ"
+}
+# Motions of options, such as arc welding, whose tool is their last argument.
+OF_OPTIONS = {
+    f"{name}{kind}{more}": {"L": "line", "J": "joint", "C": "circle"}[kind]
+    for name, kinds, ends in (("TRIGG", "LJC", ("",)), ("ARC", "LC", ("", "START", "END", "1", "2")), ("SPOT", "LJ", ("",)),
+                              ("CAP", "LC", ("",)), ("DISP", "LC", ("",)), ("PAINT", "LC", ("",)))
+    for kind in kinds for more in ends
+}  # fmt: skip
+MOTIONS: dict[str, Path] = {**_PLAIN, **OF_OPTIONS}  # type: ignore[dict-item]
+# Instructions by what they switch: displacements of positions, and whether configurations are obeyed.
+SWITCHES = {"PDISPON": "PDISP", "PDISPSET": "PDISP", "PDISPOFF": "PDISP", "EOFFSON": "EOFFS", "EOFFSSET": "EOFFS",
+             "EOFFSOFF": "EOFFS", "CORRCON": "CORR", "CORRDISCON": "CORR", "CORRCLEAR": "CORR",
+             "CONFL": "CONFL", "CONFJ": "CONFJ"}  # fmt: skip
+ENDS_IT = ("PDISPOFF", "EOFFSOFF", "CORRCLEAR")
+
+
+def statements_of(source: Source) -> list[tuple[Statement, Step]]:
+    """Return the statements of a file with what they mean to the order in which they run.
+
+    Raises:
+        ProgramError: for text that is not of the language.
+    """
+    return [part for whole in source.statements(_TOKENS, _WORDS) for part in _divided(whole)]
+
+
+def _divided(whole: Statement) -> Iterator[tuple[Statement, Step]]:
+    """Yield the statements that stand before one semicolon, with what they mean to the order in which they run."""
+    items, k = whole.items, 0
+    while k < len(items):
+        first, end = word(items[k]), len(items)
+        opening = word(items[k + 1]) if first == "LOCAL" and k + 1 < end else first
+        is_label = _is_label(items, k)
+        size = 0
+        if first in _ALONE:
+            size = 1
+        elif opening in _ROUTINES or opening in ("MODULE", "RECORD"):
+            size = (1 if first == "LOCAL" else 0) + (3 if opening == "FUNC" else 2)
+        elif first in _HEADS:
+            closing = _HEADS[first]
+            ends = [j for j in range(k, end) if word(items[j]) == closing or is_token(items[j], "SIGN", closing)]
+            if not ends and first == "IF":
+                yield from _once(whole, items[k:])
+                return
+            size = ends[0] + 1 - k if ends else 0
+        elif first and is_label:
+            size = 2
+        elif first == "TEST" or not first:
+            ends = [j for j in range(k + 1, end) if word(items[j]) in (("CASE", "DEFAULT") if first else ("MODULE",))]
+            size = ends[0] - k if ends else 0
+        if size and k + size < end and isinstance(items[k + size], Brackets) and (opening in _BLOCKS or first == "ERROR"):
+            size += 1
+        end = min(k + size, end) if size else end
+        statement = _part(whole, items[k:end])
+        yield statement, _step(statement, opening, is_label=is_label and first not in _HEADS)
+        k = end
+
+
+def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, Step]]:
+    """Yield a condition and the one statement that it is for: its motion, its assignment, or all."""
+    motions = [k for k in range(1, len(items)) if word(items[k]) in MOTIONS]
+    k = motions[-1] if motions else 1
+    sides = split(items, ":=")
+    if not motions and len(sides) == 2:
+        k = len(sides[0]) - 1
+        while k > 1 and (
+            isinstance(items[k], Brackets) or is_token(items[k], "SIGN", ".") or is_token(items[k - 1], "SIGN", ".")
+        ):
+            k -= 1
+    condition = _part(whole, items[:1])
+    yield condition, Step(opens=ONCE)
+    if k < len(items):
+        statement = _part(whole, items[k:])
+        yield statement, _step(statement, word(statement.items[0]), is_label=False)
+    yield condition, Step(closes=(ONCE,))
+
+
+def _part(whole: Statement, items: Sequence[Any]) -> Statement:
+    line = whole.line if isinstance(items[0], Brackets) else items[0].line
+    return Statement(tuple(items), place_of(items[0])[0], place_of(items[-1])[1], line)
+
+
+def _is_label(items: Sequence[Any], k: int) -> bool:
+    return k + 1 < len(items) and is_token(items[k + 1], "SIGN", ":")
+
+
+def _step(statement: Statement, opening: str, *, is_label: bool) -> Step:
+    """Return what a statement does to the order of others and to what is switched."""
+    items, first = statement.items, word(statement.items[0])
+    if opening in _BLOCKS:
+        names = [word(item) for item in items if word(item)]
+        return Step(opens=opening, routine=names[-1] if opening in _ROUTINES else "", is_loop=opening in _LOOPS)
+    if first in _CLOSES:
+        return Step(closes=_CLOSES[first])
+    if first in _JUMPS or is_label:
+        return Step(is_jump=True)
+    if first == "CONNECT":
+        return Step(starts=tuple(words_in(items[1:])))
+    calls = (first, *(name.upper() for name, _ in calls_in(items)))
+    return Step(sets=frozenset({SWITCHES[first]}) if first in SWITCHES else frozenset(), calls=calls)
+
+
+def check_blocks(source: Source, statements: Sequence[Statement], steps: Sequence[Step], flow: Sequence[InForce]) -> None:
+    """Refuse a file that is not of modules, or with routines within others."""
+    if not any(step.opens == "MODULE" for step in steps):
+        raise source.error("the end of the file, expected " + _WORDS, len(source.content))
+    for statement, step, known in zip(statements, steps, flow, strict=True):
+        found = text_of_items(statement.items[:1])
+        is_outside = known.depth == 0
+        if (step.opens == "MODULE") != is_outside and not (is_outside and found == "%"):
+            where = "outside of" if is_outside else "within"
+            raise source.error(f"{found!r} {where} a module; expected {_WORDS}", statement.start)
+        if step.routine and known.depth != 1:
+            raise source.error(f"{found!r} within another routine; expected {_WORDS}", statement.start)

@@ -1,0 +1,232 @@
+"""The loops of a URDF's tree: what closes them on its links, which joints follow from others, and which equations tell."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pincal.errors import RobotFileError
+from pincal.robot.closure import NEWTON, STILL, Closure, Linkage, loose_step
+from pincal.robot.kinematics import Kinematics
+from pincal.robot.link_path import LinkPath, above
+from pincal.robot.tree import UrdfClosure, UrdfJoint, UrdfTree
+from pincal.robot.urdf_loops import KINDS, ClosureKind
+
+# What a loop may be open by in directions that its joints can't close: a calibrated one is by its errors [m, rad].
+_LOOSE = 1e-2
+# Part of the poses in which joints have to move a loop independently to count as doing so.
+_MOSTLY = 0.5
+# Poses in which it is found out which joints move a loop, and how far joints are moved there [rad or m].
+_SAMPLES, _SAMPLE_STEP = 12, 0.4
+# A pin nearer than this to the axis of the joint that carries it has no direction from there [m].
+_ON_AXIS = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Pins:
+    """A closure's frames in the base frame at zero positions, z along its axis and x away from the joint that carries it.
+
+    Attributes:
+        closure: what the URDF says of it.
+        kind: what it holds.
+        carriers: the joints that carry the two, -1 for the base.
+        T_base: shape (2, 4, 4), the frames on the parent and on the child link.
+    """
+
+    closure: UrdfClosure
+    kind: ClosureKind
+    carriers: tuple[int, int]
+    T_base: np.ndarray
+
+    @classmethod
+    def of(
+        cls, tree: UrdfTree, closure: UrdfClosure, carriers: tuple[int, int], T_base_link: np.ndarray, lines: np.ndarray
+    ) -> Pins:
+        """Return the frames of a closure.
+
+        Args:
+            tree: the URDF.
+            closure: what closes the loop.
+            carriers: the joints that carry its links, -1 for the base.
+            T_base_link: shape (2, 4, 4), these links at zero positions.
+            lines: shape (n, 2, 3), a point on the axis of each joint and its direction, likewise.
+
+        Raises:
+            RobotFileError: for a type of joint that closes no loop here.
+        """
+        kind = KINDS.get(closure.kind)
+        if kind is None:
+            raise RobotFileError(
+                f"{tree.source}: {closure.name!r} closes a loop and is {closure.kind or 'of no type'}; expected one of "
+                f"{', '.join(KINDS)}"
+            )
+        child = T_base_link[1] @ closure.T_child
+        frames = np.array([child if closure.T_parent is None else T_base_link[0] @ closure.T_parent, child])
+        if kind != "pose":
+            axes = [frames[0, :3, :3] @ closure.axis_parent, frames[1, :3, :3] @ closure.axis_child]
+            for frame, joint, axis in zip(frames, carriers, axes, strict=True):
+                point, direction = lines[joint] if joint >= 0 else (np.zeros(3), np.array([0.0, 0.0, 1.0]))
+                frame[:3, :3] = _axes(direction if kind == "point" else axis, frame[:3, 3] - point)
+        return cls(closure, kind, carriers, frames)
+
+    @classmethod
+    def of_tree(
+        cls, tree: UrdfTree, joints: Sequence[UrdfJoint], T_base_links: Mapping[str, np.ndarray], lines: np.ndarray
+    ) -> list[Pins]:
+        """Return the frames of all that closes loops of some joints, links by name; see :meth:`of`."""
+        names = {joint.name for joint in joints}
+        pairs = [(closure, (closure.parent, closure.child)) for closure in tree.loops if tree.loop(closure) <= names]
+        carriers = [(tree.carrier(joints, one), tree.carrier(joints, other)) for _, (one, other) in pairs]
+        placed = [np.array([T_base_links[end] for end in ends]) for _, ends in pairs]
+        return [cls.of(tree, c, at, T, lines) for (c, _), at, T in zip(pairs, carriers, placed, strict=True)]
+
+    def placed(self, T_base_link: np.ndarray) -> Closure:
+        """Return the closure with its frames in link frames, which stand at T_base_link, shape (n, 4, 4)."""
+        carried = [
+            np.linalg.inv(T_base_link[i]) @ T if i >= 0 else T for i, T in zip(self.carriers, self.T_base, strict=True)
+        ]
+        return Closure(
+            self.closure.name, self.kind, LinkPath(self.closure.parent, self.closure.child, *self.carriers, *carried)
+        )
+
+
+def _axes(z: np.ndarray, towards: np.ndarray) -> np.ndarray:
+    """Return the rotation, shape (3, 3), with an axis z and an x that leads as far as it can towards a direction."""
+    length = np.linalg.norm(z)
+    z = z / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
+    x = towards - z * (z @ towards)
+    if np.linalg.norm(x) < _ON_AXIS:
+        x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+    x = x / np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which joints of loops are the better ones to follow from the others.
+
+    Attributes:
+        source: where the URDF came from, for messages.
+        names: of all joints.
+        recorded: those that have readings; None where that is not known.
+        on_path: those between the links whose pose is wanted.
+        mimicked: those that others mimic.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    recorded: Collection[str] | None
+    on_path: Collection[str]
+    mimicked: Collection[str]
+
+
+def linkage_of(
+    kinematics: Kinematics, closures: Sequence[Closure], limits: tuple[np.ndarray, np.ndarray], choice: Choice
+) -> Linkage:
+    """Find out which joints follow from the others, and which equations they meet.
+
+    Joints without readings follow if they can, then those that most other joints carry.
+
+    Raises:
+        RobotFileError: if the loops can't be closed or moved, or their joints do not follow from those with readings.
+    """
+    free = Linkage(kinematics, tuple(closures), np.empty(0, int), *limits)
+    loop = free.drivers.tolist()
+    where = f"in the loop closed by {', '.join(closure.name for closure in closures)}"
+    if (gap := float(np.abs(free.equations(free.assembled()[None])[0]).max())) > _LOOSE:
+        raise RobotFileError(
+            f"{choice.source}: {where} ends stay {1e3 * gap:.3g} mm or mrad apart wherever the joints are; expected frames "
+            "on both links that joints can bring together"
+        )
+    C = free.equations(_samples(free))[1]
+    # A turn counts as what it moves at the largest distance there is.
+    turns = np.concatenate([np.arange(closure.size) >= 3 for closure in closures])
+    C[:, turns] *= np.abs(C[:, ~turns]).max()
+    rank = int(np.max(_ranks(C[..., loop])))
+    if rank in (0, len(loop)):
+        raise RobotFileError(f"{choice.source}: {where} nothing can move; expected joints that do")
+    passive = _followers(C, loop, rank, kinematics, choice)
+    for joint in passive:
+        name = choice.names[joint]
+        if kinematics.types[joint] == "prismatic" or name in choice.mimicked:
+            what = "slides" if kinematics.types[joint] == "prismatic" else "is mimicked"
+            raise RobotFileError(f"{choice.source}: joint {name!r} {what} and has no reading {where}; expected one")
+    drivers = [joint for joint in loop if joint not in passive]
+    recorded = choice.names if choice.recorded is None else choice.recorded
+    if unknown := [choice.names[i] for i in drivers if choice.names[i] not in recorded]:
+        raise RobotFileError(
+            f"{choice.source}: {where} {len(drivers)} joints move by themselves, {len(unknown)} without a reading; expected "
+            f"a column of {' and '.join(unknown)}"
+        )
+    rows = _equations_of(C[..., passive])
+    moves = np.abs(np.linalg.pinv(C[:, rows][..., passive]) @ C[:, rows][..., drivers]).max(axis=(0, 2))
+    still = [choice.names[joint] for joint, move in zip(passive, moves, strict=True) if move < STILL]
+    if stuck := [name for name in still if name in choice.on_path]:
+        raise RobotFileError(f"{choice.source}: {where} {' and '.join(stuck)} can't move; expected joints that do")
+    starts = np.cumsum([0, *(closure.size for closure in closures)])
+    used = [
+        replace(closure, rows=tuple(int(row - a) for row in rows if a <= row < a + closure.size))
+        for a, closure in zip(starts, closures, strict=False)
+    ]
+    used = [closure for closure in used if closure.rows]
+    return Linkage(kinematics, tuple(used), np.array(passive), *limits)
+
+
+def linkage_notes(linkage: Linkage, choice: Choice) -> tuple[str, ...]:
+    """Return in words which joints follow from which, and which readings are not used."""
+    passive, drivers = ([choice.names[i] for i in joints] for joints in (linkage.passive, linkage.drivers))
+    verb = "follow" if len(passive) > 1 else "follows"
+    loops = " and ".join(closure.name for closure in linkage.closures)
+    notes: tuple[str, ...] = (
+        f"{', '.join(passive)} {verb} from {', '.join(drivers)}, as the loops closed by {loops} have it",
+    )
+    if unused := [name for name in passive if name in (choice.recorded or ())]:
+        notes = (*notes, f"readings of {', '.join(unused)} are not used: more than the loops leave free")
+    return notes
+
+
+def _samples(free: Linkage) -> np.ndarray:
+    """Return joint positions about zero at which loops are closed, all of whose joints may move, shape (S, n)."""
+    rng = np.random.default_rng(0)
+    q = np.tile(free.assembled(), (_SAMPLES, 1))
+    C = free.equations(q)[1][..., free.drivers]
+    step = rng.uniform(-_SAMPLE_STEP, _SAMPLE_STEP, (_SAMPLES, len(free.drivers)))
+    step -= (np.linalg.pinv(C, rcond=STILL) @ (C @ step[..., None]))[..., 0]
+    q[:, free.drivers] += step
+    for _ in range(NEWTON):
+        residuals, C = free.equations(q)
+        q[:, free.drivers] -= loose_step(C[..., free.drivers], residuals)
+    is_closed = np.abs(free.equations(q)[0]).max(axis=1) < _LOOSE
+    return q[is_closed] if is_closed.any() else free.assembled()[None]
+
+
+def _ranks(C: np.ndarray) -> np.ndarray:
+    """Return how many of some joints move a loop independently of each other in each sample, shape (S,)."""
+    singular = np.linalg.svd(C, compute_uv=False)
+    return np.asarray((singular > STILL * np.maximum(singular[:, :1], np.abs(C).max())).sum(axis=1))
+
+
+def _followers(C: np.ndarray, loop: list[int], rank: int, kinematics: Kinematics, choice: Choice) -> list[int]:
+    """Return the joints that follow, as many as equations can be met."""
+    depth = {joint: len(above(joint, kinematics.parents)) for joint in loop}
+
+    def preference(joint: int) -> tuple[bool, bool, int, bool, int]:
+        name = choice.names[joint]
+        is_bound = kinematics.types[joint] == "prismatic" or name in choice.mimicked
+        return name in (choice.recorded or ()), is_bound, -depth[joint], name in choice.on_path, -joint
+
+    found: list[int] = []
+    for joint in sorted(loop, key=preference):
+        if len(found) < rank and np.mean(_ranks(C[..., [*found, joint]]) > len(found)) > _MOSTLY:
+            found.append(joint)
+    return sorted(found)
+
+
+def _equations_of(C: np.ndarray) -> list[int]:
+    """Return which equations as many joints, shape (S, R, p), meet in all samples: those that they move most."""
+    from scipy.linalg import qr
+
+    _, order = qr(np.concatenate(C, axis=1).T, mode="r", pivoting=True)
+    return sorted(order[: C.shape[2]].tolist())

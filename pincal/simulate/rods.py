@@ -1,0 +1,99 @@
+"""Loops of the true machine: where the joints stand that their pins move.
+
+Passive joints stand where the two halves of each pin meet as closely as they can (least squares): balls or hinges with the
+play that they need where errors of geometry leave none.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pincal.simulate.arm import Arm, frames
+
+# Weight of a tilt of a hinge against a gap [m].
+_TILT = 0.1
+# A part of the largest motion below which joints can't close a gap.
+_USELESS = 1e-4
+# Steps that close a loop, the change after which it is closed [rad or m], and what may be left of a gap [m].
+_STEPS, _CLOSED, _GAP = 20, 1e-13, 0.02
+# Longest way that drives are led at once [rad or m].
+_LED = 0.2
+
+
+def following(arm: Arm, q: np.ndarray) -> np.ndarray:
+    """Return joint positions, shape (N, n), with those that follow where others take them; NaN where loops stay open."""
+    out = arm.mimicking(q)
+    return closed(arm, out) if arm.pins else out
+
+
+def driving(arm: Arm, joint_frames: np.ndarray) -> np.ndarray:
+    """Return how all joints move with those that drive themselves, shape (n, m) or (N, n, m), at frames of the arm."""
+    if not arm.pins:
+        return arm.mimicry
+    moves = np.tile(arm.mimicry, (len(joint_frames), 1, 1))
+    moves[:, arm.passive] = rates(arm, joint_frames[:, 1:-1], joint_frames[:, :-1]) @ arm.mimicry
+    own = [k for k in range(moves.shape[2]) if np.flatnonzero(arm.mimicry[:, k])[0] not in arm.passive]
+    return moves[..., own]
+
+
+def closed(arm: Arm, q: np.ndarray) -> np.ndarray:
+    """Return joint positions, shape (N, n), with passive joints where the loops of an arm without load close.
+
+    They are led there from position 0 of all drives, so that the loops stay as they are assembled there.
+    """
+    found = np.zeros_like(q)
+    drives = [i for i in range(len(arm.names)) if i not in arm.passive]
+    steps = max(int(np.ceil(np.abs(q[:, drives]).max(initial=0.0) / _LED)), 1)
+    for part in np.arange(0, steps + 1) / steps:
+        found[:, drives] = part * q[:, drives]
+        for _ in range(_STEPS):
+            places = frames(arm, found)[:, :-1]
+            step, gap = closing_step(arm, places[:, 1:], places)
+            found[:, arm.passive] += step
+            if np.abs(step).max(initial=0.0) < _CLOSED:
+                break
+    found[(gap > _GAP) | (np.abs(step).max(axis=1, initial=0.0) > 1e-6)] = np.nan
+    return found
+
+
+def closing_step(arm: Arm, axes: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far passive joints have to move to close the loops, shape (N, p), and the largest gap, shape (N,) [m].
+
+    Args:
+        arm: The arm.
+        axes: Frames whose z are the joint axes, shape (N, n, 4, 4).
+        links: Frames of the base and of the links that move with each joint, shape (N, n + 1, 4, 4).
+    """
+    missing, J = _gaps(arm, axes, links)
+    step = -(np.linalg.pinv(J[..., arm.passive], rcond=_USELESS) @ missing[..., None])[..., 0]
+    return step, np.abs(missing).max(axis=1, initial=0.0)
+
+
+def rates(arm: Arm, axes: np.ndarray, links: np.ndarray) -> np.ndarray:
+    """Return how passive joints follow all joints, shape (N, p, n), themselves not; frames as above."""
+    _, J = _gaps(arm, axes, links)
+    followed = -np.linalg.pinv(J[..., arm.passive], rcond=_USELESS) @ J
+    followed[..., arm.passive] = 0.0
+    return np.asarray(followed)
+
+
+def _gaps(arm: Arm, axes: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return gaps and tilts of all pins, shape (N, m), and their derivatives by the joints, shape (N, m, n)."""
+    w, o = axes[..., :3, 2], axes[..., :3, 3]
+    missing, derivatives = [], []
+    for pin in arm.pins:
+        halves = [links[:, joint + 1] @ place for joint, place in zip(pin.joints, pin.places, strict=True)]
+        moves, turns = [], []
+        for half, joint in zip(halves, pin.joints, strict=True):
+            carried = arm.carried[:, joint] if joint >= 0 else np.zeros(len(arm.names), bool)
+            turning = np.where(arm.prismatic[:, None], 0.0, np.cross(w, half[:, None, :3, 2]))
+            moving = np.where(arm.prismatic[:, None], w, np.cross(w, half[:, None, :3, 3] - o))
+            moves.append(carried[:, None] * moving)
+            turns.append(carried[:, None] * turning)
+        missing.append(halves[1][:, :3, 3] - halves[0][:, :3, 3])
+        derivatives.append(moves[1] - moves[0])
+        if pin.has_axis:
+            a, b = (half[:, :3, 2] for half in halves)
+            missing.append(_TILT * np.cross(a, b))
+            derivatives.append(_TILT * (np.cross(a[:, None], turns[1]) + np.cross(turns[0], b[:, None])))
+    return np.concatenate(missing, axis=1), np.concatenate(derivatives, axis=2).swapaxes(1, 2)
