@@ -42,6 +42,7 @@ class Conditions(Recorded):
         sighted: shape (N, 3), where the instrument sees the target in its own frame [m]; None where nothing was read yet.
         inertial: shape (N, n, 6), force [N] and moment [N m] that the inertia of all that a moving joint carries exerts on
             it, in the axes behind its motion and about the origin of the frame before; None at rest.
+        around: the K moments about each pose by which a sensor reads it; None for sensors that read one pose at a time.
     """
 
     q: np.ndarray
@@ -51,6 +52,8 @@ class Conditions(Recorded):
     setup: np.ndarray | None = None
     sighted: np.ndarray | None = None
     inertial: np.ndarray | None = None
+    # A Moving, or None; arrays stand beside it in dictionaries of columns.
+    around: Any = None
 
     @classmethod
     def at(cls, q: np.ndarray, *, payload: float = 0.0, payload_centre: Iterable[float] = (0.0, 0.0, 0.0)) -> Conditions:
@@ -73,6 +76,20 @@ class Conditions(Recorded):
         columns = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "payload_centre"}
         chosen: dict[str, Any] = {name: column[rows] for name, column in columns.items() if column is not None}
         return replace(self, **chosen)
+
+    @cached_property
+    def at_moments(self) -> Conditions:
+        """The poses that readings depend on: these, or N K of the moments about them, those of one row together."""
+        if self.around is None or self.around.q is None:
+            return self
+        n, K, joints = self.around.q.shape
+        rows, moving = np.repeat(np.arange(n), K), self.around
+        return replace(
+            replace(self, around=None).select(rows),
+            q=np.ascontiguousarray(moving.q.reshape(-1, joints)),
+            velocity=None if moving.velocity is None else moving.velocity.reshape(-1, joints),
+            inertial=None if moving.loads is None else moving.loads.reshape(-1, joints, 6),
+        )
 
     def column(self, name: str) -> np.ndarray | None:
         """Return a recorded column of ``RECORDABLE``, shape (N, n) or (N,), or None."""

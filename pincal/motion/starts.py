@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -95,6 +96,22 @@ def start_imu(
     _check_forces(arm, imu, rows, found.clock, mount)
     _check_slip(arm, imu, rows, found.clock, mount)
     return ImuStart(found.clock, mount, rows)
+
+
+def aligned_forces(arm: MovingArm, start: ImuStart) -> float:
+    """Return by how much the stamps of the rates of an IMU are too early for those of its forces, to a millisecond [s]."""
+
+    def features(at: np.ndarray) -> np.ndarray:
+        # Linear in the mount's rotation, and in its lever arm.
+        ideal = arm.ideal(at, start.rows.window)
+        spin = np.einsum("na,nb->nab", ideal.rate, ideal.rate)[:, *np.triu_indices(3)]
+        return np.hstack([ideal.force, ideal.turning, spin])
+
+    rows = start.rows
+    covers = partial(arm.path.covers, margin=4.0 * rows.window.width)
+    middle = np.array([start.clock.middle])
+    forces = aligned(rows.time, rows.readings[:3].T, features, covers, start.clock).clock
+    return float((start.clock.to_joints(middle) - forces.to_joints(middle))[0])
 
 
 def _turned(arm: MovingArm, imu: Stream, rows: ImuRows) -> Alignment | None:

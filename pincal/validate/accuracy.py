@@ -46,7 +46,7 @@ def pose_errors(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
 
     Returns:
         Block name ("position", "orientation", "distance", "image") -> shape (N,). An image's errors also stand as
-        "position": what they are across the view at the distance of the point.
+        "position": what they are across the view at the distance of the point. Those of an IMU are in m/s^2 and rad/s.
     """
     residuals = station.residuals(values)
     ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
@@ -54,7 +54,7 @@ def pose_errors(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
         block.name: np.linalg.norm(residuals[a : a + block.size], axis=0) * readable_unit(block.unit).factor
         for block, a in zip(station.sensor.blocks, ends, strict=False)
     }
-    if station.sensor.blocks[0].unit == "m":
+    if station.sensor.blocks[0].unit == "m" or not station.sensor.reads_place:
         return found
     return {"position": np.linalg.norm(station.displacements(values), axis=1) * readable_unit("m").factor} | found
 

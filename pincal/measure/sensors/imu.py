@@ -20,13 +20,19 @@ A row is a mean over a window that is a Gaussian in time, as the readings are fi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar, Self
 
 import numpy as np
 
-from pincal.measure.fields import Field
-from pincal.parameters import Parameter
+from pincal.measure.extrinsics import Extrinsics
+from pincal.measure.fields import Field, TableRows
+from pincal.measure.sensor import Block, OwnParameters, Sensor
+from pincal.measure.setup import Setup
+from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.robot.se3 import nearest_rotation, shortest_turn, transform
 from pincal.units import STANDARD_GRAVITY
 
 FORCE = Field("specific_force", ("ax", "ay", "az"), "acceleration")
@@ -234,3 +240,80 @@ class ImuErrors:
             out[6 + axis, axis] = out[18 + axis, 3 + axis] = 1.0
         out[21, 3:] = self.gyro @ ideal.turning.T
         return out
+
+
+@dataclass(frozen=True)
+class ImuSensor(Sensor, OwnParameters):
+    """IMU on the tool: specific force, shape (N, 3) [m/s^2], and angular rate, shape (N, 3) [rad/s], in windows of its log.
+
+    The instrument's frame is level, its z against gravity; the target is the IMU.
+    """
+
+    kind: ClassVar[str] = "imu"
+    fields: ClassVar[tuple[Field, ...]] = (FORCE, RATE)
+    blocks: ClassVar[tuple[Block, ...]] = (
+        Block("specific_force", "m/s^2", 3, rounding=1e-7, noise=0.02),
+        Block("angular_rate", "rad/s", 3, rounding=1e-8, noise=5e-4),
+    )
+    tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
+    base_symbols: ClassVar[tuple[str, ...]] = ("rx", "ry")
+    twist_rows: ClassVar[int] = 6
+    per_row: ClassVar[tuple[str, ...]] = ("force", "rate")
+    default_target: ClassVar[str] = "imu"
+    is_on_tool: ClassVar[bool] = True
+    reads_place: ClassVar[bool] = False
+
+    force: np.ndarray
+    rate: np.ndarray
+
+    @classmethod
+    def of(cls, table: TableRows, setup: Setup) -> Self:
+        return cls(table.array(FORCE.name), table.array(RATE.name))
+
+    @property
+    def own_parameters(self) -> tuple[Parameter, ...]:
+        return imu_parameters()
+
+    @property
+    def own_words(self) -> str:
+        return ""
+
+    def shifted(self, change: np.ndarray) -> Self:
+        return replace(self, force=self.force + change[:3].T, rate=self.rate + change[3:].T)
+
+    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        ideal = Inertial.of(poses, self._window(poses))
+        return np.asarray(np.vstack([self.force.T, self.rate.T]) - ImuErrors.of(own).readings(ideal))
+
+    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
+        errors, window = ImuErrors.of(own), self._window(poses)
+        by_motion = errors.columns(*inertial_columns(poses, motion, window))
+        return np.concatenate([by_motion, errors.own_columns(Inertial.of(poses, window))])
+
+    def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return nothing: acceleration and rate tell no place."""
+        return np.zeros((len(self), 3))
+
+    def _window(self, poses: np.ndarray) -> Window:
+        """Return a window with as many moments as these poses have; its width is in them."""
+        return Window(float(len(poses) > 3 * len(self)))
+
+    def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
+        """Yield the mount by which rates follow those of the tip; lever arm and upward direction are linear in the forces."""
+        window = self._window(tips)
+        ideal, R = Inertial.of(tips, window, 0.0), tips[len(window.offsets) // 2 :: len(window.offsets), :, :3]
+        centred = [rate - rate.mean(axis=0) for rate in (ideal.rate, self.rate)]
+        mount = nearest_rotation(centred[0].T @ centred[1])
+        spin = _skew(ideal.rate)
+        features = [R.swapaxes(1, 2), _skew(ideal.turning) + spin @ spin, np.tile(np.eye(3), (len(R), 1, 1))]
+        left = self.force @ mount.T - ideal.force
+        solution = np.linalg.lstsq(np.concatenate(features, axis=2).reshape(-1, 9), left.ravel(), rcond=1e-9)[0]
+        tools = np.tile(transform(mount, solution[3:6]), (n_targets, 1, 1))
+        level = shortest_turn(solution[:3] / np.linalg.norm(solution[:3]), np.array([0.0, 0.0, 1.0]))
+        yield Extrinsics(transform(level[:3, :3], np.zeros(3)), tools, np.zeros(len(self.own_parameters)))
+
+    def unobservable(self) -> Iterator[str]:
+        yield (
+            "an IMU does not tell where the robot stands nor which way it faces, the zeros of the first and the last joint, "
+            "those of parallel joints one by one, nor lengths, which are held as in the URDF unless other rows tell them"
+        )

@@ -6,29 +6,29 @@ used at rest.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, PoseSet, varies
-from pincal.model.effect import Candidate, Discoverable, Locus, Term
-from pincal.model.effect_bases import PLAY, DriveInMotion, parameters_of, recorded
-from pincal.parameters import Parameter, Scope
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect, Family, Locus, Term
+from pincal.model.effect_bases import PLAY, DriveInMotion, recorded
+from pincal.parameters import ANYWHERE, Parameter, Scope
 
-# Typical sizes: a servo's delay, what is left of a clock's offset after signals were correlated [s], and of its drift.
-_LAG, _OFFSET, _DRIFT = 1e-3, 5e-3, 1e-3
+# Typical size of a servo's delay [s].
+_LAG = 1e-3
 
 
 @dataclass(frozen=True)
-class InstrumentClock(Discoverable):
+class InstrumentClock(Effect):
     r"""The instrument's clock is off against that of the joints: its reading is of the pose at a later time.
 
     A reading of time t is of the joints at :math:`t + \tau_0 + \tau_1 (t - t_m)`, so that every drive adds
-    :math:`\dot q_j` times this, to first order. Once the times are known to some microseconds the poses are taken there.
+    :math:`\dot q_j` times this, to first order: the times are known to a millisecond before. Like the place of the
+    instrument it may be anything.
 
     Distinguished by:
         motions that start and stop. An offset equals the same lag of all joints.
@@ -45,22 +45,14 @@ class InstrumentClock(Discoverable):
     drifts: bool = True
     name: ClassVar[str] = "instrument_clock"
     meaning: ClassVar[str] = "the instrument's clock differs from that of the joints"
+    family: ClassVar[Family] = Family.EXTRINSICS
     scope: ClassVar[Scope] = "station"
     locus: ClassVar[Locus] = Locus(acts_on="clock", follows="velocity")
-    needs: ClassVar[tuple[str, ...]] = ()
-
-    @classmethod
-    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it once for arms in motion: an offset alone, and one that drifts."""
-        conditions = situation.conditions
-        if varies(conditions.velocity) and conditions.time is not None:
-            effect = cls(float(0.5 * (conditions.time.min() + conditions.time.max())))
-            yield Candidate(effect, variants=(replace(effect, drifts=False), effect))
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Offset [s] and drift [1]."""
-        offset = parameters_of(self, "instrument", ("clock_offset",), unit="s", size=_OFFSET)
-        return offset + parameters_of(self, "instrument", ("clock_drift",) * self.drifts, unit="1", size=_DRIFT)
+        symbols = (("offset", "s"), ("drift", "1"))[: 1 + self.drifts]
+        return tuple(Parameter(f"clock.{symbol}", unit, self.name, 0.0, ANYWHERE) for symbol, unit in symbols)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
         """Add the way that each joint goes in a unit of time."""
