@@ -81,7 +81,7 @@ def _imu_table(arm: MovingArm, imu: Stream, others: Sequence[tuple[str, MovingAr
 def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
     if POSITION.name not in tracker.readings:
         raise MeasurementError(
-            f"{tracker.name}: {', '.join(tracker.readings)} in motion; expected positions or poses: x y z, or x y z qx qy qz qw"
+            f"{tracker.name}: {', '.join(tracker.readings)} in motion; expected x y z, or x y z qx qy qz qw"
         )
     start = start_positions(arm, tracker, tracker.readings[POSITION.name])
     at = start.clock.to_joints(tracker.time)
@@ -102,7 +102,7 @@ def _table(
     *,
     offsets: np.ndarray | None = None,
 ) -> Measurements:
-    """Return the rows of a stream with the poses of the arm; ``time`` is by their own clock, ``at`` by that of the joints."""
+    """Return the rows of a stream with the poses of the arm; their times are by its clock, and by that of the joints."""
     n, robot, here = len(time), arm.robot, arm.conditions(at)
     around = dict[str, np.ndarray | None]()
     if offsets is not None:

@@ -299,7 +299,7 @@ class ImuSensor(Sensor, OwnParameters):
         return Window(float(len(poses) > 3 * len(self)))
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield the mount by which rates follow those of the tip; lever arm and upward direction are linear in the forces."""
+        """Yield the mount by which rates follow those of the tip; lever arm and upward direction from the forces."""
         window = self._window(tips)
         ideal, R = Inertial.of(tips, window, 0.0), tips[len(window.offsets) // 2 :: len(window.offsets), :, :3]
         centred = [rate - rate.mean(axis=0) for rate in (ideal.rate, self.rate)]
