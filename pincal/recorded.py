@@ -84,6 +84,7 @@ class Moving:
         velocity: shape (N, K, n), velocities there.
         loads: shape (N, K, n, 6), loads of inertia there; None for none.
         clock: what was added to the instrument's stamps [s], and by which they drift [1], about their middle [s].
+        delay: of an IMU, by how much the stamps of its rates were taken to be too early [s].
     """
 
     inertial: np.ndarray | None = None
@@ -91,6 +92,7 @@ class Moving:
     velocity: np.ndarray | None = None
     loads: np.ndarray | None = None
     clock: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    delay: float = 0.0
 
     @property
     def middle(self) -> float:
@@ -103,13 +105,13 @@ class Moving:
 
     def __getitem__(self, rows: slice | np.ndarray) -> Moving:
         inertial, q, velocity, loads = (None if array is None else array[rows] for array in self._arrays)
-        return Moving(inertial, q, velocity, loads, self.clock)
+        return Moving(inertial, q, velocity, loads, self.clock, self.delay)
 
     def joined(self, others: Sequence[Moving]) -> Moving:
         """Return this and others of the same session, one after the other."""
         parts = zip(*(each._arrays for each in (self, *others)), strict=True)
         inertial, q, velocity, loads = (None if part[0] is None else np.concatenate(part) for part in parts)
-        return Moving(inertial, q, velocity, loads, self.clock)
+        return Moving(inertial, q, velocity, loads, self.clock, self.delay)
 
 
 _HINTS = get_type_hints(Recorded, include_extras=True)

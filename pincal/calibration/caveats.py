@@ -237,7 +237,8 @@ def findings_on_fit(fit: ModelFit, p_value: float | None) -> list[Caveat]:
 def findings_on_order(station: Station) -> list[Caveat]:
     """Return whether the noise of a station's rows depends on their order, and whether that order is a joint's, too."""
     found, serial, n = [], station.serial, len(station)
-    if serial is not None:
+    # The windows of an IMU overlap by what they are.
+    if serial is not None and station.sensor.reads_place:
         share = float(np.max(serial.share))
         rows = 1.0 / (1.0 - float(np.max(serial.phi)))
         lasts = f"for about {rows:.0f} rows" if rows < n else "over all rows"

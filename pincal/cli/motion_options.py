@@ -1,8 +1,10 @@
-"""Arguments of ``pincal simulate`` for arms that move: a path, and who logs it."""
+"""Arms that move: streams on the command line, and for ``pincal simulate`` a path and who logs it."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -12,7 +14,65 @@ from pincal.cli.quantities import ANGLES, QuantityType
 from pincal.units import UNITS, plain_number, size_of
 
 if TYPE_CHECKING:
+    from pincal.measure.fields import TableOptions
+    from pincal.measure.measurements import Measurements
+    from pincal.robot.robot import Robot
     from pincal.simulate.session import SessionOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionOptions:
+    """Streams of an arm that moves, each on a clock of its own, in place of a folder of them."""
+
+    imu: Path | None = option(
+        "Log of an IMU on the tool while the arm moves (time, ax ay az, wx wy wz); --joints then logs its joints (time and "
+        "a column for each).",
+        metavar="LOG",
+    )
+    tracker: Path | None = option(
+        "Log of an instrument that reads a target on the tool meanwhile (time, x y z, perhaps qx qy qz qw).", metavar="LOG"
+    )
+
+    @property
+    def are_given(self) -> bool:
+        """Whether there is one of them."""
+        return self.imu is not None or self.tracker is not None
+
+
+def files_of(paths: Iterable[Path]) -> Iterator[Path]:
+    """Yield files, those in folders of sessions one by one."""
+    from pincal.motion.sessions import joints_of_session
+
+    for path in paths:
+        yield from (
+            (path,) if joints_of_session(path) is None or path.is_file() else sorted(filter(Path.is_file, path.iterdir()))
+        )
+
+
+def load_sessions(
+    robot: Robot, paths: Sequence[Path], reading: TableOptions, motion: MotionOptions
+) -> tuple[dict[str, Measurements], list[Path]]:
+    """Return the tables of stations in motion by their names, and the other files, which are tables.
+
+    Raises:
+        BadInputError: for a stream that is invalid.
+    """
+    from pincal.motion.sessions import Session, joints_of_session, read_session, read_streams
+    from pincal.motion.stations import session_tables
+
+    sessions = list[Session]()
+    plain: dict[str, Any] = {"columns": reading.columns, "ignore": reading.ignore}
+    if motion.are_given:
+        if reading.joints is None:
+            raise click.UsageError("--imu and --tracker need the joints that were logged meanwhile: --joints LOG")
+        given: dict[str, Any] = {"joints": reading.joints, "imu": motion.imu, "tracker": motion.tracker}
+        sessions.append(read_streams(robot, **given, **plain))
+    elif not paths:
+        raise click.UsageError("Missing argument 'DATA.csv...'; or --joints, --imu and --tracker of an arm in motion")
+    folders = [path for path in paths if joints_of_session(path) is not None]
+    sessions += [read_session(robot, path, **plain) for path in folders]
+    return session_tables(robot, sessions), [path for path in paths if path not in folders]
+
 
 # Samples a second of a fast logger.
 _MOST_RATE = 10_000.0

@@ -91,9 +91,12 @@ class Session:
     tracker: Stream | None = None
 
 
-def is_session(path: str | os.PathLike[str]) -> bool:
-    """Return whether a folder has the files of a session."""
-    return Path(path).is_dir() and bool(_files(Path(path), "joints"))
+def joints_of_session(path: str | os.PathLike[str]) -> Path | None:
+    """Return the log of the joints of a session, a folder or a recording of ROS with an IMU; None for anything else."""
+    path = Path(path)
+    if is_bag(path):
+        return path if path.exists() and "imu" in open_streams(path) else None
+    return next(iter(_files(path, "joints")), None) if path.is_dir() else None
 
 
 def read_session(robot: Robot, folder: str | os.PathLike[str], **options: Any) -> Session:

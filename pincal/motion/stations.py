@@ -75,7 +75,7 @@ def _imu_table(arm: MovingArm, imu: Stream, others: Sequence[tuple[str, MovingAr
     sigma = np.sqrt(np.prod(rows.sigma / np.median(rows.sigma, axis=1, keepdims=True), axis=0))
     readings = {FORCE.name: rows.readings[:3].T, RATE.name: rows.readings[3:].T, "sigma": sigma}
     lines = np.searchsorted(imu.time, rows.time) + 2
-    return _table(arm, imu, clock, rows.time, at, lines, readings, offsets=rows.window.offsets)
+    return _table(arm, imu, clock, rows.time, at, lines, readings, offsets=rows.window.offsets, delay=delay)
 
 
 def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
@@ -101,6 +101,7 @@ def _table(
     readings: dict[str, np.ndarray],
     *,
     offsets: np.ndarray | None = None,
+    delay: float = 0.0,
 ) -> Measurements:
     """Return the rows of a stream with the poses of the arm; their times are by its clock, and by that of the joints."""
     n, robot, here = len(time), arm.robot, arm.conditions(at)
@@ -121,4 +122,5 @@ def _table(
         time=time,
         **readings,
     )
-    return replace(table, moving=Moving(clock=(clock.offset, clock.drift, clock.middle), inertial=here.inertial, **around))
+    clocked = Moving(clock=(clock.offset, clock.drift, clock.middle), delay=delay, inertial=here.inertial, **around)
+    return replace(table, moving=clocked)
