@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
-from pincal.units import readable_unit
+from pincal.units import Unit, readable_unit
 
 CYCLES = 30
 """Cycles, measurements of each pose, that ISO 9283 asks for."""
@@ -50,17 +50,22 @@ def pose_errors(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
 
     Returns:
         Block name ("position", "orientation", "distance", "image") -> shape (N,). An image's errors also stand as
-        "position": what they are across the view at the distance of the point. Those of an IMU are in m/s^2 and rad/s.
+        "position": what they are across the view at the distance of the point. Those of an IMU are in m/s^2 and mrad/s.
     """
     residuals = station.residuals(values)
     ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
     found = {
-        block.name: np.linalg.norm(residuals[a : a + block.size], axis=0) * readable_unit(block.unit).factor
+        block.name: np.linalg.norm(residuals[a : a + block.size], axis=0) * _read_in(block.unit).factor
         for block, a in zip(station.sensor.blocks, ends, strict=False)
     }
     if station.sensor.blocks[0].unit == "m" or not station.sensor.reads_place:
         return found
     return {"position": np.linalg.norm(station.displacements(values), axis=1) * readable_unit("m").factor} | found
+
+
+def _read_in(unit: str) -> Unit:
+    """Return the unit in which errors are read: rates as angles are, in thousandths."""
+    return Unit(1e3, "mrad/s") if unit == "rad/s" else readable_unit(unit)
 
 
 def error_summary(station: Station, values: np.ndarray) -> dict[str, float]:
@@ -75,7 +80,7 @@ def error_summary(station: Station, values: np.ndarray) -> dict[str, float]:
 
 def pose_error_sizes(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
     """Return the size of the error at each row by its unit, one of ``ERROR_UNITS``, shape (N,) each; empty without rows."""
-    units = {block.name: readable_unit(block.unit).name for block in station.sensor.blocks}
+    units = {block.name: _read_in(block.unit).name for block in station.sensor.blocks}
     found = pose_errors(station, values) if len(station) else {}
     return {units.get(block, "mm"): sizes for block, sizes in found.items()}
 
