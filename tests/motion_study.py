@@ -1,548 +1,341 @@
-"""What an IMU on the flange and a tracker in motion tell of simulated arms: ``python tests/motion_study.py``.
+"""What an IMU on the flange and a tracker in motion tell of simulated arms: ``python tests/motion_study.py PART``.
 
-A Gauss-Newton fit of a hundred lines on the library's model, its sensor of IMUs, paths and clocks; the truth comes from the
-simulator, which shares no code with them. It prints how far the axes are off that were found, what intervals cover, and how
-long an evaluation takes.
+The truth comes from ``pincal.simulate``, which shares no code with the model. Errors are judged at 300 random poses of the
+whole workspace, base and tool placed by rigid transforms only, so that "nominal" means the same for all.
 """
 
 from __future__ import annotations
 
 import argparse
-import time as clock_of_wall
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+import time as wall
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+import pincal
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.measure.sensors.imu import ImuErrors, Inertial, Window, imu_parameters, inertial_columns
-from pincal.model.catalogue import InstrumentClock
-from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, nominal_moments
-from pincal.model.effect import Effect
-from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, ToolFrame
-from pincal.model.model import Model
-from pincal.motion.clocks import Clock
-from pincal.motion.imu_rows import ImuRows
-from pincal.motion.joint_path import JointPath
-from pincal.motion.moving_arm import MovingArm, level_chain
-from pincal.motion.sessions import stream_of
-from pincal.motion.starts import start_imu, start_positions
-from pincal.parameters import FRAME_SYMBOLS, Parameter
-from pincal.robot.robot import Robot
-from pincal.robot.se3 import align, nearest_rotation
+from pincal.measure.measurements import Measurements
+from pincal.motion.sessions import Session, stream_of
+from pincal.robot.se3 import align, exponentials, nearest_rotation
 from pincal.robot.urdf_file import find_file
+from pincal.simulate.contact import draw_instrument, draw_targets
 from pincal.simulate.moving import draw_path
-from pincal.simulate.session import Clock as TrueClock
-from pincal.simulate.session import ImuSetup, MovingSession
-from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors
+from pincal.simulate.session import Clock, ImuSetup, MovingSession
+from pincal.simulate.typical import draw_typical_errors
 from pincal.units import STANDARD_GRAVITY
 
-# Noise of the IMU: 1 mg/sqrt(Hz) and 0.01 deg/s/sqrt(Hz).
-ACC_DENSITY, GYRO_DENSITY = 1e-3 * STANDARD_GRAVITY, np.deg2rad(0.01)
-# Of the tracker [m].
-TRACKER = 3e-5
+# Noise of the IMU: 1 mg/sqrt(Hz) and 0.01 deg/s/sqrt(Hz); of the tracker [m].
+DENSITIES, TRACKER = (1e-3 * STANDARD_GRAVITY, np.deg2rad(0.01)), 3e-5
 G = (0.0, 0.0, -STANDARD_GRAVITY)
 ARMS = {"kuka (6R)": (kuka_urdf_path, "tool0"), "panda (7R)": (lambda: find_file("panda"), "panda_hand_tcp")}
-# Rows of a piece, and standard deviation of a window [s].
-PIECE, WIDTH = 1000, 0.03
+GEOMETRY = pincal.Options(effects=pincal.GEOMETRIC)
 
 
 @dataclass(frozen=True)
 class Truth:
-    """A machine, its session, and what was logged of it."""
+    """A machine and a session of it."""
 
-    robot: Robot
+    robot: pincal.Robot
     machine: sim.TrueMachine
     session: MovingSession
-    tables: dict[str, dict[str, np.ndarray]]
+    tracker: sim.Instrument
 
     @classmethod
     def draw(
-        cls, name: str, seed: int, *, duration: float, elastic: float = 0.0, tracker: bool = False, **imu: float
+        cls,
+        name: str,
+        seed: int,
+        *,
+        duration: float,
+        imu: bool = True,
+        tracker: bool = False,
+        noise: float = 1.0,
+        vibration: float = 0.0,
+        drift: float | None = None,
+        hidden: Sequence[sim.HiddenEffect] = (),
+        **logs: float,
     ) -> Truth:
-        """Draw a machine, a path and what logs it."""
+        """Draw a machine with typical errors, a path and what logs it."""
         urdf, tip = ARMS[name]
         rng = np.random.default_rng([seed, 31])
-        robot = Robot.from_urdf(urdf(), tip=tip)
-        machine = sim.TrueMachine.from_urdf(
-            robot.urdf.decode(), tip=robot.tip, base=robot.base, gravity=G, moment_frame="after"
+        robot = pincal.Robot.from_urdf(urdf(), tip=tip)
+        machine = sim.TrueMachine.from_urdf(robot.urdf.decode(), tip=robot.tip, base=robot.base, gravity=G)
+        machine = draw_typical_errors(machine, rng).with_effects(*hidden)
+        path, (acc, gyro) = draw_path(machine.nominal, duration, rng), DENSITIES
+        setup = ImuSetup.draw(rng, acc_density=noise * acc, gyro_density=noise * gyro, vibration=vibration)
+        targets = draw_targets(machine.nominal, 1, rng)
+        beside = sim.Instrument(
+            pose=draw_instrument(machine.nominal, rng), targets=next(iter(targets.values())), sigma=TRACKER
         )
-        machine = draw_typical_errors(machine, rng)
-        if elastic:
-            machine = draw_typical_elasticity(machine, rng, scale=elastic)
-        path = draw_path(machine.nominal, duration, rng)
-        given = {"acc_density": ACC_DENSITY, "gyro_density": GYRO_DENSITY} | imu
+        clocks = {what: Clock.draw(rng, middle=0.5 * duration, drift=drift) for what in ("imu", "tracker")}
+        given = {"resolution": 2e-5, "dropped": 0.01} | logs
         session = MovingSession(
             path=path,
             duration=duration,
-            imu=None if tracker else ImuSetup.draw(rng, **given),
-            tracker=_tracker(machine, rng) if tracker else None,
-            clocks={
-                "imu": TrueClock.draw(rng, middle=0.5 * duration),
-                "tracker": TrueClock.draw(rng, middle=0.5 * duration),
-            },
-            resolution=2e-5,
-            dropped=0.01,
+            imu=setup if imu else None,
+            tracker=beside if tracker else None,
+            clocks=clocks,
+            **given,  # type: ignore[arg-type]
         )
-        return cls(robot, machine, session, session.measure(machine, rng))
+        return cls(robot, machine, session, beside)
+
+    def logged(self, seed: int = 0) -> Mapping[str, Mapping[str, np.ndarray]]:
+        """Return what is logged of the session, with noise of this seed."""
+        return self.session.measure(self.machine, np.random.default_rng([seed, 7]))
+
+    def tables(self, seed: int = 0, logged: Mapping[str, Mapping[str, np.ndarray]] | None = None) -> dict[str, Measurements]:
+        """Return the stations of the session."""
+        logged, streams = self.logged(seed) if logged is None else logged, {}
+        for what, columns in logged.items():
+            fields = {"specific_force": ("ax", "ay", "az"), "angular_rate": ("wx", "wy", "wz"), "position": tuple("xyz")}
+            read = {f: np.column_stack([columns[c] for c in of]) for f, of in fields.items() if of[0] in columns}
+            if what == "joints":
+                read = {"q": np.column_stack([columns[name] for name in self.robot.joint_names])}
+            streams[what] = stream_of(what, columns["time"], read)
+        return pincal.session_tables(self.robot, [Session("", **streams)])
+
+    def poses(self, n: int, seed: int = 0) -> Measurements:
+        """Return n held poses before the tracker."""
+        rng = np.random.default_rng([seed, 5])
+        read = self.tracker.measure(self.machine, sim.plan_poses(self.machine.nominal, n, rng), rng=rng)
+        q, position = (np.column_stack([read[c] for c in columns]) for columns in (self.robot.joint_names, "xyz"))
+        return pincal.measurements(self.robot, q, position=position)
 
     @cached_property
-    def arm(self) -> MovingArm:
-        """The arm on its path as it was logged."""
-        joints = self.tables["joints"]
-        path = JointPath.through(joints["time"], np.column_stack([joints[name] for name in self.robot.joint_names]))
-        return MovingArm.of(self.robot, path)
+    def elsewhere(self) -> tuple[np.ndarray, np.ndarray]:
+        """Random poses, and where the true tip is there, shape (300, 3)."""
+        q = sim.plan_poses(self.machine.nominal, 300, np.random.default_rng(1))
+        return q, self.machine.tip(q)[:, :3, 3]
+
+    def error(self, robot: pincal.CalibratedModel | None) -> float:
+        """Return the mean error of a model, or of the nominal robot, placed by rigid transforms [mm]."""
+        q, expected = self.elsewhere
+        tips = self.robot.forward_kinematics(q) if robot is None else robot.predict(q)
+        p, R, n = tips[:, :3, 3], tips[:, :3, :3], len(q)
+        turned, origin = align(p, expected)
+        p, R = p @ turned.T + origin, turned @ R
+        for _ in range(6):
+            turns = np.stack([np.cross(axis, p) for axis in np.eye(3)], axis=2)
+            B = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), turns, R], axis=2).reshape(3 * n, 9)
+            move = np.linalg.lstsq(B, (expected - p).ravel(), rcond=1e-12)[0]
+            small = exponentials(move[None, 3:6])[0]
+            p, R = (p + R @ move[6:]) @ small.T + move[:3], small @ R
+        left = expected - p
+        return 1e3 * float(np.linalg.norm(left, axis=1).mean())
+
+    def axis_errors(self, found: pincal.CalibratedModel | None) -> np.ndarray:
+        """Return the rms angle between found and true axes as the tool sees them, shape (joints,) [mrad].
+
+        The tool is turned so that they agree best: what no IMU can tell does not count.
+        """
+        rng = np.random.default_rng(0)
+        q = self.session.path.at(rng.uniform(0.0, self.session.duration, 200))
+
+        def in_tool(place: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+            axes = []
+            for j in range(self.robot.n_joints):
+                moved = q.copy()
+                moved[:, j] += 0.5
+                T = np.swapaxes(place(q)[:, :3, :3], 1, 2) @ place(moved)[:, :3, :3]
+                axis = np.stack([T[:, 2, 1] - T[:, 1, 2], T[:, 0, 2] - T[:, 2, 0], T[:, 1, 0] - T[:, 0, 1]], axis=1)
+                axes.append(axis / np.linalg.norm(axis, axis=1, keepdims=True))
+            return np.array(axes)
+
+        a, b = in_tool(self.robot.forward_kinematics if found is None else found.predict), in_tool(self.machine.tip)
+        R = nearest_rotation(np.einsum("jna,jnb->ab", b, a))
+        return 1e3 * np.sqrt(np.mean(np.sum((a @ R.T - b) ** 2, axis=2), axis=1))
+
+    def clock_error(self, table: Measurements, fit: pincal.Fit, name: str, prefix: str = "") -> tuple[float, float, float]:
+        """Return by how much offset [ms] and drift [ppm] are off, and the offset in standard deviations."""
+        assert table.moving is not None
+        values = dict(zip(fit.estimate.names, zip(fit.values, fit.estimate.sigma, strict=True), strict=True))
+        (offset, sigma), (drift, _) = (values[f"{prefix}clock.{what}"] for what in ("offset", "drift"))
+        clock, middle = self.session.clocks[name], table.moving.middle
+        off = table.moving.clock[0] + offset - (clock.offset + clock.drift * (middle - clock.middle))
+        return 1e3 * off, 1e6 * (table.moving.clock[1] + drift - clock.drift), off / sigma
 
 
-def _tracker(machine: sim.TrueMachine, rng: np.random.Generator) -> sim.Instrument:
-    from pincal.simulate.contact import draw_instrument, draw_targets
-
-    targets = draw_targets(machine.nominal, 1, rng)
-    return sim.Instrument(pose=draw_instrument(machine.nominal, rng), targets=next(iter(targets.values())), sigma=TRACKER)
-
-
-@dataclass
-class Session:
-    """Rows of one instrument: a model, parameters of its own, a clock."""
-
-    name: str
-    arm: MovingArm
-    model: Model
-    own: tuple[Parameter, ...]
-    clock: Clock
-
-    @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """All of them, those of a session with its name; compliances bend by their size under the largest moment."""
-        begin, end = self.arm.path.span
-        moments = np.abs(nominal_moments(self.model.chain, self.arm.conditions(np.arange(begin, end, 1.0)))).max(axis=0)
-        most = np.maximum(moments, 0.05 * moments.max())
-        of_joint = {
-            f"{name}.k_{axis}": 3 * i + "xyz".index(axis)
-            for i, name in enumerate(self.arm.robot.joint_names)
-            for axis in "xyz"
-        }
-        pairs = zip(self.model.parameters, self.model.of_station, strict=True)
-        mine = [replace(p, name=f"{self.name}/{p.name}") for p in self.own]
-        found = [replace(p, name=f"{self.name}/{p.name}") if own else p for p, own in pairs]
-        return (*(replace(p, size=p.size / most[of_joint[p.name]]) if p.name in of_joint else p for p in found), *mine)
-
-    def linearise(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield residuals and Jacobian, shape (m, n) and (free, m, n), piece by piece, in units of their noise."""
-        raise NotImplementedError
-
-    def settle(self, values: np.ndarray, left: np.ndarray) -> np.ndarray:
-        """Move clocks by what was found; return values without it."""
-        values, names = values.copy(), [p.name for p in self.parameters]
-        found = [f"{self.name}/instrument.clock_offset", f"{self.name}/instrument.clock_drift"]
-        offset, drift = (names.index(name) for name in found)
-        self.clock = self.clock.moved(float(values[offset]), float(values[drift]))
-        values[[offset, drift]] = 0.0
-        return values
+def calibrated(truth: Truth, tables: Mapping[str, Measurements]) -> pincal.Fit:
+    """Return a calibration by some stations; the noise of held poses is declared."""
+    options = replace(GEOMETRY, sigma=TRACKER if "poses" in tables else None)
+    return pincal.calibrate(truth.robot, dict(tables) if len(tables) > 1 else next(iter(tables.values())), options)
 
 
-@dataclass
-class ImuSession(Session):
-    """Rows of an IMU."""
-
-    stamps: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    force: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    rate: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    delay: float = 0.0
-    scatter: np.ndarray = field(default_factory=lambda: np.ones(2))
-
-    @classmethod
-    def of(cls, truth: Truth, effects: Sequence[Effect]) -> ImuSession:
-        """Find clock and mount by the rates of the nominal arm, and put together the model."""
-        table, arm = truth.tables["imu"], truth.arm
-        force, rate = (np.column_stack([table[letter + axis] for axis in "xyz"]) for letter in "aw")
-        stream = stream_of("imu", table["time"], {"specific_force": force, "angular_rate": rate})
-        found = start_imu(arm, stream, window=Window(WIDTH))
-        chain = level_chain(Chain.of(arm.robot, gravity=np.array(G), moment_frame="after"))
-        chain = chain.with_references(chain.base_rotation, found.mount[None])
-        own = (BaseFrame(("rx", "ry")), ToolFrame(FRAME_SYMBOLS), InstrumentClock(found.clock.middle))
-        model = Model(chain, (*effects, *own))
-        return cls("imu", arm, model, imu_parameters(), found.clock, stream.time, force, rate)
-
-    @cached_property
-    def rows(self) -> ImuRows:
-        """The filtered readings that the path covers."""
-        rows = ImuRows.of(self.stamps, self.force, self.rate, Window(WIDTH), delay=self.delay)
-        return rows.select(self.arm.path.covers(self.clock.to_joints(rows.time), 4.0 * WIDTH))
-
-    def linearise(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield weighted residuals and Jacobian."""
-        P, window = self.model.n_parameters, self.rows.window
-        errors = ImuErrors.of(values[P:])
-        for k in range(0, len(self.rows), PIECE):
-            rows = self.rows.select(np.arange(k, min(k + PIECE, len(self.rows))))
-            conditions = self.arm.conditions(self.clock.to_joints(rows.time), window.offsets)
-            # The drift is of the stamps, and stands still within a window.
-            conditions = replace(conditions, time=np.repeat(rows.time, len(window.offsets)))
-            poses, motion = self.model.linearise(values[:P], conditions, free=free[:P], rows=6)
-            ideal = Inertial.of(poses, window, STANDARD_GRAVITY)
-            columns = errors.columns(*inertial_columns(poses, motion.transpose(2, 1, 0), window, STANDARD_GRAVITY))
-            columns = np.concatenate([columns, errors.own_columns(ideal)[free[P:]]])
-            weights = np.repeat(1.0 / (rows.sigma * self.scatter[:, None]), 3, axis=0)
-            yield (rows.readings - errors.readings(ideal)) * weights, columns * weights
-
-    def settle(self, values: np.ndarray, left: np.ndarray) -> np.ndarray:
-        """Move the clock and the gyroscope's delay by what was found; take the noise to be what was left."""
-        self.scatter = self.scatter * [_scatter(left[:3]), _scatter(left[3:])]
-        values = super().settle(values, left)
-        self.delay += float(values[-1])
-        values[-1] = 0.0
-        self.__dict__.pop("rows", None)
-        return values
-
-
-def _scatter(left: np.ndarray) -> float:
-    """Return by how much noise is larger than was thought, the correlation of neighbouring rows counted."""
-    centred = left - left.mean(axis=1, keepdims=True)
-    square = np.mean(centred**2)
-    alike = [np.mean(centred[:, k:] * centred[:, :-k]) / square for k in range(1, 4)]
-    return float(np.sqrt(square * max(1.0 + 2.0 * sum(alike), 0.1)))
-
-
-@dataclass
-class TrackerSession(Session):
-    """Positions of a tracker in motion, or held."""
-
-    stamps: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    position: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    held: Conditions | None = None
-
-    @classmethod
-    def of(cls, truth: Truth, effects: Sequence[Effect]) -> TrackerSession:
-        """Find clock, base and tool by the nominal arm."""
-        table, arm = truth.tables["tracker"], truth.arm
-        position = np.column_stack([table[axis] for axis in "xyz"])
-        found = start_positions(arm, stream_of("tracker", table["time"], {"position": position}), position)
-        chain = Chain.of(arm.robot, gravity=np.array(G), moment_frame="after").with_references(found.base, np.eye(3)[None])
-        own = (BaseFrame(), ToolFrame(), InstrumentClock(found.clock.middle))
-        session = cls("tracker", arm, Model(chain, (*effects, *own)), (), found.clock, table["time"], position)
-        places = (*found.origin, *found.target)
-        names = [f"{element}.{axis}" for element in ("base", "tool") for axis in "xyz"]
-        session.start = dict(zip(names, places, strict=True))
-        return session
-
-    start: dict[str, float] = field(default_factory=dict)
-
-    def linearise(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield weighted residuals and Jacobian."""
-        at = self.clock.to_joints(self.stamps)
-        rows = np.flatnonzero(self.arm.path.covers(at) if self.held is None else np.ones(len(at), bool))
-        for k in range(0, len(rows), 4096):
-            some = rows[k : k + 4096]
-            conditions = (
-                replace(self.arm.conditions(at[some]), time=self.stamps[some])
-                if self.held is None
-                else self.held.select(some)
+def axes(seeds: int, duration: float) -> Iterator[str]:
+    """An IMU alone: axes, clock, and errors elsewhere."""
+    for name in ARMS:
+        for seed in range(seeds):
+            truth = Truth.draw(name, seed, duration=duration)
+            ((_, table),) = truth.tables().items()
+            fit = calibrated(truth, {"": table})
+            robot = fit.robot_model()
+            clock = truth.clock_error(table, fit, "imu")
+            nominal = truth.axis_errors(None).max()
+            yield (
+                f"{name}, seed {seed}: axes {np.array2string(truth.axis_errors(robot), precision=3)} mrad (nominal at most "
+                f"{nominal:.1f}), elsewhere {truth.error(None):.3f} -> {truth.error(robot):.3f} mm, clock off by "
+                f"{clock[0]:.3f} ms, {clock[1]:.2f} ppm"
             )
-            poses, motion = self.model.linearise(values, conditions, free=free)
-            yield (self.position[some].T - poses[:, :, 3].T) / TRACKER, motion.transpose(2, 1, 0) / TRACKER
 
 
-@dataclass(frozen=True)
-class Fit:
-    """Values by name, their covariance, and how it went."""
-
-    names: list[str]
-    values: np.ndarray
-    covariance: np.ndarray
-    chi_square: float
-    readings: int
-    steps: int
-    seconds: float
-
-
-# Lengths that are held: the IMU does not see them.
-LENGTHS = ("d", "a")
+def together(seeds: int, duration: float) -> Iterator[str]:
+    """A few held poses before a tracker, alone and with an IMU."""
+    for name in ARMS:
+        for seed in range(seeds):
+            truth = Truth.draw(name, seed, duration=duration)
+            tables, found = {"imu": truth.tables()[""]}, list[str]()
+            for n in (6, 8, 10, 25):
+                poses = truth.poses(n)
+                sizes = [
+                    truth.error(calibrated(truth, of).robot_model()) for of in ({"poses": poses}, {"poses": poses} | tables)
+                ]
+                found.append(f"{n}: {sizes[0]:.3f} -> {sizes[1]:.3f}")
+            yield f"{name}, seed {seed}: nominal {truth.error(None):.3f}; poses -> and IMU [mm]: {', '.join(found)}"
 
 
-def fit(sessions: Sequence[Session], *, held: Sequence[str] = LENGTHS, rounds: int = 12) -> Fit:
-    """Return the fit of sessions of one robot, clocks moved between the steps."""
-    names = list(dict.fromkeys(p.name for session in sessions for p in session.parameters))
-    known = {p.name: p for session in sessions for p in session.parameters}
-    sizes = np.array([known[name].size for name in names])
-    free = np.array([name.rsplit(".", 1)[-1] not in held or "/" in name for name in names])
-    values = np.zeros(len(names))
-    for session in sessions:
-        for name, value in getattr(session, "start", {}).items():
-            values[names.index(f"{session.name}/{name}")] = value
-    begin = clock_of_wall.process_time()
-    steps = 0
-    while steps < rounds:
-        steps += 1
-        H, g = np.diag(1.0 / sizes**2), -values / sizes**2
-        H[~np.isfinite(H)] = 0.0
-        left: list[list[np.ndarray]] = [[] for _ in sessions]
-        for session, own in zip(sessions, left, strict=True):
-            place = np.array([names.index(p.name) for p in session.parameters])
-            at = place[free[place]]
-            for residuals, columns in session.linearise(values[place], free[place]):
-                J = columns.reshape(len(columns), -1)
-                H[np.ix_(at, at)] += J @ J.T
-                g[at] += J @ residuals.ravel()
-                own.append(residuals)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(H)[free], 1e-300))
-        inverse = np.linalg.inv(H[np.ix_(free, free)] * scale * scale[:, None])
-        change = scale * (inverse @ (scale * g[free]))
-        values[free] += change
-        rows = [np.concatenate(own, axis=1) for own in left]
-        for session, own_rows in zip(sessions, rows, strict=True):
-            place = np.array([names.index(p.name) for p in session.parameters])
-            values[place] = session.settle(values[place], own_rows)
-        if np.max(np.abs(change) / (scale * np.sqrt(np.diag(inverse)))) < 0.02:
-            break
-    covariance = np.zeros((len(names), len(names)))
-    covariance[np.ix_(free, free)] = inverse * scale * scale[:, None]
-    total, count = sum(float(np.sum(own**2)) for own in rows), sum(own.size for own in rows)
-    return Fit(names, values, covariance, total, count, steps, clock_of_wall.process_time() - begin)
+def coverage(seeds: int, duration: float) -> Iterator[str]:
+    """In how many draws of noise intervals of 95 % cover: of positions of the tool in motion, and of clocks."""
+    from scipy.stats import binomtest
+
+    for name in ARMS:
+        truth = Truth.draw(name, 0, duration=duration, imu=True, tracker=True)
+        inside, clocks = [], {"imu": [], "tracker": []}
+        rng = np.random.default_rng(3)
+        q = truth.session.path.at(rng.uniform(0.1 * duration, 0.9 * duration, 100))
+        for seed in range(seeds):
+            tables = {what: table.select(slice(None, None, 5)) for what, table in truth.tables(seed).items()}
+            fit = calibrated(truth, tables)
+            at = fit.at("tracker")
+            expected = (truth.tracker.pose @ truth.machine.tip(q) @ truth.tracker.targets[""])[:, :3, 3]
+            poses, J = at.model.linearise(at.model_values, pincal.Conditions.at(q))
+            C = at.estimate.take(at.model.names).dense_covariance()
+            sigma = np.sqrt(np.einsum("nip,pq,niq->ni", J[:, :3], C, J[:, :3]))
+            inside.append(np.mean(np.abs(poses[:, :, 3] - expected) < 1.96 * sigma))
+            for what in clocks:
+                clocks[what].append(abs(truth.clock_error(tables[what], fit, what, f"{what}/")[2]) < 1.96)
+        told = []
+        for what, hits in clocks.items():
+            low, high = binomtest(sum(hits), len(hits)).proportion_ci(method="exact")
+            told.append(f"clock of the {what} {np.mean(hits):.3f} ({low:.3f} to {high:.3f})")
+        spread = np.std(inside) / len(inside) ** 0.5
+        yield f"{name}: {seeds} draws: positions {np.mean(inside):.3f} +- {spread:.3f}, {', '.join(told)}"
 
 
-def axis_errors(truth: Truth, found: Fit, effects: Sequence[Effect], n: int = 200) -> np.ndarray:
-    """Return the rms angle between found and true axes as the tool sees them, shape (joints,) [rad].
-
-    In random poses within the path's ranges, the tool turned so that they agree best: what no IMU can tell does not count.
-    """
-    rng, robot = np.random.default_rng(0), truth.robot
-    q = truth.session.path.at(rng.uniform(0.0, truth.session.duration, n))
-    model = Model(Chain.of(robot, gravity=np.array(G), moment_frame="after"), tuple(effects))
-    values = np.array([found.values[found.names.index(name)] for name in model.names])
-
-    def in_tool(tip: np.ndarray, others: np.ndarray) -> np.ndarray:
-        turned = np.swapaxes(tip[:, :3, :3], 1, 2) @ others[:, :3, :3]
-        return np.stack(
-            [turned[:, 2, 1] - turned[:, 1, 2], turned[:, 0, 2] - turned[:, 2, 0], turned[:, 1, 0] - turned[:, 0, 1]], 1
-        )
-
-    ours, theirs = [], []
-    for j in range(robot.n_joints):
-        moved = q.copy()
-        moved[:, j] += 0.5
-        conditions = [Conditions.at(at) for at in (q, moved)]
-        ours.append(in_tool(*(model.predict(values, c) for c in conditions)))
-        theirs.append(in_tool(*(truth.machine.tip(at) for at in (q, moved))))
-    a, b = (np.array([axes / np.linalg.norm(axes, axis=1, keepdims=True) for axes in both]) for both in (ours, theirs))
-    R = nearest_rotation(np.einsum("jna,jnb->ab", b, a))
-    angle = np.linalg.norm(a @ R.T - b, axis=2)
-    return np.sqrt(np.mean(angle**2, axis=1))
+def clocks(seeds: int, duration: float) -> Iterator[str]:
+    """A clock that is 1000 ppm off, by IMU and by tracker, and what the calibration then leaves."""
+    for name in ARMS:
+        truth = Truth.draw(name, 0, duration=duration, tracker=True, drift=1e-3)
+        tables = truth.tables()
+        fit = calibrated(truth, tables)
+        off = {what: truth.clock_error(tables[what], fit, what, f"{what}/") for what in tables}
+        words = ", ".join(f"{what} {o:.4f} ms, {d:.2f} ppm" for what, (o, d, _) in off.items())
+        yield f"{name}: 1000 ppm are found but for: {words}; elsewhere {truth.error(fit.robot_model()):.4f} mm"
 
 
-def clock_error(truth: Truth, session: Session) -> float:
-    """Return the largest difference of a found clock and the true one [s]."""
-    stamps = np.linspace(0.0, truth.session.duration, 100)
-    return float(np.abs(session.clock.to_joints(stamps) - truth.session.clocks[session.name].to_joints(stamps)).max())
+def lag(seeds: int, duration: float) -> Iterator[str]:
+    """A joint that lags by 2 ms and one that friction winds up, searched by name."""
+    for name in ARMS:
+        joint = pincal.Robot.from_urdf(ARMS[name][0](), tip=ARMS[name][1]).joint_names[1:3]
+        hidden = (sim.JointLag(joint=joint[0], size=2e-3), sim.FrictionWindup(joint=joint[1], size=1e-4))
+        truth = Truth.draw(name, 0, duration=duration, tracker=True, hidden=hidden)
+        tables = truth.tables()
+        tables["tracker"] = tables["tracker"].select(slice(None, None, 10))
+        found = pincal.run_discovery(truth.robot, tables, GEOMETRY, stability=0)
+        names = [f"{e.effect} of {e.joint}" for e in found.findings.effects]
+        values = {p.name: p for p in found.calibration.result.parameters}
+        size = values.get(f"{joint[0]}.lag")
+        told = "" if size is None else f"; the lag is {1e3 * size.value:.3f} +- {1e3 * 1.96 * size.sigma:.3f} ms"
+        yield f"{name}: hidden {joint[0]} lag 2 ms, {joint[1]} friction 0.1 mrad; found {', '.join(names)}{told}"
 
 
-def turned_between(model: Model, values: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rotations between two poses of an IMU in its own axes, shape (K, 3, 3), and their Jacobian, (3 K, P).
-
-    They are what it sees of an arm: neither the place of the base nor the offsets of the first and last joint are in them.
-
-    Args:
-        model: the model of the IMU's station.
-        values: of its parameters.
-        q: joint positions, shape (K, 2, n).
-    """
-    poses, J = model.linearise(values, Conditions.at(q.reshape(-1, q.shape[2])), rows=6)
-    R, J = poses[:, :, :3].reshape(-1, 2, 3, 3), J[:, 3:].reshape(len(q), 2, 3, -1)
-    turns = np.swapaxes(R[:, 1], 1, 2) @ (J[:, 1] - J[:, 0])
-    return np.swapaxes(R[:, 0], 1, 2) @ R[:, 1], turns.reshape(-1, turns.shape[2])
-
-
-def coverage(name: str, seed: int, duration: float, draws: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return in how many of so many draws of noise 95 % intervals cover: of rotations (each of 150) and of the clock."""
-    truth = Truth.draw(name, seed, duration=duration, acc_density=0.0, gyro_density=0.0)
-    first, rng = ImuSession.of(truth, GEOMETRIC), np.random.default_rng([seed, 77])
-    imu = truth.session.imu
-    assert imu is not None
-    q = truth.session.path.at(rng.uniform(0.0, duration, 100)).reshape(50, 2, -1)
-    tips = np.stack([truth.machine.tip(q[:, k]) @ imu.mount for k in range(2)])[:, :, :3, :3]
-    expected = np.swapaxes(tips[0], 1, 2) @ tips[1]
-    of_turns, of_clock = [], []
-    for _ in range(draws):
-        white = rng.standard_normal((2, *first.force.shape)) * np.sqrt(50.0)
-        session = replace(first, force=first.force + ACC_DENSITY * white[0], rate=first.rate + GYRO_DENSITY * white[1])
-        found = fit([session])
-        P = session.model.n_parameters
-        R, J = turned_between(session.model, found.values[:P], q)
-        off = Rotation.from_matrix(np.swapaxes(R, 1, 2) @ expected).as_rotvec().ravel()
-        sigma = np.sqrt(np.einsum("ip,pq,iq->i", J, found.covariance[:P, :P], J))
-        of_turns.append(np.mean(np.abs(off) < 1.96 * sigma))
-        k = found.names.index("imu/instrument.clock_offset")
-        off = session.clock.to_joints(session.clock.middle) - truth.session.clocks["imu"].to_joints(session.clock.middle)
-        of_clock.append(abs(float(off)) < 1.96 * np.sqrt(found.covariance[k, k]))
-    return np.array(of_turns), np.array(of_clock)
-
-
-def against_held(name: str, seed: int, duration: float) -> None:
-    """Print what positions of a tracker tell while the arm moves, against as many of held poses."""
-    truth = Truth.draw(name, seed, duration=duration, tracker=True)
-    session = TrackerSession.of(truth, GEOMETRIC)
-    start = clock_error(truth, session)
-    found = fit([session], held=())
-    n = len(session.model.names)
-    rng = np.random.default_rng(seed)
-    q = truth.session.path.at(rng.uniform(0.0, duration, 300))
-    target = truth.session.tracker.targets[""]
-    expected = truth.session.tracker.pose @ truth.machine.tip(q) @ target
-    poses, J = session.model.linearise(found.values, Conditions.at(q))
-    off = np.linalg.norm(poses[:, :, 3] - expected[:, :3, 3], axis=1)
-    sigma = np.sqrt(np.einsum("nip,pq,niq->n", J, found.covariance[:n, :n], J))
-    rows = np.arange(0, len(session.stamps), 25)
-    some = replace(session, stamps=session.stamps[rows], position=session.position[rows])
-    held = {
-        "the path's own poses": truth.session.path.at(rng.uniform(0.0, duration, len(rows))),
-        "random poses": sim.plan_poses(truth.machine.nominal, len(rows), rng),
+def stressed(seeds: int, duration: float) -> Iterator[str]:
+    """An IMU alone where what is assumed fails."""
+    cases = {
+        "as assumed": {},
+        "vibration 0.1 m/s^2": {"vibration": 0.1},
+        "vibration 0.5 m/s^2": {"vibration": 0.5},
+        "noise 5 times": {"noise": 5.0},
+        "5 % of the rows lost": {"dropped": 0.05},
+        "joints rounded to 0.01 deg": {"resolution": 1.7e-4},
     }
-    v = found.values
-    sizes = [
-        np.sqrt(np.einsum("nip,pq,niq->n", J, C, J))
-        for C in (_covariance(some, v), *(_covariance(some, v, q) for q in held.values()))
-    ]
-    ratios = ", ".join(f"{what} {np.mean(sizes[0]) / np.mean(size):.3f}" for what, size in zip(held, sizes[1:], strict=True))
-    print(
-        f"{name}, seed {seed}: {len(session.stamps)} positions in {duration:.0f} s: off by {1e3 * np.mean(off):.4f} mm mean "
-        f"(sigma {1e3 * np.mean(sigma):.4f}), clock {1e3 * clock_error(truth, session):.4f} ms (start {1e3 * start:.2f}), "
-        f"chi-square {found.chi_square / found.readings:.3f}, {found.steps} steps, {found.seconds:.1f} s; standard "
-        f"deviation of a prediction over that of as many held poses: {ratios}"
-    )
-
-
-def together(name: str, seed: int, duration: float, counts: Sequence[int] = (6, 8, 10, 25)) -> None:
-    """Print what a few held poses before a tracker tell, alone and beside an IMU, by errors elsewhere."""
-    truth = Truth.draw(name, seed, duration=duration)
-    rng, robot = np.random.default_rng([seed, 5]), truth.robot
-    tracker = _tracker(truth.machine, rng)
-    q, far = (sim.plan_poses(truth.machine.nominal, n, rng) for n in (max(counts), 300))
-    seen, expected = ((tracker.pose @ truth.machine.tip(at) @ tracker.targets[""])[:, :3, 3] for at in (q, far))
-    seen = seen + TRACKER * rng.standard_normal(seen.shape)
-    imu = ImuSession.of(truth, GEOMETRIC)
-    found = []
-    for n in counts:
-        conditions = replace(Conditions.at(q[:n]), time=np.zeros(n))
-        R, origin = align(robot.forward_kinematics(q[:n])[:, :3, 3], seen[:n])
-        chain = Chain.of(robot, gravity=np.array(G), moment_frame="after").with_references(R, np.eye(3)[None])
-        model = Model(chain, (*GEOMETRIC, BaseFrame(), ToolFrame(), InstrumentClock()))
-        poses = TrackerSession("tracker", truth.arm, model, (), Clock(), np.zeros(n), seen[:n], held=conditions)
-        poses.start = dict(zip(("base.x", "base.y", "base.z"), origin, strict=True))
-        errors = []
-        for sessions in ([poses], [poses, replace(imu, scatter=np.ones(2))]):
-            values = fit(sessions, held=())
-            at = np.array([values.names.index(p.name) for p in poses.parameters])
-            tips = model.predict(values.values[at], Conditions.at(far))[:, :, 3]
-            errors.append(1e3 * float(np.mean(np.linalg.norm(tips - expected, axis=1))))
-        found.append(f"{n}: {errors[0]:.3f} -> {errors[1]:.3f}")
-    print(f"{name}, seed {seed}: mean error [mm] by tracker poses, alone -> with the IMU: {', '.join(found)}")
-
-
-def _covariance(session: TrackerSession, values: np.ndarray, q: np.ndarray | None = None) -> np.ndarray:
-    """Return the covariance that the rows of a path give, or as many in poses that are held, without any clock."""
-    free = np.ones(len(session.parameters), bool)
-    if q is not None:
-        conditions = Conditions.at(q)
-        session = replace(session, held=replace(conditions, time=np.zeros(len(q))))
-        free = np.array(["clock" not in p.name for p in session.parameters])
-    H = np.diag([1.0 / p.size**2 for p, is_free in zip(session.parameters, free, strict=True) if is_free])
-    for _, columns in session.linearise(values, free):
-        H += columns.reshape(len(columns), -1) @ columns.reshape(len(columns), -1).T
-    scale = 1.0 / np.sqrt(np.diag(H))
-    out = np.zeros((len(free), len(free)))
-    out[np.ix_(free, free)] = np.linalg.inv(H * scale * scale[:, None]) * scale * scale[:, None]
-    return out
-
-
-def timed(name: str) -> None:
-    """Print how long one evaluation takes, residuals and Jacobian: 10 minutes of an IMU and of a tracker at 250 Hz."""
-    truth = Truth.draw(name, 0, duration=600.0, tracker=True)
-    begin = clock_of_wall.process_time()
-    arm = truth.arm
-    path = clock_of_wall.process_time() - begin
-    tracker = TrackerSession.of(truth, GEOMETRIC)
-    aligned_in = clock_of_wall.process_time() - begin - path
-    stamps = np.arange(0.0, 600.0, 0.01)
-    ideal = arm.ideal(stamps)
-    tables = {"imu": {"time": stamps} | {f"a{x}": v for x, v in zip("xyz", ideal.force.T, strict=True)}
-              | {f"w{x}": v for x, v in zip("xyz", ideal.rate.T, strict=True)}}  # fmt: skip
-    begin = clock_of_wall.process_time()
-    imu = ImuSession.of(replace(truth, tables=truth.tables | tables), GEOMETRIC)
-    imu_in = clock_of_wall.process_time() - begin
-    found = fit([imu, tracker], held=())
-    print(
-        f"{name}, processor time: path {path:.2f} s, clock of the tracker {aligned_in:.2f} s, of the IMU {imu_in:.2f} s, "
-        f"fit of both {found.seconds:.2f} s in {found.steps} steps; sum {path + aligned_in + imu_in + found.seconds:.2f} s"
-    )
-    for session in (imu, tracker):
-        free = np.array([p.name.rsplit(".", 1)[-1] not in LENGTHS or "/" in p.name for p in session.parameters])
-        for effects in (GEOMETRIC, ELASTIC):
-            session.model = replace(session.model, effects=(*effects, *session.model.effects[-3:]))
-            session.__dict__.pop("parameters", None)
-            free = np.array([p.name.rsplit(".", 1)[-1] not in LENGTHS or "/" in p.name for p in session.parameters])
-            values, best = np.zeros(len(free)), np.inf
-            for _ in range(3):
-                begin = clock_of_wall.process_time()
-                H, rows = np.zeros((free.sum(), free.sum())), 0
-                for residuals, columns in session.linearise(values, free):
-                    H, rows = (
-                        H + columns.reshape(len(columns), -1) @ columns.reshape(len(columns), -1).T,
-                        rows + residuals.shape[1],
-                    )
-                best = min(best, clock_of_wall.process_time() - begin)
-            print(
-                f"  {session.name}, {free.sum()} parameters: {rows} rows in {best:.2f} s, {1e6 * best / rows:.1f} us a row"
+    for name in ARMS:
+        for words, case in cases.items():
+            truth = Truth.draw(name, 0, duration=duration, **case)
+            table = truth.tables()[""]
+            fit = calibrated(truth, {"": table})
+            off, _, z = truth.clock_error(table, fit, "imu")
+            robot = fit.robot_model()
+            before, after = truth.error(None), truth.error(robot)
+            yield (
+                f"{name}, {words}: axes at most {truth.axis_errors(robot).max():.3f} mrad, elsewhere {before:.3f} -> "
+                f"{after:.3f} mm, clock {off:.3f} ms ({z:+.1f} sigma)"
             )
 
 
-def one(name: str, seed: int, duration: float, elastic: float, vibration: float) -> None:
-    """Print what the IMU of one session tells."""
-    truth = Truth.draw(name, seed, duration=duration, elastic=elastic, vibration=vibration)
-    effects = ELASTIC if elastic else GEOMETRIC
-    session = ImuSession.of(truth, effects)
-    start = clock_error(truth, session)
-    found = fit([session])
-    errors = 1e3 * axis_errors(truth, found, effects)
-    before = 1e3 * axis_errors(truth, replace(found, values=0.0 * found.values), effects)
-    print(
-        f"{name}, seed {seed}: axes {np.array2string(errors, precision=3)} mrad (nominal {before.max():.1f}), clock "
-        f"{1e3 * clock_error(truth, session):.3f} ms (start {1e3 * start:.2f}), delay off by "
-        f"{1e3 * (session.delay - truth.session.imu.delay):.3f} ms, chi-square {found.chi_square / found.readings:.3f}, "
-        f"{len(session.rows)} rows, {found.steps} steps, {found.seconds:.1f} s"
-    )
+def speed(seeds: int, duration: float) -> Iterator[str]:
+    """Ten minutes of joints at 150 Hz, an IMU at 100 Hz and a tracker at 250 Hz: processor time of all."""
+    for name in ARMS:
+        truth = Truth.draw(name, 0, duration=600.0, tracker=True)
+        calibrated(truth, Truth.draw(name, 0, duration=20.0, tracker=True).tables())
+        logged = truth.logged()
+        begin = wall.process_time()
+        tables = truth.tables(logged=logged)
+        laid = wall.process_time() - begin
+        fit = calibrated(truth, tables)
+        rows = ", ".join(f"{len(t)} of {what}" for what, t in tables.items())
+        whole = wall.process_time() - begin
+        yield f"{name}: rows {rows}: laid out in {laid:.1f} s, all in {whole:.1f} s; {fit.iterations} iterations"
+
+
+def picture(seeds: int, duration: float) -> Iterator[str]:
+    """Error against the noise of the IMU, alone and with eight tracker poses: docs/pictures/imu_noise.png."""
+    import matplotlib.pyplot as plt
+
+    factors = np.array([0.3, 1.0, 3.0, 10.0, 30.0])
+    figure, panels = plt.subplots(1, len(ARMS), figsize=(9.0, 3.4), sharey=True)
+    for panel, name in zip(panels, ARMS, strict=True):
+        alone, both, nominal, poses = [], [], [], []
+        for seed in range(seeds):
+            truths = [Truth.draw(name, seed, duration=duration, noise=factor) for factor in factors]
+            held, imus = truths[0].poses(8), [truth.tables()[""] for truth in truths]
+            pairs = list(zip(truths, imus, strict=True))
+            alone.append([t.error(calibrated(t, {"": imu}).robot_model()) for t, imu in pairs])
+            both.append([t.error(calibrated(t, {"poses": held, "imu": imu}).robot_model()) for t, imu in pairs])
+            nominal.append(truths[0].error(None))
+            poses.append(truths[0].error(calibrated(truths[0], {"poses": held}).robot_model()))
+        for sizes, words, mark in ((alone, "IMU alone, 5 minutes", "o-"), (both, "IMU and 8 tracker poses", "s-")):
+            panel.plot(factors, np.mean(sizes, axis=0), mark, label=words)
+        panel.axhline(np.mean(nominal), color="0.5", linestyle="--", label="nominal")
+        panel.axhline(np.mean(poses), color="0.5", linestyle=":", label="8 tracker poses alone")
+        panel.set(
+            title=name, xscale="log", yscale="log", xlabel="noise, times 1 mg and 0.01 deg/s in $\\sqrt{\\mathrm{Hz}}$"
+        )
+        means = [np.mean(sizes, axis=0).round(3) for sizes in (alone, both)]
+        yield f"{name}: noise {factors}: alone {means[0]}, with 8 poses {means[1]} mm"
+    panels[0].set_ylabel("mean error of the tool [mm]")
+    panels[0].legend(fontsize=8)
+    figure.tight_layout()
+    figure.savefig(Path(__file__).parents[1] / "docs" / "pictures" / "imu_noise.png", dpi=110)
+
+
+PARTS = {part.__name__: part for part in (axes, together, coverage, clocks, lag, stressed, speed, picture)}
 
 
 def main() -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--duration", type=float, default=300.0)
-    parser.add_argument("--elastic", type=float, default=0.0)
-    parser.add_argument("--vibration", type=float, default=0.0)
-    parser.add_argument("--draws", type=int, default=0, help="of noise, for the coverage of intervals")
-    parser.add_argument("--tracker", action="store_true", help="a tracker in motion against held poses")
-    parser.add_argument("--together", action="store_true", help="a few tracker poses beside an IMU")
-    parser.add_argument("--time", action="store_true", help="one evaluation of ten minutes")
+    parser.add_argument("part", choices=PARTS, help="; ".join(f"{name}: {part.__doc__}" for name, part in PARTS.items()))
+    parser.add_argument("--seeds", type=int, default=2, help="machines, or draws of noise")
+    parser.add_argument("--duration", type=float, default=300.0, help="of a path [s]")
     given = parser.parse_args()
-    for name in ARMS:
-        if given.time:
-            timed(name)
-            continue
-        for seed in range(given.seeds):
-            if given.tracker:
-                against_held(name, seed, given.duration)
-            elif given.together:
-                together(name, seed, given.duration)
-            elif given.draws:
-                turns, clocks = coverage(name, seed, given.duration, given.draws)
-                spread = turns.std() / len(turns) ** 0.5
-                print(f"{name}, seed {seed}: rotations {turns.mean():.3f} +- {spread:.3f}, clock {clocks.mean():.2f}")
-            else:
-                one(name, seed, given.duration, given.elastic, given.vibration)
+    warnings.simplefilter("ignore")
+    for line in PARTS[given.part](given.seeds, given.duration):
+        print(line, flush=True)
 
 
 if __name__ == "__main__":
