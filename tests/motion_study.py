@@ -188,7 +188,7 @@ def together(seeds: int, duration: float) -> Iterator[str]:
     for name in ARMS:
         for seed in range(seeds):
             truth = Truth.draw(name, seed, duration=duration)
-            tables, found = {"imu": truth.tables()[""]}, list[str]()
+            tables, found = {"imu": truth.tables()["imu"]}, list[str]()
             for n in (6, 8, 10, 25):
                 poses = truth.poses(n)
                 sizes = [
@@ -266,7 +266,7 @@ def stressed(seeds: int, duration: float) -> Iterator[str]:
     for name in ARMS:
         for words, case in cases.items():
             truth = Truth.draw(name, 0, duration=duration, **case)
-            table = truth.tables()[""]
+            table = truth.tables()["imu"]
             fit = calibrated(truth, {"": table})
             off, _, z = truth.clock_error(table, fit, "imu")
             robot = fit.robot_model()
@@ -302,7 +302,7 @@ def picture(seeds: int, duration: float) -> Iterator[str]:
         alone, both, nominal, poses = [], [], [], []
         for seed in range(seeds):
             truths = [Truth.draw(name, seed, duration=duration, noise=factor) for factor in factors]
-            held, imus = truths[0].poses(8), [truth.tables()[""] for truth in truths]
+            held, imus = truths[0].poses(8), [truth.tables()["imu"] for truth in truths]
             pairs = list(zip(truths, imus, strict=True))
             alone.append([t.error(calibrated(t, {"": imu}).robot_model()) for t, imu in pairs])
             both.append([t.error(calibrated(t, {"poses": held, "imu": imu}).robot_model()) for t, imu in pairs])

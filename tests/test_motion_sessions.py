@@ -17,8 +17,8 @@ from pincal.errors import MeasurementError, PincalWarning
 from pincal.measure.table import write_table
 from pincal.motion.joint_path import JointPath
 from pincal.motion.moving_arm import MovingArm
-from pincal.motion.sessions import Session, Stream, is_session, names_of, read_session, read_streams
-from pincal.motion.starts import start_imu, start_positions
+from pincal.motion.sessions import Session, Stream, joints_of_session, read_session, read_streams
+from pincal.motion.starts import aligned_forces, start_imu, start_positions
 from pincal.robot.robot import Robot
 from pincal.simulate.moving import draw_path
 from pincal.simulate.session import Clock, ImuSetup, MovingSession
@@ -83,10 +83,8 @@ def test_a_folder_is_a_session(logs: tuple[dict[str, Table], ImuSetup], tmp_path
     folder = written(tmp_path / "monday", scaled, **headers)
     session = read_session(ROBOT, folder)
     arm = arm_of(session)
-    assert is_session(folder) and not is_session(tmp_path)
-    assert (
-        session.imu is not None and session.tracker is not None and names_of([session]) == ["monday/imu", "monday/tracker"]
-    )
+    assert joints_of_session(folder) == folder / "joints.csv" and joints_of_session(tmp_path) is None
+    assert session.imu is not None and session.tracker is not None and session.name == "monday"
 
     found, seen = start_imu(arm, session.imu), start_positions(arm, session.tracker, position(session.tracker))
     stamps = np.array([5.0, 45.0])
@@ -94,6 +92,7 @@ def test_a_folder_is_a_session(logs: tuple[dict[str, Table], ImuSetup], tmp_path
     late = CLOCKS["imu"].to_joints(stamps) + imu.delay
     np.testing.assert_allclose(found.clock.to_joints(stamps), late, rtol=0.0, atol=2e-3)
     np.testing.assert_allclose(seen.clock.to_joints(stamps), CLOCKS["tracker"].to_joints(stamps), rtol=0.0, atol=2e-3)
+    assert aligned_forces(arm, found) == pytest.approx(imu.delay, abs=1e-3)
     turned = Rotation.from_matrix(found.mount.T @ imu.mount[:3, :3]).magnitude()
     assert turned < 0.02 and len(found.rows) > 500
     np.testing.assert_allclose(seen.target, [0.05, 0.1, 0.2], atol=2e-3)

@@ -21,7 +21,7 @@ from pincal.cli.common import (
     PlaceOptions,
     SetupOptions,
 )
-from pincal.cli.motion_options import MotionOptions, files_of, load_sessions
+from pincal.cli.motion_options import MotionOptions, input_files, load_sessions
 from pincal.cli.progress import log_step
 from pincal.errors import BadInputError
 from pincal.identify.options import Options, StationOptions
@@ -84,6 +84,7 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     Raises:
         BadInputError: for a file or an option that is invalid.
     """
+    source.motion.check(source.table.joints, source.data)
     log_step("reading robot and tables")
     robot = load_robot(source)
     tables = load_tables(robot, source.data, options=source.table.options, links=source.links, motion=source.motion)
@@ -93,7 +94,7 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     options = options_of(chosen, tables)
     effects = named_effects(chosen.fit.add, options, robot=robot, tables=tables)
     options = replace(options, effects=(*options.effects, *effects))
-    return Prepared(robot, tables, options, (*files_of(source.data), *given, Path(robot.source)))
+    return Prepared(robot, tables, options, (*input_files(source.data), *given, Path(robot.source)))
 
 
 def named_effects(

@@ -38,8 +38,15 @@ class MotionOptions:
         """Whether there is one of them."""
         return self.imu is not None or self.tracker is not None
 
+    def check(self, joints: Path | None, data: Sequence[Path]) -> None:
+        """Refuse streams without their joints, and no input at all."""
+        if self.are_given and joints is None:
+            raise click.UsageError("--imu and --tracker need the joints that were logged meanwhile: --joints LOG")
+        if not self.are_given and not data:
+            raise click.UsageError("Missing argument 'DATA.csv...'; or --joints, --imu and --tracker of an arm in motion")
 
-def files_of(paths: Iterable[Path]) -> Iterator[Path]:
+
+def input_files(paths: Iterable[Path]) -> Iterator[Path]:
     """Yield files, those in folders of sessions one by one."""
     from pincal.motion.sessions import joints_of_session
 
@@ -60,15 +67,12 @@ def load_sessions(
     from pincal.motion.sessions import Session, joints_of_session, read_session, read_streams
     from pincal.motion.stations import session_tables
 
+    motion.check(reading.joints, paths)  # type: ignore[arg-type]
     sessions = list[Session]()
     plain: dict[str, Any] = {"columns": reading.columns, "ignore": reading.ignore}
     if motion.are_given:
-        if reading.joints is None:
-            raise click.UsageError("--imu and --tracker need the joints that were logged meanwhile: --joints LOG")
         given: dict[str, Any] = {"joints": reading.joints, "imu": motion.imu, "tracker": motion.tracker}
         sessions.append(read_streams(robot, **given, **plain))
-    elif not paths:
-        raise click.UsageError("Missing argument 'DATA.csv...'; or --joints, --imu and --tracker of an arm in motion")
     folders = [path for path in paths if joints_of_session(path) is not None]
     sessions += [read_session(robot, path, **plain) for path in folders]
     return session_tables(robot, sessions), [path for path in paths if path not in folders]

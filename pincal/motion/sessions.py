@@ -7,7 +7,7 @@ units or a mirrored IMU, is found when a stream is laid onto the motion (:mod:`p
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -370,9 +370,3 @@ def stream_of(name: str, time: np.ndarray, readings: Mapping[str, np.ndarray]) -
     """
     stream = _in_order(Stream(name, np.asarray(time, float), dict(readings), {}), np.arange(2, len(time) + 2))
     return checked_imu(stream) if FORCE.name in readings else stream
-
-
-def names_of(sessions: Sequence[Session]) -> list[str]:
-    """Return the names of the stations of sessions: ``day/imu`` and ``day/tracker``."""
-    parts = [(session.name, what) for session in sessions for what in STREAMS[1:] if getattr(session, what) is not None]
-    return [f"{name}/{what}" for name, what in parts]

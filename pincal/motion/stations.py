@@ -47,7 +47,7 @@ def session_tables(robot: Robot, sessions: Sequence[Session]) -> dict[str, Measu
         parts = {"imu": session.imu, "tracker": session.tracker}
         there = [what for what, stream in parts.items() if stream is not None]
         for what in there:
-            name = session.name if len(there) == 1 else "/".join(filter(None, (session.name, what)))
+            name = session.name if session.name and len(there) == 1 else "/".join(filter(None, (session.name, what)))
             stream = parts[what]
             assert stream is not None
             table = _imu_table(arm, stream, others) if what == "imu" else _tracker_table(arm, stream)
