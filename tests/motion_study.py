@@ -308,7 +308,7 @@ def picture(seeds: int, duration: float) -> Iterator[str]:
             both.append([t.error(calibrated(t, {"poses": held, "imu": imu}).robot_model()) for t, imu in pairs])
             nominal.append(truths[0].error(None))
             poses.append(truths[0].error(calibrated(truths[0], {"poses": held}).robot_model()))
-        for sizes, words, mark in ((alone, "IMU alone, 5 minutes", "o-"), (both, "IMU and 8 tracker poses", "s-")):
+        for sizes, words, mark in ((alone, f"IMU alone, {duration:g} s", "o-"), (both, "IMU and 8 tracker poses", "s-")):
             panel.plot(factors, np.mean(sizes, axis=0), mark, label=words)
         panel.axhline(np.mean(nominal), color="0.5", linestyle="--", label="nominal")
         panel.axhline(np.mean(poses), color="0.5", linestyle=":", label="8 tracker poses alone")
@@ -318,7 +318,7 @@ def picture(seeds: int, duration: float) -> Iterator[str]:
         means = [np.mean(sizes, axis=0).round(3) for sizes in (alone, both)]
         yield f"{name}: noise {factors}: alone {means[0]}, with 8 poses {means[1]} mm"
     panels[0].set_ylabel("mean error of the tool [mm]")
-    panels[0].legend(fontsize=8)
+    panels[1].legend(fontsize=8, loc="lower right")
     figure.tight_layout()
     figure.savefig(Path(__file__).parents[1] / "docs" / "pictures" / "imu_noise.png", dpi=110)
 

@@ -157,7 +157,8 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
                 f"  the clock of the {name} is {clock.offset:+.3f} s off and drifts by {1e6 * clock.drift:+.0f} ppm"
             )
     written = f", what was put in to {arguments.truth}" if arguments.truth else ""
-    click.echo("\n".join([*lines, *_hidden_lines(found), f"written to {arguments.out}{written}"]))
+    told = [*lines, *_hidden_lines(found), f"written to {arguments.out}{written}"]
+    click.echo("\n".join([*told, f"next: {_of_arm('calibrate', arguments)} --out results"]))
     return Exit.DONE
 
 
@@ -278,10 +279,7 @@ def _hidden_lines(truth: dict[str, Any]) -> Iterator[str]:
 def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:
     """Return the command that discovers the effects from the table."""
     machine, given = arguments.machine, arguments.sensor
-    words = [f"pincal discover {arguments.robot} {arguments.out} --out results"]
-    words += [f"--tip {machine.tip}"] if machine.tip else []
-    words += [f"--base {machine.base}"] if machine.base else []
-    words += [f"--xacro-arg {name}:={value}" for name, value in machine.xacro_args]
+    words = [f"{_of_arm('discover', arguments)} --out results"]
     words += [f"--noise {_noise(setup)}"] if setup.sigma else []
     angle = setup.truth()["noise"]["sigma_rad"]
     words += [f"--noise-angle {angle * 1e3:g}mrad"] if angle else []
@@ -294,6 +292,14 @@ def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:
         if vector not in (None, (0.0, 0.0, 0.0)):
             words.append(f"--{name} {' '.join(f'{value:g}' for value in vector)}")
     return " ".join(words)
+
+
+def _of_arm(verb: str, arguments: SimulateArguments) -> str:
+    """Return a command on the same arm and what was written of it."""
+    machine, words = arguments.machine, [f"pincal {verb} {arguments.robot} {arguments.out}"]
+    words += [f"--tip {machine.tip}"] if machine.tip else []
+    words += [f"--base {machine.base}"] if machine.base else []
+    return " ".join([*words, *(f"--xacro-arg {name}:={value}" for name, value in machine.xacro_args)])
 
 
 def _noise(setup: SensorSetup) -> str:
