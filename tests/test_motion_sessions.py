@@ -91,12 +91,10 @@ def test_a_folder_is_a_session(logs: tuple[dict[str, Table], ImuSetup], tmp_path
     # The gyroscope's own delay is in the clock that its rates tell.
     late = CLOCKS["imu"].to_joints(stamps) + imu.delay
     np.testing.assert_allclose(found.clock.to_joints(stamps), late, rtol=0.0, atol=2e-3)
-    np.testing.assert_allclose(seen.clock.to_joints(stamps), CLOCKS["tracker"].to_joints(stamps), rtol=0.0, atol=2e-3)
+    np.testing.assert_allclose(seen.to_joints(stamps), CLOCKS["tracker"].to_joints(stamps), rtol=0.0, atol=2e-3)
     assert aligned_forces(arm, found) == pytest.approx(imu.delay, abs=1e-3)
     turned = Rotation.from_matrix(found.mount.T @ imu.mount[:3, :3]).magnitude()
     assert turned < 0.02 and len(found.rows) > 500
-    np.testing.assert_allclose(seen.target, [0.05, 0.1, 0.2], atol=2e-3)
-    np.testing.assert_allclose(seen.base, np.eye(3), atol=2e-3)
 
 
 def test_a_recording_is_a_session(logs: tuple[dict[str, Table], ImuSetup], tmp_path: Path) -> None:

@@ -87,10 +87,7 @@ def simulate(arguments: SimulateArguments) -> Exit:
     start, rows = robot.path.start, len(table[machine.names[0]])
     if start != robot.base or robot.links:
         table |= {"from": np.repeat(start, rows), "to": np.repeat(robot.tip, rows)}
-    names = {"robot": robot.name, "base": start, "tip": robot.tip}
-    seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
-    found = names | seeds | campaign.truth(machine, tip=robot.tip)
-    found |= _drawn_masses(robot, machine)
+    found = _origin(robot, machine, arguments) | campaign.truth(machine, tip=robot.tip)
     origin, beside = {"made_by": provenance([Path(robot.source)])}, arguments.sensor
     named = campaign.setup.points
     points = {"point": np.array(list(named)), **dict(zip("xyz", np.array([*named.values()], float).T, strict=False))}
@@ -133,9 +130,7 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
     time = np.linspace(0.0, session.duration, _LOOKED_AT)
     along = conditions_along(session.path, time, **session.conditions)
     seen = Campaign(q=session.path.at(time), conditions=along, setup=session.tracker or Instrument(), hidden=())  # type: ignore[arg-type]
-    seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
-    found = {"robot": robot.name, "base": robot.base, "tip": robot.tip} | seeds | seen.truth(machine, tip=robot.tip)
-    found |= session.truth(machine.nominal) | _drawn_masses(robot, machine)
+    found = _origin(robot, machine, arguments) | seen.truth(machine, tip=robot.tip) | session.truth(machine.nominal)
     files: dict[str, tuple[Path | None, Callable[[Path], None]]] = {
         f"--out {name}": (arguments.out / f"{name}.csv", lambda path, table=table: write_table(path, table))  # type: ignore[misc]
         for name, table in tables.items()
@@ -162,12 +157,13 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
     return Exit.DONE
 
 
-def _drawn_masses(robot: Robot, machine: TrueMachine) -> dict[str, Any]:
-    """Return the masses of links to which the URDF gives none, as for JSON."""
-    masses = {
-        joint: float(mass) for joint, mass in zip(machine.names, machine.arm.masses, strict=True) if joint in robot.unweighed
-    }
-    return {"drawn_masses_kg": masses} if masses else {}
+def _origin(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> dict[str, Any]:
+    """Return robot, seeds, and the masses of links to which the URDF gives none, as for JSON."""
+    names = {"robot": robot.name, "base": robot.path.start, "tip": robot.tip}
+    seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
+    weighed = zip(machine.names, machine.arm.masses.tolist(), strict=True)
+    masses = {joint: mass for joint, mass in weighed if joint in robot.unweighed}
+    return names | seeds | ({"drawn_masses_kg": masses} if masses else {})
 
 
 def _make_folder(folder: Path) -> None:

@@ -161,7 +161,7 @@ def run_discovery(
     tables = tables_of(measurements)
     if all(table.sensor is not None and not table.sensor.reads_place for table in tables.values()):
         raise BadInputError(
-            f"{', '.join(table.source for table in tables.values())}: an IMU alone tells no places, by which causes are told "
+            f"{', '.join(table.source for table in tables.values())}: an IMU alone tells no places, which tell causes "
             "apart; add a tracker in motion or some held poses, or calibrate by it (pincal calibrate)"
         )
     options = Options(effects=GEOMETRIC) if options is None else options

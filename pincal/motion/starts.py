@@ -47,23 +47,6 @@ class ImuStart:
     rows: ImuRows
 
 
-@dataclass(frozen=True)
-class TrackerStart:
-    """How positions of an instrument lie on the motion of an arm.
-
-    Attributes:
-        clock: of the instrument.
-        base: rotation of the robot's base in the instrument's frame, shape (3, 3).
-        origin: its place, shape (3,) [m].
-        target: place of the target in the tip frame, shape (3,) [m].
-    """
-
-    clock: Clock
-    base: np.ndarray
-    origin: np.ndarray
-    target: np.ndarray
-
-
 def start_imu(
     arm: MovingArm, imu: Stream, *, window: Window | None = None, others: Sequence[tuple[str, MovingArm]] = ()
 ) -> ImuStart:
@@ -206,8 +189,8 @@ def _check_slip(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount:
         )
 
 
-def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> TrackerStart:
-    """Lay positions that an instrument reads of the tool onto the motion of an arm.
+def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Clock:
+    """Lay positions that an instrument reads of the tool onto the motion of an arm; return its clock.
 
     Args:
         arm: the arm on its path.
@@ -253,9 +236,7 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Tr
             "is it this arm, and is the target fixed to the tool?"
         )
     _tell_drift(tracker, found.clock)
-    R = nearest_rotation(found.matrix[:, :3])
-    target = np.einsum("ac,acd->d", R, found.matrix[:, 3:].reshape(3, 3, 3)) / 3.0
-    return TrackerStart(found.clock, R, found.constant, target)
+    return found.clock
 
 
 def _features(tips: np.ndarray) -> np.ndarray:

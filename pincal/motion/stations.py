@@ -83,12 +83,12 @@ def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
         raise MeasurementError(
             f"{tracker.name}: {', '.join(tracker.readings)} in motion; expected x y z, or x y z qx qy qz qw"
         )
-    start = start_positions(arm, tracker, tracker.readings[POSITION.name])
-    at = start.clock.to_joints(tracker.time)
+    clock = start_positions(arm, tracker, tracker.readings[POSITION.name])
+    at = clock.to_joints(tracker.time)
     inside = arm.path.covers(at)
     readings = {name: values[inside] for name, values in tracker.readings.items()}
     lines = np.flatnonzero(inside) + 2
-    return _table(arm, tracker, start.clock, tracker.time[inside], at[inside], lines, readings)
+    return _table(arm, tracker, clock, tracker.time[inside], at[inside], lines, readings)
 
 
 def _table(

@@ -127,7 +127,7 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
         steps += _after_discovery(discovery)
     elif not any(station.sensor.reads_place for station in calibration.fit.problem.stations):
         steps.append(
-            "Measure some six to ten poses with an instrument, or in sockets, and calibrate by both: an IMU tells no lengths."
+            "Measure six to ten poses with an instrument, or in sockets, and calibrate by both: an IMU tells no lengths."
         )
     elif not is_few and judgement is not Verdict.ADEQUATE and result.converged:
         steps.append("Run pincal discover on the same data: it identifies the effects that the model lacks.")

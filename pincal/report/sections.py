@@ -186,6 +186,11 @@ def accuracy(subject: Subject) -> Section:
         "which no calibration improves. “Nominal” is the robot as in its URDF, with only the placement of instrument and "
         "target fitted."
     )
+    if "mean_mm" not in result.error["calibrated"]["train"]:
+        intro = rich(
+            "An IMU measures no places: an error is the difference between a reading, filtered in time, and its prediction. "
+            "Most of it is vibration of the arm and noise, which no calibration improves."
+        )
     blocks: list[PageBlock] = [paragraph(intro)]
     if not result.rows["test"]:
         text = (
