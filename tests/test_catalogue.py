@@ -282,15 +282,17 @@ def test_parameters_and_terms_fit_each_other(robot: Robot, name: str, rng: np.ra
     assert {of.parameter for of in (*terms, *bodies)} <= set(range(len(parameters))) and parameters
     assert all(0 <= body.joint < robot.n_joints and np.shape(body.moment) == (3,) for body in bodies)
     for parameter in parameters:
-        assert parameter.name.rsplit(".", 1)[0] in {*robot.joint_names, "base", "arm", "instrument"}
+        assert parameter.name.rsplit(".", 1)[0] in {*robot.joint_names, "base", "arm", "instrument", "clock"}
         assert parameter.effect == effect.name
         if parameter.unit in ("kg", "kg m"):
             assert 0.0 <= parameter.nominal < 1e3 and 0.0 < parameter.size < 1e3
         else:
             # The place of a bearing is known to a link's length.
             size = 1.0 if parameter.name.endswith(".h") else 1e-2
+            # A clock may be off by anything, as what stands anywhere.
+            size = np.inf if parameter.is_extrinsic else size
             is_constant = parameter.name.endswith("_tau")
-            assert (parameter.nominal == 0.0) == (not is_constant) and 0.0 < parameter.size < size
+            assert (parameter.nominal == 0.0) == (not is_constant) and 0.0 < parameter.size <= size
     for term in terms:
         assert 0 <= term.coordinate < chain.size and (term.basis is None or term.basis.shape == (7,))
         assert term.moment is None or (0 <= term.moment < n and effect.uses_moments)
@@ -774,7 +776,7 @@ def test_with_everything_recorded_nearly_everything_can_be_tried(robot: Robot, r
     counts = {name: sum(effect.name == name for effect in found) for name in {effect.name for effect in found}}
 
     # What else there is to know of bearings goes with their elasticity; lines of encoders are unknown.
-    others = {"unnamed", "link_mass", "oblique_bearing", "bearing_place", "encoder_subdivision"}
+    others = {"unnamed", "link_mass", "oblique_bearing", "bearing_place", "encoder_subdivision", "instrument_clock"}
     assert set(counts) == {name.split()[0] for name in EFFECTS} - others
     assert counts["joint_coupling"] == n * (n - 1) and counts["gear_eccentricity"] == 2 * n
     assert counts["axis_wobble"] == 4 * n and counts["backlash"] == counts["thermal_offset"] == n

@@ -105,7 +105,7 @@ class Sensor(ABC):
         is_of_joints: whether a row reads nothing but the joints where something touches, see
             :func:`pincal.identify.believed.slope_of_contacts`.
         is_on_tool: whether the sensor itself sits on the tool, so that its mount can be given.
-        reads_place: whether readings tell places, and so lengths, which are held otherwise; if not, errors have no size in mm.
+        reads_place: whether readings tell places, and so lengths, held otherwise; else errors have no size in mm.
         deviation_end: where an arrow from the predicted position ends that is as long as the reading deviates.
     """
 
