@@ -13,9 +13,11 @@ from test_cli import run
 
 import pincal
 from pincal.builtin import kuka_urdf_path
+from pincal.calibration.caveats import CaveatKind, findings_on_order
 from pincal.errors import Exit, MeasurementError
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
+from pincal.identify.whitening import Serial
 from pincal.measure.measurements import concatenate
 from pincal.measure.poses import by_pose
 from pincal.recorded import Moving
@@ -100,6 +102,17 @@ def test_noise_and_readings_are_what_was_put_in(fit: pincal.Fit) -> None:
     assert positions == pytest.approx(3e-5, rel=0.1)
     # White noise in a Gaussian window of 30 ms: density times the root of 1 / (2 sqrt(pi) width), half for one side.
     assert fit.solution.estimated[1] > 1.7e-4 * np.sqrt(0.5 / (2.0 * np.sqrt(np.pi) * 0.03))
+
+
+def test_what_follows_the_motion_is_no_change_of_the_setup(fit: pincal.Fit) -> None:
+    """Errors that persist along a path are what the model lacks; windows of an IMU overlap, which is no doubt."""
+    imu, tracker = fit.problem.stations
+    told = []
+    for station in (imu, tracker, replace(tracker, conditions=replace(tracker.conditions, velocity=None))):
+        m, n = int(station.block_sizes.sum()), len(station)
+        serial = Serial(np.full(m, 0.9), np.full(m, 0.5), np.arange(n, dtype=float), np.ones(n, bool))
+        told.append([found.kind for found in findings_on_order(replace(station, serial=serial))])
+    assert told == [[], [CaveatKind.LEFT_IN_MOTION], [CaveatKind.DEPENDENT_ROWS]]
 
 
 def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:

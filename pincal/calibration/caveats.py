@@ -94,6 +94,10 @@ class CaveatKind(Enum):
         "the residuals depend on the order of the rows: {what}; look for what changed during the measurement: the "
         "instrument's set-up, temperature, the clamping of robot and target"
     )
+    LEFT_IN_MOTION = (
+        "the residuals follow the motion: {what}; the model lacks something of the arm, which pincal discover looks for, or "
+        "the instrument's set-up or a clock changed on the way"
+    )
     BLOCKS = (
         "the errors of consecutive rows are correlated: standard deviations are {factor:.2g} times those of independent "
         "rows; look for what changed during the measurement"
@@ -137,6 +141,7 @@ DOUBTS = UNUSABLE | {
     CaveatKind.CONTRADICTED,
     CaveatKind.STEP,
     CaveatKind.DEPENDENT_ROWS,
+    CaveatKind.LEFT_IN_MOTION,
     CaveatKind.BLOCKS,
     CaveatKind.SORTED,
     CaveatKind.GATHERED,
@@ -244,7 +249,8 @@ def findings_on_order(station: Station) -> list[Caveat]:
         lasts = f"for about {rows:.0f} rows" if rows < n else "over all rows"
         error = "an error" if serial.turns is None else "an error of the target's place on the tool"
         what = f"{100 * share:.0f} % of its variance is {error} that persists {lasts}; rows were weighted accordingly"
-        found.append(Caveat(CaveatKind.DEPENDENT_ROWS, {"what": what}, station.name))
+        kind = CaveatKind.LEFT_IN_MOTION if station.conditions.are_in_motion else CaveatKind.DEPENDENT_ROWS
+        found.append(Caveat(kind, {"what": what}, station.name))
     if station.position is not None and n >= _ROWS:
         # What sets one load apart from another may be elastic.
         loads = (station.conditions.payload == load for load in np.unique(station.conditions.payload))

@@ -292,9 +292,9 @@ def with_blocks(fit: ModelFit, beyond: float = 1.0) -> ModelFit:
     """
     every = list(_seen(fit))
     asked = set(np.linspace(0.0, len(every) - 1.0, _MOST_STATIONS).round().astype(int).tolist())
-    factors = [(every[k].factor(), every[k].station.sensor.reads_place) for k in asked]
-    # Windows of an IMU overlap by what they are: that widens, and is no doubt.
-    of_blocks = max((factor for factor, reads_place in factors if reads_place), default=1.0)
+    factors = [(every[k].factor(), every[k].station.conditions.are_in_motion) for k in asked]
+    # In motion windows of an IMU overlap, and errors of the joints' path last for some rows: that widens, and is no doubt.
+    of_blocks = max((factor for factor, in_motion in factors if not in_motion), default=1.0)
     widest = max((factor for factor, _ in factors), default=1.0)
     solution = replace(fit.solution, of_blocks=of_blocks)
     if widest * beyond > 1.0:

@@ -78,6 +78,11 @@ class Conditions(Recorded):
         return replace(self, **chosen)
 
     @cached_property
+    def are_in_motion(self) -> bool:
+        """Whether the arm moves in any of the poses."""
+        return self.velocity is not None and bool(np.any(self.velocity))
+
+    @cached_property
     def at_moments(self) -> Conditions:
         """The poses that readings depend on: these, or N K of the moments about them, those of one row together."""
         if self.around is None or self.around.q is None:
