@@ -27,6 +27,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from pincal.errors import MeasurementError
 from pincal.measure.extrinsics import Extrinsics
 from pincal.measure.fields import Field, TableRows
 from pincal.measure.sensor import Block, OwnParameters, Sensor
@@ -268,6 +269,11 @@ class ImuSensor(Sensor, OwnParameters):
 
     @classmethod
     def of(cls, table: TableRows, setup: Setup) -> Self:
+        if getattr(table, "moving", None) is None:
+            raise MeasurementError(
+                f"{table.source}: an IMU is read along the path of the joints; give both as streams with their times: a "
+                "folder with joints.csv and imu.csv, or --joints LOG --imu LOG, which may be one file"
+            )
         return cls(table.array(FORCE.name), table.array(RATE.name))
 
     @property
