@@ -189,7 +189,10 @@ def test_streams_that_are_not_given_are_asked_for(
 def test_an_imu_in_a_table_of_poses_is_refused() -> None:
     """Its readings are of a motion; what to give instead is said."""
     rng = np.random.default_rng(0)
-    read = {"specific_force": rng.standard_normal((40, 3)) + [0.0, 0.0, 9.8], "angular_rate": rng.standard_normal((40, 3))}
+    read = {
+        "specific_force": rng.standard_normal((40, 3)) + np.array([0.0, 0.0, 9.8]),
+        "angular_rate": rng.standard_normal((40, 3)),
+    }
     table = pincal.measurements(ROBOT, ROBOT.random_configurations(40, rng), **read)
     with pytest.raises(MeasurementError, match="--joints LOG --imu LOG, which may be one file"):
         pincal.calibrate(ROBOT, table, GEOMETRY)
