@@ -198,6 +198,33 @@ def together(seeds: int, duration: float) -> Iterator[str]:
             yield f"{name}, seed {seed}: nominal {truth.error(None):.3f}; poses -> and IMU [mm]: {', '.join(found)}"
 
 
+def predicted(at: pincal.CalibratedModel, q: np.ndarray) -> np.ndarray:
+    """Return the standard deviations of predicted positions, shape (N,) [m]."""
+    J = at.model.linearise(at.model_values, pincal.Conditions.at(q))[1][:, :3]
+    return np.sqrt(np.einsum("nip,pq,niq->n", J, at.estimate.take(at.model.names).dense_covariance(), J))
+
+
+def held(seeds: int, duration: float) -> Iterator[str]:
+    """Every 25th position of a tracker in motion against as many poses that are held, on the path or anywhere."""
+    for name in ARMS:
+        truth = Truth.draw(name, 0, duration=duration, imu=False, tracker=True)
+        table, rng = truth.tables()["tracker"].select(slice(None, None, 25)), np.random.default_rng(2)
+        n, time = len(table), rng.uniform(0.0, duration, 300)
+        fit = calibrated(truth, {"poses": table})
+        q, sizes = truth.session.path.at(time), []
+        for poses in (truth.session.path.at(rng.uniform(0.0, duration, n)), sim.plan_poses(truth.machine.nominal, n, rng)):
+            read = truth.tracker.measure(truth.machine, poses, rng=rng)
+            at, position = (np.column_stack([read[c] for c in names]) for names in (truth.robot.joint_names, "xyz"))
+            still = calibrated(truth, {"poses": pincal.measurements(truth.robot, at, position=position)})
+            sizes.append(float(np.mean(predicted(fit.at(), q) / predicted(still.at(), q))))
+        off = truth.clock_error(table, fit, "tracker")
+        yield (
+            f"{name}: {n} positions in motion: standard deviation of predictions over that of held poses of the path "
+            f"{sizes[0]:.3f}, of random ones {sizes[1]:.3f}; off elsewhere {truth.error(fit.robot_model()):.4f} mm, clock "
+            f"{1e3 * off[0]:.2f} us"
+        )
+
+
 def coverage(seeds: int, duration: float) -> Iterator[str]:
     """In how many draws of noise intervals of 95 % cover: of positions of the tool in motion, and of clocks."""
     from scipy.stats import binomtest
@@ -323,7 +350,7 @@ def picture(seeds: int, duration: float) -> Iterator[str]:
     figure.savefig(Path(__file__).parents[1] / "docs" / "pictures" / "imu_noise.png", dpi=110)
 
 
-PARTS = {part.__name__: part for part in (axes, together, coverage, clocks, lag, stressed, speed, picture)}
+PARTS = {part.__name__: part for part in (axes, together, held, coverage, clocks, lag, stressed, speed, picture)}
 
 
 def main() -> None:
