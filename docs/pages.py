@@ -48,6 +48,8 @@ _SOURCES = (
     "de Boor (1978): A Practical Guide to Splines. Springer.",
     "Denavit, Hartenberg (1955): A kinematic notation for lower-pair mechanisms based on matrices. Journal of Applied "
     "Mechanics 22.",
+    "Furgale, Rehder, Siegwart (2013): Unified temporal and spatial calibration for multi-sensor systems. IEEE/RSJ "
+    "International Conference on Intelligent Robots and Systems.",
     "Hayati (1983): Robot arm geometric link parameter estimation. IEEE Conference on Decision and Control.",
     "Heisel, Richter, Wurst (1997): Thermal behaviour of industrial robots and possibilities for error compensation. CIRP "
     "Annals 46.",

@@ -83,6 +83,7 @@ def situation() -> PoseSet:
         approach=rng.choice([-1.0, 1.0], (_POSES, 6)),
         droop=rng.normal(0.0, 1e-4, (_POSES, 6)),
         move=rng.uniform(-2.0, 2.0, (_POSES, 6)),
+        velocity=rng.normal(0.0, 0.5, (_POSES, 6)),
         sighted=robot.forward_kinematics(q)[:, :3, 3] - _TRACKER,
     )
     return PoseSet(Chain.of(robot, moment_frame="before"), conditions, _SOFT)
@@ -215,7 +216,7 @@ def _variable(effect: Effect, moved: np.ndarray, at: PoseSet) -> tuple[str, np.n
     if follows in RECORDABLE:
         values = np.asarray(at.conditions.column(follows))
         if values.ndim > 1:
-            values = values[:, at.joints.index(effect.locus.joint)]
+            values = values[:, at.joints.index(effect.locus.joint or _JOINTS[0])]
         unit = RECORDABLE[follows].unit
         return f"{follows} [{unit}]" if unit else follows, values
     if effect.is_sighted and at.conditions.sighted is not None:

@@ -70,6 +70,9 @@ from pincal.model.effect_registry import register_effect as register_effect
 from pincal.model.effects import ELASTIC as ELASTIC
 from pincal.model.effects import GEOMETRIC as GEOMETRIC
 from pincal.model.model import Model as Model
+from pincal.motion.sessions import read_session as read_session
+from pincal.motion.sessions import read_streams as read_streams
+from pincal.motion.stations import session_tables as session_tables
 from pincal.notes import Note as Note
 from pincal.parameters import Parameter as Parameter
 from pincal.plugins import load_plugin as load_plugin

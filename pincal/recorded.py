@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Annotated, get_type_hints
 
 import numpy as np
 
 _IN_ORDER = "if rows are in the order of measurement, give --rows-in-order"
+_IN_MOTION = "a session in motion has its joints as a stream"
 
 
 @dataclass(frozen=True)
@@ -62,10 +63,55 @@ class Recorded:
         Variable("number", "rad", "time", True, _IN_ORDER, unknown=0.0, label="last move of {}", shown="deg"),
     ] = None
     """Last move of each joint with its sign [rad], prismatic [m], 0 where it is not known, shape (N, n)."""
+    velocity: Annotated[
+        np.ndarray | None,
+        Variable("angular rate", "rad/s", "time", True, _IN_MOTION, unknown=0.0, label="speed of {}", shown="deg/s"),
+    ] = None
+    """Velocity of each joint [rad/s], prismatic [m/s], shape (N, n); None where poses were held."""
 
     def recorded(self) -> dict[str, np.ndarray | None]:
         """Return all of it by name."""
         return {name: getattr(self, name) for name in RECORDED}
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """How N poses of a moving arm go on about their times, as far as what is read of them depends on it.
+
+    Attributes:
+        inertial: shape (N, n, 6), the loads of inertia on its joints, as ``pincal.Conditions`` has them; None for none.
+        q: shape (N, K, n), joint positions at K moments about each time [rad or m]; None where a reading is of one moment.
+        velocity: shape (N, K, n), velocities there.
+        loads: shape (N, K, n, 6), loads of inertia there; None for none.
+        clock: what was added to the instrument's stamps [s], and by which they drift [1], about their middle [s].
+        delay: of an IMU, by how much the stamps of its rates were taken to be too early [s].
+    """
+
+    inertial: np.ndarray | None = None
+    q: np.ndarray | None = None
+    velocity: np.ndarray | None = None
+    loads: np.ndarray | None = None
+    clock: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    delay: float = 0.0
+
+    @property
+    def middle(self) -> float:
+        """Stamp about which the clock drifts [s]."""
+        return self.clock[2]
+
+    @property
+    def _arrays(self) -> tuple[np.ndarray | None, ...]:
+        return self.inertial, self.q, self.velocity, self.loads
+
+    def __getitem__(self, rows: slice | np.ndarray) -> Moving:
+        inertial, q, velocity, loads = (None if array is None else array[rows] for array in self._arrays)
+        return Moving(inertial, q, velocity, loads, self.clock, self.delay)
+
+    def joined(self, others: Sequence[Moving]) -> Moving:
+        """Return this and others of the same session, one after the other."""
+        parts = zip(*(each._arrays for each in (self, *others)), strict=True)
+        inertial, q, velocity, loads = (None if part[0] is None else np.concatenate(part) for part in parts)
+        return Moving(inertial, q, velocity, loads, self.clock, self.delay)
 
 
 _HINTS = get_type_hints(Recorded, include_extras=True)

@@ -38,14 +38,29 @@ SIZES = {
     "lb": 0.45359237,
     "s": 1.0,
     "ms": 1e-3,
+    "us": 1e-6,
+    "µs": 1e-6,
+    "ns": 1e-9,
     "min": 60.0,
     "h": 3600.0,
     "degC": 1.0,
     "°C": 1.0,
     "K": 1.0,
     "px": 1.0,
+    "m/s^2": 1.0,
+    "m/s²": 1.0,
+    "mm/s^2": 1e-3,
+    "rad/s": 1.0,
+    "mrad/s": 1e-3,
+    "deg/s": math.pi / 180,
+    "°/s": math.pi / 180,
+    "dps": math.pi / 180,
 }
 """Units in which values are given, each with its size in SI units (temperatures: in deg C)."""
+STANDARD_GRAVITY = 9.80665
+"""Size of gravity by which accelerations in units of g are meant [m/s^2]."""
+# Units that mean something else of this quantity.
+_SIZES_OF = {"acceleration": {"g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY}}
 
 
 def unit_sizes(*units: str) -> dict[str, float]:
@@ -64,9 +79,11 @@ UNITS: dict[str, tuple[str, ...]] = {
     "noise": (*_LENGTHS, "px"),
     "angle": ("rad", "mrad", "deg", "°"),
     "mass": ("kg", "g", "lb"),
-    "time": ("s", "ms", "min", "h"),
+    "time": ("s", "ms", "us", "µs", "ns", "min", "h"),
     "temperature": ("degC", "°C", "K"),
     "pixel": ("px",),
+    "acceleration": ("m/s^2", "m/s²", "mm/s^2", "g", "mg"),
+    "angular rate": ("rad/s", "mrad/s", "deg/s", "°/s", "dps"),
     "number": (),
     "name": (),
 }
@@ -95,9 +112,19 @@ def expected_number(quantity: str) -> str:
     return "a finite number (at most {:g}{})".format(*most)
 
 
-def in_si(values: np.ndarray, unit: str) -> np.ndarray:
-    """Return values in SI units; an empty unit is SI."""
-    size, offset = SIZES.get(unit, 1.0), _OFFSETS.get(unit, 0.0)
+def size_of(unit: str, quantity: str = "") -> float:
+    """Return the size of a unit in SI units where it is one of some quantity; an unknown one is taken for SI.
+
+    Example:
+        >>> size_of("g"), size_of("g", "acceleration")
+        (0.001, 9.80665)
+    """
+    return _SIZES_OF.get(quantity, {}).get(unit, SIZES.get(unit, 1.0))
+
+
+def in_si(values: np.ndarray, unit: str, quantity: str = "") -> np.ndarray:
+    """Return values of a quantity in SI units; an empty unit is SI."""
+    size, offset = size_of(unit, quantity), _OFFSETS.get(unit, 0.0)
     return values if (size, offset) == (1.0, 0.0) else values * size + offset
 
 

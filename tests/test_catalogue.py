@@ -30,17 +30,20 @@ from pincal.model.catalogue import (
     BaseElasticity,
     BearingPlace,
     EncoderSubdivision,
+    FrictionWindup,
     GearEccentricity,
     GearRatio,
     GearRipple,
     GravityCompensator,
     Hysteresis,
     InstrumentAzimuth,
+    InstrumentClock,
     InstrumentElevation,
     InstrumentRange,
     InstrumentTilt,
     JointCoupling,
     JointCreep,
+    JointLag,
     LinkBending,
     LinkMass,
     LoadBacklash,
@@ -129,6 +132,10 @@ EFFECTS: dict[str, Make] = {
     "instrument_tilt": lambda j: InstrumentTilt(),
     "instrument_tilt with offsets": lambda j: InstrumentTilt(offsets=True),
     "instrument_range": lambda j: InstrumentRange(),
+    "instrument_clock": lambda j: InstrumentClock(1.5e4),
+    "instrument_clock without drift": lambda j: InstrumentClock(drifts=False),
+    "joint_lag": lambda j: JointLag(j[2]),
+    "friction_windup": lambda j: FrictionWindup(j[1], 0.1),
     "unnamed": lambda j: Unnamed(j[1], "gamma_x", j[2]),
     "unnamed waves": lambda j: Unnamed(j[1], "drive", j[2], "waves", order=3),
     "unnamed product": lambda j: Unnamed(j[1], "drive", j[2], "product"),
@@ -162,6 +169,7 @@ def conditions_of(robot: Robot, n: int, rng: np.random.Generator, *, heaviest: f
         approach=rng.choice([-1.0, 1.0], (n, robot.n_joints)),
         droop=1e-3 * np.random.default_rng(n).standard_normal((n, robot.n_joints)),
         move=moves_by_order(q),
+        velocity=np.random.default_rng(n + 1).standard_normal((n, robot.n_joints)),
         sighted=robot.forward_kinematics(q)[:, :3, 3] - TRACKER,
     )
 
@@ -274,14 +282,17 @@ def test_parameters_and_terms_fit_each_other(robot: Robot, name: str, rng: np.ra
     assert {of.parameter for of in (*terms, *bodies)} <= set(range(len(parameters))) and parameters
     assert all(0 <= body.joint < robot.n_joints and np.shape(body.moment) == (3,) for body in bodies)
     for parameter in parameters:
-        assert parameter.name.rsplit(".", 1)[0] in {*robot.joint_names, "base", "arm", "instrument"}
+        assert parameter.name.rsplit(".", 1)[0] in {*robot.joint_names, "base", "arm", "instrument", "clock"}
         assert parameter.effect == effect.name
         if parameter.unit in ("kg", "kg m"):
             assert 0.0 <= parameter.nominal < 1e3 and 0.0 < parameter.size < 1e3
         else:
             # The place of a bearing is known to a link's length.
             size = 1.0 if parameter.name.endswith(".h") else 1e-2
-            assert (parameter.nominal == 0.0) == (parameter.unit != "s") and 0.0 < parameter.size < size
+            # A clock may be off by anything, as what stands anywhere.
+            size = np.inf if parameter.is_extrinsic else size
+            is_constant = parameter.name.endswith("_tau")
+            assert (parameter.nominal == 0.0) == (not is_constant) and 0.0 < parameter.size <= size
     for term in terms:
         assert 0 <= term.coordinate < chain.size and (term.basis is None or term.basis.shape == (7,))
         assert term.moment is None or (0 <= term.moment < n and effect.uses_moments)
@@ -313,7 +324,8 @@ def test_jacobian_is_exact(robot: Robot, name: str, frame: tuple[MomentFrame, bo
     """The Jacobian equals central differences to 1e-6: an effect's own columns, and sums of all those beside it."""
     effect = EFFECTS[name](robot.joint_names)
     model = surrounded(effect, chain_of(robot, frame[0]), equilibrium=frame[1])
-    conditions = conditions_of(robot, 3, rng)
+    # Moments of inertia are those of the nominal arm, whatever the parameters.
+    conditions = replace(conditions_of(robot, 3, rng), inertial=rng.normal(0.0, 3.0, (3, robot.n_joints, 6)))
     units = units_of(model, conditions)
     values = 3e-3 * rng.uniform(-1.0, 1.0, model.n_parameters) / units
     own = len(effect.parameters(model.chain))
@@ -376,6 +388,8 @@ class Comparison:
     def signal(self, *hidden: sim.HiddenEffect) -> np.ndarray:
         """Return what hidden effects do to the tip, motion [m] and turning [rad], shape (N, 6)."""
         true, plain = self._tip(*hidden), self._plain
+        if self._moves(*hidden):
+            plain = self._tip(sim.JointLag(joint=self.joints[0], size=0.0))
         turned = Rotation.from_matrix(true[:, :3, :3] @ plain[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
         return np.hstack([true[:, :3, 3] - plain[:, :3, 3], turned])
 
@@ -386,8 +400,14 @@ class Comparison:
     def _tip(self, *hidden: sim.HiddenEffect) -> np.ndarray:
         c = self.conditions
         recorded = {"temperature": c.temperature, "time": c.time, "approach": c.approach}
+        recorded |= {"velocity": c.velocity} if self._moves(*hidden) else {}
         machine = self.machine.with_effects(*hidden)
         return machine.tip(c.q, payload=c.payload, payload_com=c.payload_centre, **recorded)
+
+    @staticmethod
+    def _moves(*hidden: sim.HiddenEffect) -> bool:
+        """Return whether effects are of motion; other signals are of poses that are held."""
+        return any(isinstance(effect, sim.JointLag | sim.FrictionWindup) for effect in hidden)
 
     def best(self, effect: Effect, signal: np.ndarray, beside: tuple[str, ...] = ()) -> tuple[np.ndarray, float]:
         """Return the effect's best parameters, and what they leave of a signal, shape (N, 3 or 6), relative to it.
@@ -475,6 +495,7 @@ SAME_FORM: dict[str, tuple[*Pair, list[float] | None]] = {
         lambda j: Hysteresis(j[1], preload=20.0),
         [-1e-8],
     ),
+    "joint_lag": (lambda j: sim.JointLag(joint=j[1], size=1e-4), lambda j: JointLag(j[1]), [1e-4]),
     "thermal_expansion": (lambda j: sim.ThermalExpansion(size=1e-5), lambda j: ThermalExpansion(), [1e-5]),
     "thermal_expansion of a link": (
         lambda j: sim.ThermalExpansion(joint=j[1], size=1e-5),
@@ -560,6 +581,11 @@ def test_forms_that_differ_agree_where_they_should() -> None:
     stiffening = kuka.signal(sim.NonlinearElasticity(joint=j[1], size=1e-7))
     found, left = kuka.best(NonlinearElasticity(j[1]), stiffening, beside=(f"{j[1]}.k_z",))
     assert left < 0.02 and found[0] < 0.0
+    # v / sqrt(v^2 + u^2) against tanh; most joints are faster than both.
+    friction = kuka.signal(sim.FrictionWindup(joint=j[1], size=1e-4, slow=0.01))
+    found, left = kuka.best(FrictionWindup(j[1], 0.015), friction)
+    assert left < 0.02
+    np.testing.assert_allclose(found, [1e-4], rtol=0.01)
     # n / sqrt(n^2 + t^2) against tanh, of about the same width.
     found, left = kuka.best(LoadBacklash(j[2], 25.0), kuka.signal(sim.LoadBacklash(joint=j[2], size=2e-4)))
     assert left < 0.02
@@ -750,7 +776,7 @@ def test_with_everything_recorded_nearly_everything_can_be_tried(robot: Robot, r
     counts = {name: sum(effect.name == name for effect in found) for name in {effect.name for effect in found}}
 
     # What else there is to know of bearings goes with their elasticity; lines of encoders are unknown.
-    others = {"unnamed", "link_mass", "oblique_bearing", "bearing_place", "encoder_subdivision"}
+    others = {"unnamed", "link_mass", "oblique_bearing", "bearing_place", "encoder_subdivision", "instrument_clock"}
     assert set(counts) == {name.split()[0] for name in EFFECTS} - others
     assert counts["joint_coupling"] == n * (n - 1) and counts["gear_eccentricity"] == 2 * n
     assert counts["axis_wobble"] == 4 * n and counts["backlash"] == counts["thermal_offset"] == n

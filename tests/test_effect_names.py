@@ -19,8 +19,7 @@ ALLOWED = {
     "pincal.validate.agreement": "zeros that data have pulled far are looked for",
     "pincal.validate.cures": "looks for the zeros of joints",
     "pincal.identify.explain": "a reason names base and tool",
-    "pincal.identify.initial": "makes the frames of base and tool that a sensor's readings depend on",
-    "pincal.identify.problem": "makes them for each station",
+    "pincal.identify.initial": "makes the frames of base and tool that a sensor's readings depend on, and its clock",
     "pincal.compensate.ik_problem": "moves joints as if their offsets were free",
     "pincal.design.design_model": "makes them for a sensor that has not measured yet",
 }

@@ -310,3 +310,11 @@ def test_readings_are_between_any_two_links(tmp_path: Path) -> None:
     assert len(held_out) == 4
     assert max(held_out) < 0.1
     assert numbers(text, "the other hand, which no tracker saw:")[0] < 0.095
+
+
+@pytest.mark.long
+def test_an_imu_beside_eight_poses_is_better_than_either(tmp_path: Path) -> None:
+    """Elsewhere the model of both is off by half as much as that of the poses."""
+    text = run("imu_on_the_flange.py", folder=tmp_path)
+    alone, both = (numbers(text, f"{words} mean error elsewhere")[0] for words in ("8 poses alone   ", "8 poses and IMU "))
+    assert both < 0.6 * alone

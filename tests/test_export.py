@@ -166,9 +166,9 @@ def everything(robot: Robot, *, equilibrium: bool = False) -> CalibratedModel:
 
 
 def poses_of(calibrated: CalibratedModel, n: int, rng: np.random.Generator) -> Conditions:
-    """Return poses of which everything is recorded and varies."""
+    """Return poses of which everything is recorded and varies; they are held, as exported formulas have it."""
     at = conditions_of(calibrated.model.chain.robot, n, rng)
-    return replace(at, target=rng.integers(0, len(calibrated.model.chain.targets), n))
+    return replace(at, velocity=None, inertial=None, target=rng.integers(0, len(calibrated.model.chain.targets), n))
 
 
 # --- every effect of the catalogue --------------------------------------------------------------------------------

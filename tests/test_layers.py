@@ -28,6 +28,7 @@ LAYERS = (
     "robot",
     "model",
     "measure",
+    "motion",
     "identify",
     "validate",
     "io",

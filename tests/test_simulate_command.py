@@ -178,6 +178,7 @@ def test_every_effect_has_a_typical_size(machine, name):
     rng = np.random.default_rng(0)
     q = plan_poses(machine.nominal, 20, rng)
     conditions = {"payload": 60.0, "temperature": 30.0, "time": 1e4, "approach": rng.choice([-1, 1], (20, 6))}
+    conditions["velocity"] = rng.uniform(-1.0, 1.0, (20, 6))
     scatter = rng.standard_normal((20, 6))
     tips = [m.tip(q, scatter=scatter, **conditions) for m in (machine, machine.with_effects(effect))]
     moved = np.linalg.norm(tips[1][:, :3, 3] - tips[0][:, :3, 3], axis=1).max()

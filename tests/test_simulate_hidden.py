@@ -42,6 +42,8 @@ EFFECTS: list[HiddenEffect] = [
     sim.InstrumentTilt(size=2e-5),
     sim.InstrumentRange(size=2e-5),
     sim.JointScatter(joint="joint_2", size=1e-4),
+    sim.JointLag(joint="joint_2", size=1e-3),
+    sim.FrictionWindup(joint="joint_2", size=1e-4),
 ]
 
 
@@ -51,6 +53,7 @@ def measured(*effects: HiddenEffect) -> np.ndarray:
     rng = np.random.default_rng(5)
     q = random_poses(machine, 12, seed=3)
     conditions = {"payload": 80.0, "temperature": np.linspace(15, 35, 12), "time": np.arange(12) * 3600.0}
+    conditions["velocity"] = np.random.default_rng(6).standard_normal((12, 6))
     table = sim.Instrument().measure(machine, q, rng=rng, approach=rng.choice([-1, 1], (12, 6)), **conditions)
     return np.column_stack([table[axis] for axis in "xyz"])
 

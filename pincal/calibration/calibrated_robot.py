@@ -29,6 +29,8 @@ from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, stations_of
 from pincal.model.model import Model
+from pincal.motion.sessions import Session, joints_of_session, read_session
+from pincal.motion.stations import session_tables
 from pincal.parameters import Estimate, estimate_of
 from pincal.result_table import Table
 from pincal.robot.robot import Robot
@@ -306,19 +308,19 @@ def calibrate(
 
 def _tables(robot: Robot, measurements: Tables | Files) -> Tables:
     """Return tables of this robot, those that are given as files read; several files are stations named after them."""
-
-    def table(of: Measurements | File) -> Measurements:
+    several = [measurements] if isinstance(measurements, Measurements | str | os.PathLike) else measurements
+    named = isinstance(several, Mapping)
+    tables, sessions = list[tuple[str, Measurements]](), list[Session]()
+    for name, of in several.items() if isinstance(several, Mapping) else (("", of) for of in several):
         if isinstance(of, Measurements):
-            return of
-        return read_measurements(of, robot)
-
-    if isinstance(measurements, Measurements | str | os.PathLike):
-        return table(measurements)
-    if isinstance(measurements, Mapping):
-        return {name: table(of) for name, of in measurements.items()}
-    several = [table(of) for of in measurements]
-    names = [Path(of).stem for of in measurements if not isinstance(of, Measurements)]
-    return several if len(names) < len(several) else stations_of(zip(names, several, strict=True))
+            tables.append((name or f"station_{len(tables) + 1}", of))
+        elif joints_of_session(of) is not None:
+            session = read_session(robot, of)
+            sessions.append(replace(session, name=name or session.name))
+        else:
+            tables.append((name or Path(of).stem, read_measurements(of, robot)))
+    tables += session_tables(robot, sessions).items()
+    return stations_of(tables) if named or len(tables) > 1 else tables[0][1]
 
 
 def calibrate_parts(robot: Robot, parts: Iterable[Measurements], options: Options | None = None) -> Fit:

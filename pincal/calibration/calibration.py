@@ -23,6 +23,7 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.setup import Setup
 from pincal.notes import Note, doubts_first
 from pincal.robot.robot import Robot
+from pincal.validate.accuracy import leading_unit
 from pincal.validate.agreement import check_agreement, unknown_zeros
 
 log = logging.getLogger(__name__)
@@ -50,9 +51,10 @@ class Calibration:
 
     def __repr__(self) -> str:
         rows, errors = self.result.rows, self.result.error["calibrated"]
-        mean = errors["test" if "test" in errors else "train"]["mean_mm"]
+        found = errors["test" if "test" in errors else "train"]
+        mean = found[f"mean_{(unit := leading_unit(found))}"]
         counts = f"{rows['train']} rows fitted, {rows['test']} held out"
-        return f"Calibration({self.robot.name!r}: {counts}, mean error {mean:.4g} mm)"
+        return f"Calibration({self.robot.name!r}: {counts}, mean error {mean:.4g} {unit})"
 
     def _repr_html_(self) -> str:
         doubts = "".join(f"<p><b>doubt: {html.escape(note.text)}</b></p>" for note in self.result.doubts)

@@ -95,6 +95,10 @@ class CaveatKind(Enum):
         "the residuals depend on the order of the rows: {what}; look for what changed during the measurement: the "
         "instrument's set-up, temperature, the clamping of robot and target"
     )
+    LEFT_IN_MOTION = (
+        "the residuals follow the motion: {what}; the model lacks something of the arm, which pincal discover looks for, or "
+        "the instrument's set-up or a clock changed on the way"
+    )
     BLOCKS = (
         "the errors of consecutive rows are correlated: standard deviations are {factor:.2g} times those of independent "
         "rows; look for what changed during the measurement"
@@ -138,6 +142,7 @@ DOUBTS = UNUSABLE | {
     CaveatKind.CONTRADICTED,
     CaveatKind.STEP,
     CaveatKind.DEPENDENT_ROWS,
+    CaveatKind.LEFT_IN_MOTION,
     CaveatKind.BLOCKS,
     CaveatKind.SORTED,
     CaveatKind.GATHERED,
@@ -238,13 +243,15 @@ def findings_on_fit(fit: ModelFit, p_value: float | None) -> list[Caveat]:
 def findings_on_order(station: Station) -> list[Caveat]:
     """Return whether the noise of a station's rows depends on their order, and whether that order is a joint's, too."""
     found, serial, n = [], station.serial, len(station)
-    if serial is not None:
+    # The windows of an IMU overlap by what they are.
+    if serial is not None and station.sensor.reads_place:
         share = float(np.max(serial.share))
         rows = 1.0 / (1.0 - float(np.max(serial.phi)))
         lasts = f"for about {rows:.0f} rows" if rows < n else "over all rows"
         error = "an error" if serial.turns is None else "an error of the target's place on the tool"
         what = f"{100 * share:.0f} % of its variance is {error} that persists {lasts}; rows were weighted accordingly"
-        found.append(Caveat(CaveatKind.DEPENDENT_ROWS, {"what": what}, station.name))
+        kind = CaveatKind.LEFT_IN_MOTION if station.conditions.are_in_motion else CaveatKind.DEPENDENT_ROWS
+        found.append(Caveat(kind, {"what": what}, station.name))
     if station.position is not None and n >= _ROWS:
         # What sets one load apart from another may be elastic.
         loads = (station.conditions.payload == load for load in np.unique(station.conditions.payload))

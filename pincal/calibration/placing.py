@@ -173,7 +173,11 @@ def _of_another_session(known: CalibratedModel, station: Station, rows: Measurem
         for effect in known.model.effects
         # The instrument's own, beside its place, drift and targets, does not come along.
         if effect in lacking
-        or (effect.scope == "station" and effect.locus.station is None and effect.locus.acts_on not in ("base", "tool"))
+        or (
+            effect.scope == "station"
+            and effect.locus.station is None
+            and effect.locus.acts_on not in ("base", "tool", "clock")
+        )
     ]
     at = known.of_its_day(replace(station.conditions, target=np.zeros(len(station), int))) if left else None
     days = set(known.covered.days)

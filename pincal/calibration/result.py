@@ -38,7 +38,7 @@ from pincal.notes import Note, doubts_first, doubts_of
 from pincal.validate.accuracy import Replicates, error_statistics, error_summary, iso9283, pose_error_sizes
 from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
 from pincal.validate.misfit import NoiseTest, Verdict, judge, tells
-from pincal.validate.outcome import Correlation, Errors, NoiseRecord, Outcome, StationRecord
+from pincal.validate.outcome import ClockRecord, Correlation, Errors, NoiseRecord, Outcome, StationRecord, noise_key
 
 # Absolute correlation from which a pair is listed: two parameters then share four fifths of their variance.
 _CORRELATED = 0.9
@@ -83,7 +83,8 @@ class Result(Outcome):
     @property
     def left_out_mm(self) -> tuple[float, float] | None:
         """Mean error of stations by the model of the others [mm], and by their geometric model; None without any."""
-        records = [] if self.stations is UNSET else [record for record in self.stations if "left_out" in record]
+        every = [] if self.stations is UNSET else [record for record in self.stations if "left_out" in record]
+        records = [record for record in every if "mean_mm" in record["left_out"]]
         if not records:
             return None
         rows = [record["rows"]["train"] for record in records]
@@ -93,9 +94,8 @@ class Result(Outcome):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""
-        absent = {
-            name for name in ("iso9283", "lack_of_fit", "stations", "improvement") if getattr(self, name) in (None, UNSET)
-        }
+        perhaps = ("iso9283", "lack_of_fit", "stations", "improvement", "clocks")
+        absent = {name for name in perhaps if getattr(self, name) in (None, UNSET)}
         contents = {name: value for name, value in asdict(self).items() if name not in {*absent, "doubt", "shift"}}
         contents |= {"parameters": [row.to_dict() for row in self.parameters], "warnings": to_builtins(self.warnings)}
         return contents | {"verdict": self.verdict_of().value}
@@ -190,6 +190,7 @@ def result_of(
         lack_of_fit=lack,
         stations=tuple(_records(fit, seen, apart, again)) if len(seen) > 1 else UNSET,
         improvement=improved or UNSET,
+        clocks=tuple(_clocks(fit, rows)) or UNSET,
     )
 
 
@@ -289,6 +290,24 @@ def _records(
         yield record
 
 
+def _clocks(fit: ModelFit, rows: Sequence[StationRows]) -> Iterator[ClockRecord]:
+    """Yield the clocks of the stations in motion: what they were aligned by, and what the fit found of them."""
+    values = dict(zip(fit.estimate.names, zip(fit.values, fit.estimate.sigma, strict=True), strict=True))
+    for part, station in zip(rows, fit.problem.stations, strict=True):
+        if (moving := part.measured[0].moving) is None:
+            continue
+        mark = f"{station.name}/" if station.name else ""
+        (offset, offset_sigma), (drift, drift_sigma) = (values[f"{mark}clock.{name}"] for name in ("offset", "drift"))
+        late, sigma = values.get(f"{mark}imu.gyro_delay", (None, None))
+        yield ClockRecord(
+            part.name,
+            *(moving.clock[0] + float(offset), float(offset_sigma)),
+            *(1e6 * (moving.clock[1] + float(drift)), 1e6 * float(drift_sigma)),
+            moving.middle,
+            *(None if late is None else moving.delay + float(late), None if sigma is None else float(sigma)),
+        )
+
+
 def _on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut]) -> Iterator[Caveat]:
     """Yield what was found of the rows of each station: the fitted ones, then those that judge."""
     for part in seen:
@@ -327,8 +346,8 @@ def _noise(fit: ModelFit, blocks: slice = slice(None)) -> NoiseRecord:
     found: dict[str, list[tuple[float, float]]] = {}
     for (block, sigma, declared, estimated), n in list(zip(of_blocks, rows, strict=True))[blocks]:
         weight = float(n * block.size)
-        found.setdefault(f"sigma_{block.unit}", []).append((float(sigma if declared is None else declared), weight))
-        found.setdefault(f"residual_sigma_{block.unit}", []).append((float(estimated), weight))
+        found.setdefault(noise_key(block.unit), []).append((float(sigma if declared is None else declared), weight))
+        found.setdefault(f"residual_{noise_key(block.unit)}", []).append((float(estimated), weight))
     noise = {}
     for name, sizes in found.items():
         values, weights = np.array(sizes).T

@@ -14,8 +14,8 @@ from pincal.parameters import Estimate, Parameter
 from pincal.result_table import Cell, Column, Kind, RowTone, Table
 from pincal.robot.se3 import placed, rotation_vectors
 from pincal.units import Quantity, fixed, format_readable, show_sigma, show_unit, show_value
-from pincal.validate.accuracy import ANGLE_WORDS
-from pincal.validate.outcome import Improvement, StationRecord
+from pincal.validate.accuracy import ANGLE_WORDS, ERROR_UNITS, leading_unit
+from pincal.validate.outcome import ClockRecord, Improvement, StationRecord
 
 PARTS = {"train": "fitted", "test": "held out", "regions": "held-out regions", "stretches": "held-out stretches"}
 """What the two parts of a data set are called."""
@@ -118,16 +118,17 @@ def error_table(error: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table
     """
     heads = tuple(Column(name, kind=Kind.LABEL) for name in ("model", "poses", "unit"))
     columns = (*heads, *(Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in _STATISTICS.values()))
-    rows = tuple(
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
         (_MODELS.get(model, model), PARTS.get(part, part), unit, *(values[f"{name}_{unit}"] for name in _STATISTICS))
         for model, by_part in error.items()
         for part, values in by_part.items()
         # What leads is one of these.
         if part != "test" or not {"regions", "stretches"} & by_part.keys()
-        for unit in ("mm", "mrad", "px")
+        for unit in ERROR_UNITS
         if f"mean_{unit}" in values
     )
-    return Table("Pose accuracy: distance from predicted to measured target", columns, rows)
+    of_places = any(row[2] == "mm" for row in rows)
+    return Table("Pose accuracy: distance from predicted to measured target" if of_places else "Errors", columns, rows)
 
 
 def station_table(stations: Sequence[StationRecord]) -> Table:
@@ -136,16 +137,53 @@ def station_table(stations: Sequence[StationRecord]) -> Table:
     is_left_out = any("left_out" in station for station in stations)
     names = ["rows", "nominal", *(["left out, geometry alone", "left out"] if is_left_out else []), "calibrated"]
     columns = [Column(name, kind=Kind.NUMBER, show=str if name == "rows" else fixed(4)) for name in names]
+    units = [leading_unit(station["error"]["calibrated"]["train"]) for station in stations]
+    one = set(units) == {"mm"}
+    all_heads = heads if one else (*heads, Column("unit", kind=Kind.LABEL))
     rows = []
-    for station in stations:
+    for station, unit in zip(stations, units, strict=True):
         found = (station.get("left_out_geometric", {}), station.get("left_out", {})) if is_left_out else ()
-        others = [errors.get("mean_mm") for errors in found]
+        mean = f"mean_{unit}"
+        others = [errors.get(mean) for errors in found]
         for part, error in station["error"]["calibrated"].items():
-            before = station["error"]["nominal"][part]["mean_mm"]
+            before = station["error"]["nominal"][part][mean]
             count = station["rows"]["train" if part == "train" else "test"]
-            numbers = (count, before, *others, error["mean_mm"])
-            rows.append((station["name"], station["kind"], PARTS[part], *numbers))
-    return Table("Mean error at each station [mm]", (*heads, *columns), tuple(rows))
+            numbers = (count, before, *others, error[mean])
+            rows.append((station["name"], station["kind"], PARTS[part], *(() if one else (unit,)), *numbers))
+    return Table(f"Mean error at each station{' [mm]' * one}", (*all_heads, *columns), tuple(rows))
+
+
+def clock_words(clock: ClockRecord) -> str:
+    """Return offset and drift of an instrument's clock with 95 % intervals, in words."""
+    half = f"{1e3 * INTERVAL * clock.offset_sigma_s:.2g} ms"
+    words = f"{clock.offset_s:+.5f} s +- {half}, drift {clock.drift_ppm:+.1f} +- {INTERVAL * clock.drift_sigma_ppm:.2g} ppm"
+    if clock.gyro_early_s is not None and clock.gyro_early_sigma_s is not None:
+        words += f"; its gyroscope {1e3 * clock.gyro_early_s:+.2f} +- {1e3 * INTERVAL * clock.gyro_early_sigma_s:.2g} ms"
+    return f"{clock.station}: {words}" if clock.station else words
+
+
+def clock_table(clocks: Sequence[ClockRecord]) -> Table:
+    """Return the clocks of instruments that read a moving arm: what to add to their stamps."""
+    heads = (
+        ("offset", "s", 5),
+        ("+-", "ms", 3),
+        ("drift", "ppm", 1),
+        ("+-", "ppm", 2),
+        ("gyroscope", "ms", 3),
+        ("+-", "ms", 3),
+    )
+    columns = (Column("station", kind=Kind.NAME), *(Column(name, u, Kind.NUMBER, fixed(n)) for name, u, n in heads))
+    rows: list[tuple[Cell, ...]] = []
+    for at in clocks:
+        gyro = (at.gyro_early_s, at.gyro_early_sigma_s)
+        delay = (None, None) if gyro[0] is None or gyro[1] is None else (1e3 * gyro[0], 1e3 * INTERVAL * gyro[1])
+        sigmas = 1e3 * INTERVAL * at.offset_sigma_s, INTERVAL * at.drift_sigma_ppm
+        rows.append((at.station or "instrument", at.offset_s, sigmas[0], at.drift_ppm, sigmas[1], *delay))
+    note = (
+        "added to the stamps of a station, in the middle of its session; to those of a gyroscope in addition to its "
+        "accelerometer's; +- 95 %"
+    )
+    return Table("Clocks against that of the joints", columns, tuple(rows), (note,))
 
 
 def improvement_table(regions: Sequence[Improvement]) -> Table:

@@ -20,7 +20,7 @@ from pincal.measure.admit import scorable, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, replicate_groups
 from pincal.notes import Note, Severity
-from pincal.validate.accuracy import error_summary, pose_errors
+from pincal.validate.accuracy import error_summary, pose_error_sizes
 from pincal.validate.agreement import belongs_to_other_robot, mix_up, nominal_displacements
 from pincal.validate.lack_of_fit import LackOfFit, replicate_statistics
 from pincal.validate.misfit import Misfit, NoiseTest, Verdict, has_moved, judge, misfit_at, tells
@@ -152,14 +152,15 @@ def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, na
         rows = usable_rows(measurements, model.setup.over(measurements))
         return _refitted(name, rows, place_station(model, rows))
 
-    stands = list(_stands(models, measurements))
+    # Clocks of another session are others, too.
+    stands = list(_stands(models, measurements)) if measurements.moving is None else []
     if not stands:
         if not refit:
             raise BadInputError(
                 f"{measurements.source}: these rows do not match the chosen station: sensor, target, points or columns "
                 "differ"
             )
-        return refitted(_anywhere(models))
+        return refitted(next((m for m in models if m.sensor_kind == measurements.kind), _anywhere(models)))
     _, model, table, station, sigma = min(stands, key=lambda stand: stand[0])
 
     def misfit(sigma: np.ndarray, robust: np.ndarray) -> Misfit:
@@ -175,8 +176,8 @@ def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, na
         # These rows can't tell another place than the calibrated one.
         before = misfit(sigma, np.ones(len(table)))
         if refit and before.is_far():
-            errors = next(iter(pose_errors(station, model.values).values()))
-            raise BadInputError(f"{error}; as calibrated, they are off by {errors.mean():.4g} mm") from None
+            unit, errors = next(iter(pose_error_sizes(station, model.values).items()))
+            raise BadInputError(f"{error}; as calibrated, they are off by {errors.mean():.4g} {unit}") from None
         return as_calibrated(before)
     before = misfit(placed.model.sigma, (placed.solution.weights > 0.0).astype(float))
     is_moved = has_moved(before, placed.misfit)
@@ -248,8 +249,8 @@ def doubt_of(table: Measurements, placed: Placed) -> str:
         left = placed.misfit_of(rows)
         if not left.is_significant:
             continue
-        errors = next(iter(pose_errors(station.select(rows), values).values()))
-        off = f"{table.source}: off by {errors.mean():.3g} mm wherever instrument and target stand"
+        unit, errors = next(iter(pose_error_sizes(station.select(rows), values).items()))
+        off = f"{table.source}: off by {errors.mean():.3g} {unit} wherever instrument and target stand"
         if left.is_far(factor):
             mixed = mix_up(table, station, values, options=known.options(effects=()))
             beyond = f"{off}, {left.ratio:.3g} times what noise and the uncertainty of the calibration allow"

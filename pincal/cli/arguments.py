@@ -46,7 +46,7 @@ def argument(metavar: str, help: str, *, required: bool = True) -> Any:
     Args:
         metavar: its name in the help text.
         help: one sentence.
-        required: whether it has to be given; the field is None if it is not.
+        required: whether it has to be given; the field is None, or empty, if it is not.
     """
     about = {"cls": _Argument, "metavar": metavar, "help": help, "required": required}
     return field(default=MISSING if required else None, metadata=about)

@@ -10,6 +10,7 @@ from typing import Literal
 import click
 
 from pincal.cli.arguments import Output, argument, group, option, pair
+from pincal.cli.motion_options import MotionOptions
 from pincal.cli.quantities import (
     ANGLE,
     COLUMNS,
@@ -178,7 +179,9 @@ class InputOptions:
     data: tuple[Path, ...] = argument(
         "DATA.csv...",
         "Measurements, one row per measured pose (CSV, Excel or Parquet). Several tables are a station each, named by "
-        "the file unless they have a column station.",
+        "the file unless they have a column station. A folder with joints.csv, and imu.csv or tracker.csv or both, is a "
+        "session of an arm that moved.",
+        required=False,
     )
     tip: str | None = tip_option(words="from the joint columns")
     base: str | None = base_option(words="root of the URDF, or where the joints of the table begin")
@@ -188,6 +191,7 @@ class InputOptions:
     couplings: tuple[str, ...] = coupling_option()
     signs: tuple[str, ...] = sign_option()
     table: TableArguments = group("Tables")
+    motion: MotionOptions = group("Motion")
 
 
 @dataclass(frozen=True, kw_only=True)

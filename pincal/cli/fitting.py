@@ -187,7 +187,7 @@ def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery
         raise IdentificationError(f"{result.shift}. The files are written; --accept-shift takes them as they are")
     part = "test" if "test" in result.error["calibrated"] else "train"
     rows = {"test": "held-out", "train": "fitted"}[part]
-    require_accuracy(result.error["calibrated"][part]["mean_mm"], arguments.max_error, rows=rows)
+    require_accuracy(result.error["calibrated"][part].get("mean_mm"), arguments.max_error, rows=rows)
     return Exit.DONE
 
 

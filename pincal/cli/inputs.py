@@ -21,6 +21,7 @@ from pincal.cli.common import (
     PlaceOptions,
     SetupOptions,
 )
+from pincal.cli.motion_options import MotionOptions, input_files, load_sessions
 from pincal.cli.progress import log_step
 from pincal.errors import BadInputError
 from pincal.identify.options import Options, StationOptions
@@ -38,6 +39,7 @@ from pincal.model.chain import Chain
 from pincal.model.effect import Effect
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.model.model import Model
+from pincal.motion.sessions import joints_of_session
 from pincal.robot.arm_of_tree import TreeRequest
 from pincal.robot.mastering import remastered
 from pincal.robot.robot import Robot
@@ -82,15 +84,17 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     Raises:
         BadInputError: for a file or an option that is invalid.
     """
+    source.motion.check(source.table.joints, source.data)
     log_step("reading robot and tables")
     robot = load_robot(source)
-    tables = load_tables(robot, source.data, options=source.table.options, links=source.links)
-    setup = chosen.setup
-    given = [path for path in (source.table.joints, setup.points, setup.distances, setup.camera) if path is not None]
+    tables = load_tables(robot, source.data, options=source.table.options, links=source.links, motion=source.motion)
+    setup, motion = chosen.setup, source.motion
+    others = (source.table.joints, motion.imu, motion.tracker, setup.points, setup.distances, setup.camera)
+    given = [path for path in others if path is not None]
     options = options_of(chosen, tables)
     effects = named_effects(chosen.fit.add, options, robot=robot, tables=tables)
     options = replace(options, effects=(*options.effects, *effects))
-    return Prepared(robot, tables, options, (*source.data, *given, Path(robot.source)))
+    return Prepared(robot, tables, options, (*input_files(source.data), *given, Path(robot.source)))
 
 
 def named_effects(
@@ -129,10 +133,15 @@ def _described(source: InputOptions) -> Robot:
     paths, recorded = list[tuple[str | None, str | None]](), dict[str, None]()
     given = {name: (start, tip) for name, start, tip in source.links.stations}
     joints: dict[Path, tuple[str, ...]] = {}
-    for path in source.data:
-        joints[path] = joint_columns(path, known, source.table.options)
+    reading, files = source.table.options, [*source.data]
+    if source.motion.are_given and reading.joints is not None:
+        files, reading = [*files, Path(reading.joints)], replace(reading, joints=None)
+    for path in files:
+        session = joints_of_session(path)
+        joints[path] = joint_columns(session or path, known, reading)
         recorded |= dict.fromkeys(joints[path])
-        pairs = [given[path.stem]] if path.stem in given else links_of_rows(path, source.table.options)
+        is_log = session is not None or path not in source.data
+        pairs = [given[path.stem]] if path.stem in given else [(None, None)] if is_log else links_of_rows(path, reading)
         # The end of a chain that the columns of the table are of, if nothing says otherwise.
         ends = [(first or start, last or tip or _tip_of(tree, joints[path])) for first, last in pairs]
         paths += [pair for pair in ends if pair not in paths]
@@ -140,7 +149,7 @@ def _described(source: InputOptions) -> Robot:
     (start, tip), *others = paths
     is_plain = not others and start is None
     if is_plain and not (source.tip or source.links.to):
-        wanted = TreeRequest(base=source.base, joints=joints[source.data[0]] or None)
+        wanted = TreeRequest(base=source.base, joints=joints[files[0]] or None)
         return Robot.from_tree(tree, wanted, mass=source.mass)
     base = source.base or tree.root
     further = [(first or base, str(last)) for first, last in others]
@@ -156,19 +165,29 @@ def _tip_of(tree: UrdfTree, joints: Sequence[str]) -> str:
 
 
 def load_tables(
-    robot: Robot, paths: Iterable[Path], *, options: TableOptions | None = None, links: LinkOptions | None = None
+    robot: Robot,
+    paths: Iterable[Path],
+    *,
+    options: TableOptions | None = None,
+    links: LinkOptions | None = None,
+    motion: MotionOptions | None = None,
 ) -> dict[str, Measurements]:
     """Return the measurements of each station, named by its file or by a column ``station``.
+
+    Folders, and streams of an arm in motion, are named by the folder and what reads the arm.
 
     Raises:
         BadInputError: for a file that is invalid, or two stations of one name; or if a joint on the way between the links
             of a row has no column.
     """
-    files, links = tuple(paths), links or LinkOptions()
-    if options is not None and len(files) > 1:
-        options = replace(options, shares_log=True)
-    tables = [(path.stem, load_table(robot, path, options=options, links=links)) for path in files]
-    return stations_of([(name, _between(table, name, links)) for name, table in tables])
+    links, reading = links or LinkOptions(), options or TableOptions()
+    moving, held = load_sessions(robot, tuple(paths), reading, motion or MotionOptions())
+    if motion is not None and motion.are_given:
+        reading = replace(reading, joints=None)
+    if len(held) > 1:
+        reading = replace(reading, shares_log=True)
+    tables = [(path.stem, load_table(robot, path, options=reading, links=links)) for path in held]
+    return stations_of([*((name, _between(table, name, links)) for name, table in tables), *moving.items()])
 
 
 def _between(table: Measurements, name: str, links: LinkOptions) -> Measurements:
@@ -266,7 +285,8 @@ def _known_of(setup: SetupOptions, table: Measurements, *, alone: bool) -> Stati
     mount = read_camera(setup.camera).T_tip_camera if setup.camera and _has_camera(table) else None
     if mount is not None and not (table.sensor and table.sensor.is_on_tool):
         raise BadInputError(f"{setup.camera}: T_tip_camera, but {table.source} is of a fixed camera; remove it")
-    known: tuple[float, float, float] | np.ndarray | None = setup.tool if mount is None else mount
+    is_place = table.sensor is None or table.sensor.reads_place
+    known: tuple[float, float, float] | np.ndarray | None = (setup.tool if is_place else None) if mount is None else mount
     tools = None if known is None else {str(table.target[0]): known}
     sigma = setup.noise[0] if setup.noise and table.sensor and setup.noise[1] == table.sensor.blocks[0].unit else None
     is_by_range = setup.instrument is not None and table.position is not None

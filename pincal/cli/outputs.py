@@ -54,9 +54,11 @@ def provenance(files: Sequence[Path], *, seed: int | None = None) -> dict[str, A
     }
 
 
-def require_accuracy(mean_mm: float, max_error: float | None, *, rows: str) -> None:
+def require_accuracy(mean_mm: float | None, max_error: float | None, *, rows: str) -> None:
     """Raise :class:`AccuracyGateError` if the mean error [mm] of these rows exceeds the limit [m], if there is one."""
-    if max_error is not None and mean_mm > max_error * 1e3:
+    if max_error is not None and mean_mm is None:
+        raise AccuracyGateError(f"--max-error {max_error * 1e3:g} mm: the {rows} rows tell no places, and no error in mm")
+    if max_error is not None and mean_mm is not None and mean_mm > max_error * 1e3:
         raise AccuracyGateError(f"mean error of {mean_mm:.4f} mm on {rows} rows exceeds --max-error {max_error * 1e3:g} mm")
 
 

@@ -37,7 +37,7 @@ from pincal.report.words import (
 from pincal.result_table import hanging, one_line
 from pincal.robot.robot import Robot
 from pincal.units import Quantity, format_small
-from pincal.validate.accuracy import cycle_words
+from pincal.validate.accuracy import cycle_words, leading_unit
 from pincal.validate.lack_of_fit import LackOfFit
 
 # Observability indices that are worth a line; the others are in --json.
@@ -60,6 +60,8 @@ def print_brief(
     for name, model in (("before", "nominal"), ("after", "calibrated")):
         _line(out, name, _errors(result.error[model], name))
     _line(out, "noise", f"{_noise_of(result.noise, calibration.stations[0].train.kind)} ({result.noise['source']})")
+    for clock in () if result.clocks is UNSET else result.clocks:
+        _line(out, "clock", result_tables.clock_words(clock))
     if result.stations is not UNSET and (moved := result_tables.station_changes(result.stations)):
         _line(out, "moved", moved)
     if discovery is not None:
@@ -76,8 +78,7 @@ def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command:
     print_doubts(found.warnings, out)
     _line(out, "robot", _arm(robot))
     _line(out, "rows", f"{found.rows} {found.kind} measurements")
-    _line(out, "before", f"mean {found.nominal['mean_mm']:.4f} mm, max {found.nominal['max_mm']:.4f} mm: nominal robot, "
-          "base and tool fitted")  # fmt: skip
+    _line(out, "before", f"{_nominal(found)}: nominal robot, base and tool fitted")
     _line(out, "noise", f"{_noise_of(found.noise, found.kind)} ({found.noise['source']})")
     shares = {joint.joint: share for joint in found.joints if (share := found_tables.covered_share(joint)) is not None}
     if shares:
@@ -88,6 +89,11 @@ def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command:
     print_first_notes(found.warnings, out)
     _line(out, "next", command)
     _line(out, "more", "--verbose: coverage, expected uncertainty of each parameter, smallest detectable effects")
+
+
+def _nominal(found: DataReport, form: str = ".4f") -> str:
+    unit = leading_unit(found.nominal)
+    return f"mean {found.nominal[f'mean_{unit}']:{form}} {unit}, max {found.nominal[f'max_{unit}']:{form}} {unit}"
 
 
 def print_first_notes(told: Sequence[Note | str], out: Console) -> None:
@@ -123,7 +129,7 @@ def _arm(robot: Robot) -> str:
 def _errors(by_part: Mapping[str, Mapping[str, float]], name: str) -> str:
     part = "test" if "test" in by_part else "train"
     values = by_part[part]
-    unit = "mm" if "mean_mm" in values else "px"
+    unit = leading_unit(values)
     words = f"mean {values[f'mean_{unit}']:.4f} {unit}, 95 % {values[f'p95_{unit}']:.4f}, max {values[f'max_{unit}']:.4f}"
     model = "nominal, base and tool fitted" if name == "before" else "calibrated"
     ways, named = [way for way in ("regions", "stretches") if way in by_part], result_tables.PARTS
@@ -164,6 +170,8 @@ def print_result(result: Result, out: Console) -> None:
             if table is not None:
                 out.print(table)
     out.print(result_tables.error_table(result.error))
+    if result.clocks is not UNSET:
+        out.print(result_tables.clock_table(result.clocks))
     if result.improvement is not UNSET:
         out.print(result_tables.improvement_table(result.improvement))
     print_replicates(result.iso9283, result.lack_of_fit, out)
@@ -218,8 +226,8 @@ def print_replicates(iso: Mapping[str, Any] | None, lack: LackOfFit | None, out:
 def print_precheck(precheck: DataReport, out: Console) -> None:
     """Print what can be identified from a table."""
     print_doubts(precheck.warnings, out)
-    out.print(f"{precheck.rows} {precheck.kind} measurements; nominal robot, base and tool fitted: mean "
-              f"{precheck.nominal['mean_mm']:.3f} mm, max {precheck.nominal['max_mm']:.3f} mm")  # fmt: skip
+    words = f"{precheck.rows} {precheck.kind} measurements; nominal robot, base and tool fitted: {_nominal(precheck, '.3f')}"
+    out.print(words)
     out.print(f"noise {noise_words(precheck.noise)} ({precheck.noise['source']})")
     statuses = (parameter.status for parameter in precheck.parameters)
     out.print(rank_words(statuses, rank=precheck.rank, condition=precheck.condition))
@@ -234,7 +242,8 @@ def _print_detectability(precheck: DataReport, found: DetectabilityTable, out: C
     out.print(
         f"\nSmallest effects that pincal discover would find in addition to the {found.model} model with a probability of "
         f"{100 * found.power:.0f} %, at a probability of {100 * found.alpha:g} % of any false name and a noise of "
-        f"{found.sigma_m * 1e3:.4g} mm per coordinate ({source.get(found.source, found.source)}). An effect with several "
+        f"{noise_words(precheck.noise) if found.sigma_m is None else f'{found.sigma_m * 1e3:.4g} mm per coordinate'} "
+        f"({source.get(found.source, found.source)}). An effect with several "
         "parameters is given by its amplitude, transmission_error by the rms of its curve, elastic effects by their largest "
         "rotation in these poses, joint_coupling by the range over the joints that may drive it. -: see below."
     )

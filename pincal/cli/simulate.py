@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import fields, replace
 from functools import partial
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from pincal.simulate.machine import TrueMachine
     from pincal.simulate.setup import Campaign, SensorSetup
 
+# Poses of a path in which effects are judged for the truth.
+_LOOKED_AT = 500
 _EXAMPLES = """Examples:
   pincal simulate robot.urdf --poses 300 --out tracker.csv
   pincal simulate robot.urdf --poses 300 --payload 0,80 --masses-off 3 \\
@@ -39,6 +41,9 @@ Other sensors:
   pincal simulate robot.urdf --sockets 6 --poses 240 --points-out sockets.csv --out contacts.csv
   pincal simulate robot.urdf --anchors 3 --poses 200 --points-out anchors.csv --out wires.csv
   pincal simulate robot.urdf --ball-bar 300mm --anchors 2 --poses 200 --out bar.csv
+In motion:
+  pincal simulate robot.urdf --path 300s --imu --out monday   # joints.csv and imu.csv, each on its own clock
+  pincal simulate robot.urdf --path 5min --imu --sensor position --effect joint_lag:joint_2 --out tuesday
 Then:
   pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
 """
@@ -72,6 +77,8 @@ def simulate(arguments: SimulateArguments) -> Exit:
     if given.also:
         robot = load(paths=[(robot.base, link) for link in given.also])
     machine = _machine(robot, arguments)
+    if arguments.motion.path is not None:
+        return _drive(robot, machine, arguments)
     log_step("planning poses")
     campaign = _campaign(robot, machine, arguments)
     log_step("measuring them")
@@ -80,13 +87,7 @@ def simulate(arguments: SimulateArguments) -> Exit:
     start, rows = robot.path.start, len(table[machine.names[0]])
     if start != robot.base or robot.links:
         table |= {"from": np.repeat(start, rows), "to": np.repeat(robot.tip, rows)}
-    names = {"robot": robot.name, "base": start, "tip": robot.tip}
-    seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
-    found = names | seeds | campaign.truth(machine, tip=robot.tip)
-    drawn = [joint for joint in machine.names if joint in robot.unweighed]
-    # Of links to which the URDF gives no mass.
-    masses = {joint: float(machine.arm.masses[machine.names.index(joint)]) for joint in drawn}
-    found |= {"drawn_masses_kg": masses} if masses else {}
+    found = _origin(robot, machine, arguments) | campaign.truth(machine, tip=robot.tip)
     origin, beside = {"made_by": provenance([Path(robot.source)])}, arguments.sensor
     named = campaign.setup.points
     points = {"point": np.array(list(named)), **dict(zip("xyz", np.array([*named.values()], float).T, strict=False))}
@@ -102,6 +103,74 @@ def simulate(arguments: SimulateArguments) -> Exit:
     else:
         click.echo(_summary(arguments, found, setup=campaign.setup, rows=rows))
     return Exit.DONE
+
+
+def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> Exit:
+    """Write what joints, IMU and tracker log of a path that the machine drives."""
+    from pincal.cli.progress import end_progress, log_step
+    from pincal.measure.table import write_table
+    from pincal.simulate.instrument import Instrument
+    from pincal.simulate.moving import conditions_along
+    from pincal.simulate.request import Stream, draw_setup
+    from pincal.simulate.session import draw_session
+    from pincal.simulate.setup import Campaign
+
+    log_step("planning a path")
+    rng = Stream.LAYOUT.generator(arguments.setup_seed)
+    tracker = draw_setup(arguments.kind, machine.nominal, rng=rng, options=arguments.setup_options())
+    session = draw_session(
+        machine.nominal,
+        arguments.session_options(),
+        tracker=tracker if arguments.has_tracker else None,
+        path=Stream.POSES.generator(arguments.pose_seed),
+        setup=rng,
+    )
+    log_step("driving it")
+    tables = session.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
+    time = np.linspace(0.0, session.duration, _LOOKED_AT)
+    along = conditions_along(session.path, time, **session.conditions)
+    seen = Campaign(q=session.path.at(time), conditions=along, setup=session.tracker or Instrument(), hidden=())  # type: ignore[arg-type]
+    found = _origin(robot, machine, arguments) | seen.truth(machine, tip=robot.tip) | session.truth(machine.nominal)
+    files: dict[str, tuple[Path | None, Callable[[Path], None]]] = {
+        f"--out {name}": (arguments.out / f"{name}.csv", lambda path, table=table: write_table(path, table))  # type: ignore[misc]
+        for name, table in tables.items()
+    }
+    origin = {"made_by": provenance([Path(robot.source)])}
+    files["--truth"] = (arguments.truth, lambda path: _write_json(path, contents=found | origin))
+    _make_folder(arguments.out)
+    _write_files(files)
+    end_progress()
+    rows = {name: len(table["time"]) for name, table in tables.items()}
+    if arguments.general.as_json:
+        print_json({"rows": rows, "out": str(arguments.out)} | found)
+        return Exit.DONE
+    logs = ", ".join(f"{count} rows of {name}" for name, count in rows.items())
+    lines = [f"{session.duration:g} s of {robot.name} ({robot.base} to {robot.tip}) in motion: {logs}"]
+    for name, clock in session.clocks.items():
+        if name in tables:
+            lines.append(
+                f"  the clock of the {name} is {clock.offset:+.3f} s off and drifts by {1e6 * clock.drift:+.0f} ppm"
+            )
+    written = f", what was put in to {arguments.truth}" if arguments.truth else ""
+    told = [*lines, *_hidden_lines(found), f"written to {arguments.out}{written}"]
+    click.echo("\n".join([*told, f"next: {_of_arm('calibrate', arguments)} --out results"]))
+    return Exit.DONE
+
+
+def _origin(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> dict[str, Any]:
+    """Return robot, seeds, and the masses of links to which the URDF gives none, as for JSON."""
+    names = {"robot": robot.name, "base": robot.path.start, "tip": robot.tip}
+    seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
+    weighed = zip(machine.names, machine.arm.masses.tolist(), strict=True)
+    masses = {joint: mass for joint, mass in weighed if joint in robot.unweighed}
+    return names | seeds | ({"drawn_masses_kg": masses} if masses else {})
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: can't be made ({error.strerror}); choose another --out") from None
 
 
 def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
@@ -185,12 +254,7 @@ def _summary(arguments: SimulateArguments, truth: dict[str, Any], *, setup: Sens
     ]
     if drawn := truth.get("drawn_masses_kg"):
         lines.append(f"  the URDF has no masses of {len(drawn)} links: {sum(drawn.values()):.3g} kg were drawn for them")
-    for entry in truth["effects"]:
-        place = f" of {entry['joint']}" if entry["joint"] else ""
-        place += f" by {entry['source']}" if "source" in entry else ""
-        unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
-        moved = f"moves the target by {entry['moves_target_rms_mm']:.3f} mm rms"
-        lines.append(f"  hidden: {entry['effect']}{place}, size {entry['size']:.3g}{unit}, {moved}")
+    lines += _hidden_lines(truth)
     given = arguments.sensor
     beside = {"what was put in": arguments.truth, "named points": given.points_out, "the camera": given.camera_out}
     written = "".join(f", {what} to {path}" for what, path in beside.items() if path)
@@ -198,13 +262,20 @@ def _summary(arguments: SimulateArguments, truth: dict[str, Any], *, setup: Sens
     return "\n".join(lines)
 
 
+def _hidden_lines(truth: dict[str, Any]) -> Iterator[str]:
+    """Yield a line for each hidden effect."""
+    for entry in truth["effects"]:
+        place = f" of {entry['joint']}" if entry["joint"] else ""
+        place += f" by {entry['source']}" if "source" in entry else ""
+        unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
+        moved = f"moves the target by {entry['moves_target_rms_mm']:.3f} mm rms"
+        yield f"  hidden: {entry['effect']}{place}, size {entry['size']:.3g}{unit}, {moved}"
+
+
 def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:
     """Return the command that discovers the effects from the table."""
     machine, given = arguments.machine, arguments.sensor
-    words = [f"pincal discover {arguments.robot} {arguments.out} --out results"]
-    words += [f"--tip {machine.tip}"] if machine.tip else []
-    words += [f"--base {machine.base}"] if machine.base else []
-    words += [f"--xacro-arg {name}:={value}" for name, value in machine.xacro_args]
+    words = [f"{_of_arm('discover', arguments)} --out results"]
     words += [f"--noise {_noise(setup)}"] if setup.sigma else []
     angle = setup.truth()["noise"]["sigma_rad"]
     words += [f"--noise-angle {angle * 1e3:g}mrad"] if angle else []
@@ -217,6 +288,14 @@ def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:
         if vector not in (None, (0.0, 0.0, 0.0)):
             words.append(f"--{name} {' '.join(f'{value:g}' for value in vector)}")
     return " ".join(words)
+
+
+def _of_arm(verb: str, arguments: SimulateArguments) -> str:
+    """Return a command on the same arm and what was written of it."""
+    machine, words = arguments.machine, [f"pincal {verb} {arguments.robot} {arguments.out}"]
+    words += [f"--tip {machine.tip}"] if machine.tip else []
+    words += [f"--base {machine.base}"] if machine.base else []
+    return " ".join([*words, *(f"--xacro-arg {name}:={value}" for name, value in machine.xacro_args)])
 
 
 def _noise(setup: SensorSetup) -> str:

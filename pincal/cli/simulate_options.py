@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from pincal.cli.arguments import NumberType, group, option
+from pincal.cli.arguments import NumberType, Output, group, option
 from pincal.cli.common import (
-    TABLE,
     GeneralOptions,
     Triple,
     base_option,
@@ -21,11 +20,14 @@ from pincal.cli.common import (
     tip_option,
     xacro_option,
 )
+from pincal.cli.motion_options import MotionArguments
 from pincal.cli.quantities import ANGLES, LENGTH, Masses, NoiseType, QuantityType
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, OutputError
+from pincal.measure.fields import TABLE_ENDINGS
 
 if TYPE_CHECKING:
     from pincal.simulate.request import SetupOptions
+    from pincal.simulate.session import SessionOptions
 
 
 _BESIDE, _CAMERAS = ("position", "pose", "distance"), ("camera_point", "camera_pixel")
@@ -211,10 +213,11 @@ class SimulateArguments:
     """Arguments of simulate."""
 
     robot: str = robot_argument()
-    out: Path = option("Table to write.", MISSING, type=TABLE)
+    out: Path = option("Table to write, with --path a folder.", MISSING, type=Output(*TABLE_ENDINGS, ""))
     truth: Path | None = option("Write the true errors, effects, noise and seeds.", metavar="FILE.json")
     campaign: CampaignArguments = group("Poses and conditions")
     sensor: SensorArguments = group("Sensor")
+    motion: MotionArguments = group("Motion")
     machine: MachineArguments = group("Machine")
     general: GeneralOptions = group("General")
 
@@ -254,6 +257,7 @@ class SimulateArguments:
             BadInputError: If the number of poses is invalid.
         """
         given, kind = self.sensor, self.kind
+        self._check_motion()
         for name in sorted(name for name in _GOES_WITH if getattr(given, name) is not None):
             if kind not in _GOES_WITH[name]:
                 flag = f"--{name.replace('_', '-')}"
@@ -264,8 +268,42 @@ class SimulateArguments:
             raise click.UsageError(
                 f"--points-out: --sensor {kind} has no named points; expected socket, a camera or --anchors"
             )
-        if (self.n_poses is None) == (self.campaign.at is None):
-            raise click.UsageError("give either --poses N or --at FILE.csv")
+        if self.motion.path is None and (self.n_poses is None) == (self.campaign.at is None):
+            raise click.UsageError("give either --poses N, --at FILE.csv or --path DURATION")
+
+    def _check_motion(self) -> None:
+        """Refuse what a path that is driven does not have, and what poses that are held do not have."""
+        motion, campaign = self.motion, self.campaign
+        if motion.path is None:
+            if name := motion.first_given():
+                raise click.UsageError(f"--{name.replace('_', '-')} is of an arm that moves; add --path DURATION")
+            if self.out.suffix.lower() not in TABLE_ENDINGS:
+                raise OutputError(
+                    f"--out {self.out}: a table can't be written as a file without an ending; end the name in "
+                    f"{' or '.join(TABLE_ENDINGS)}"
+                )
+            return
+        if self.kind not in _BESIDE or self.sensor.anchors is not None or self.sensor.ball_bar is not None:
+            raise click.UsageError(f"--path is logged by an IMU or --sensor {' or '.join(_BESIDE)}, not by {self.kind}")
+        held = {"--poses": campaign.poses, "--at": campaign.at, "--targets": self.sensor.targets}
+        if wrong := [name for name, value in held.items() if value is not None] + ["--cycles"] * (campaign.cycles > 1):
+            raise click.UsageError(f"{wrong[0]} is of poses that are held; leave it out, or --path")
+        if campaign.payload is not None and len(campaign.payload) > 1:
+            raise click.UsageError("--payload: one load is carried along a path; give one")
+        if self.out.suffix:
+            raise OutputError(f"--out {self.out}: with --path a folder is written; give the name of a folder")
+
+    @property
+    def has_tracker(self) -> bool:
+        """Whether an instrument beside the robot logs a path."""
+        return not self.motion.imu or self.sensor.sensor is not None
+
+    def session_options(self) -> SessionOptions:
+        """Return what is asked of a path and its logs."""
+        payload = self.campaign.payload
+        wanted = self.motion.session_options()
+        load = {"payload": payload[0] if payload else 0.0, "payload_com": self.campaign.payload_com}
+        return replace(wanted, min_height=self.floor, **load)  # type: ignore[arg-type]
 
     def setup_options(self) -> SetupOptions:
         """Return what is asked of the set-up.

@@ -90,6 +90,9 @@ def weighed(fit: ModelFit, noise: JointNoise) -> ModelFit:
     """
     drives, stations = tuple(map(int, fit.problem.chain.drives)), []
     for (station, _, blocks), alone in zip(fit.stations, fit.alone, strict=True):
+        if not station.sensor.reads_place:
+            stations.append(station)
+            continue
         moved = levers(alone, drives).transpose(2, 1, 0) * noise.joints
         V = moved @ moved.transpose(0, 2, 1)
         sizes = np.empty(V.shape[1])
@@ -134,7 +137,7 @@ class _Readings:
 def _readings(fit: ModelFit) -> Iterator[_Readings]:
     """Yield rows of each station that count, as many as tell the variances."""
     drives = tuple(map(int, fit.problem.chain.drives))
-    for (station, _, blocks), alone in zip(fit.stations, fit.alone, strict=True):
+    for station, alone, blocks in fit.in_places:
         sound = np.flatnonzero(alone.solution.weights > 0.0)
         rows = sound[sample_rows(len(sound), NOISE.rows)]
         if not len(rows):

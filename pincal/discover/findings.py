@@ -98,13 +98,16 @@ def findings_of(
 
 def _errors_of(fit: ModelFit) -> tuple[float, float]:
     """Return the rms errors that noise makes and those that it does not, over the rows of all stations [mm]."""
-    squares, every = [], noise_floor(fit)
+    squares, every, rows = [], noise_floor(fit), []
     for station, places, blocks in fit.stations:
+        if not station.sensor.reads_place:
+            continue
+        rows.append(len(station))
         sigma, found = every[blocks.start], fit.solution.estimated[blocks.start]
         to_mm = 1e3 * station.metres_per_reading(fit.values[places])
         of_noise_and_rest = np.array([sigma**2, max(found**2 - sigma**2, 0.0)])
         squares.append(of_noise_and_rest * station.sensor.blocks[0].size * to_mm**2)
-    floor, left = np.sqrt(np.average(squares, axis=0, weights=[len(station) for station in fit.problem.stations]))
+    floor, left = np.sqrt(np.average(squares, axis=0, weights=rows))
     return float(floor), float(left)
 
 
@@ -230,7 +233,7 @@ def _located(fit: ModelFit, sigma: np.ndarray) -> tuple[list[tuple[str, Located]
     """Return where a fit and its data disagree, of several stations with their names, the largest first."""
     places: list[tuple[str, Located]] = []
     regions: list[Disagreement] = []
-    for station, alone, (_, _, blocks) in zip(fit.problem.stations, fit.alone, fit.stations, strict=True):
+    for station, alone, blocks in fit.in_places:
         location = locate(alone, sigma[blocks])
         part = 1.0 if not station.name else _excess(alone, sigma[blocks]) / max(_excess(fit, sigma), 1e-300)
         part = float(np.clip(part, 0.0, 1.0))
@@ -265,7 +268,7 @@ def _left_along(fit: ModelFit, excess: Excess, sigma: np.ndarray) -> Disagreemen
     """Say how much of what is left in the end is along the lever of one joint."""
     chain, made = fit.problem.chain, 0.0
     drive = int(chain.drives[chain.robot.joint_names.index(excess.joint)])
-    for alone, (_, _, blocks) in zip(fit.alone, fit.stations, strict=True):
+    for _, alone, blocks in fit.in_places:
         lever, rows = levers(alone, (drive,))[0], alone.solution.weights > 0.0
         squares = float(np.sum(lever[: alone.station.sensor.blocks[0].size, rows] ** 2))
         made += excess.sigma**2 * squares / float(sigma[blocks.start]) ** 2

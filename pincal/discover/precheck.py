@@ -30,8 +30,9 @@ from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.notes import Note, doubts_first
 from pincal.robot.robot import Robot
-from pincal.validate.accuracy import error_statistics, pose_error_sizes
+from pincal.validate.accuracy import error_statistics, leading_block, pose_error_sizes
 from pincal.validate.agreement import check_agreement
+from pincal.validate.outcome import noise_key
 
 # Why an effect of rank zero can't be tested.
 ABSORBED = "the fitted model absorbs all of it in these poses (rank zero)"
@@ -68,7 +69,7 @@ class DetectabilityTable:
 
     Attributes:
         model: "elastic" or "geometric": what is fitted along with every effect.
-        sigma_m: the noise that it rests on [m]; of an image, at the distance of its points.
+        sigma_m: the noise that it rests on [m]; of an image, at the distance of its points; None of an IMU alone.
         source: "declared", "estimated" or "assumed".
         alpha: chance of any false name.
         power: chance with which an effect of the size told is found.
@@ -76,7 +77,7 @@ class DetectabilityTable:
     """
 
     model: str
-    sigma_m: float
+    sigma_m: float | None
     source: str
     alpha: float
     power: float
@@ -151,7 +152,7 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     notes += notes_on_masses(robot, options.effects)
     notes += notes_on_repeats(robot, fit.problem.conditions.q)
     posterior = fit.solution.posterior
-    unit = f"sigma_{fit.problem.blocks[0].unit}"
+    lead = leading_block(fit)
     nominal = (pose_error_sizes(station, fit.nominal.values[places]) for station, places, _ in fit.stations)
     return DataReport(
         kind=" and ".join(dict.fromkeys(table.kind for table in tables.values())),
@@ -159,7 +160,7 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
         joints=tuple(_ranges(robot, fit.problem.conditions.q)),
         nominal=error_statistics(nominal),
         noise={
-            unit: float(fit.solution.sigma[0]),
+            noise_key(fit.problem.blocks[lead].unit): float(fit.solution.sigma[lead]),
             "source": "declared" if fit.is_declared else "estimated from a preliminary fit",
         },
         rank=posterior.identifiable_rank,
@@ -184,8 +185,11 @@ def _outlook(robot: Robot, fit: ModelFit) -> DetectabilityTable:
     tested = candidates(chain, conditions)
     sights = minimum_detectable(base, tested, sigma=sigma)
     sights += [Detectable(effect, reason=reason) for effect, reason in untestable(chain, conditions)]
-    first, places, _ = next(iter(fit.stations))
-    sigma_m = float(sigma[0]) * first.metres_per_reading(fit.nominal.values[places])
+    seen = next(((s, places, of) for s, places, of in fit.stations if s.sensor.reads_place), None)
+    sigma_m = None
+    if seen is not None:
+        first, places, of = seen
+        sigma_m = float(sigma[of][0]) * first.metres_per_reading(fit.nominal.values[places])
     return DetectabilityTable("elastic", sigma_m, source, POLICY.false_name, SIGHT.power, tuple(sights))
 
 

@@ -158,6 +158,12 @@ def run_discovery(
     """
     if stability < 0:
         raise BadInputError(f"stability is {stability}; expected a number of subsamples, 0 for none")
+    tables = tables_of(measurements)
+    if all(table.sensor is not None and not table.sensor.reads_place for table in tables.values()):
+        raise BadInputError(
+            f"{', '.join(table.source for table in tables.values())}: an IMU alone tells no places, which tell causes "
+            "apart; add a tracker in motion or some held poses, or calibrate by it (pincal calibrate)"
+        )
     options = Options(effects=GEOMETRIC) if options is None else options
     begun = time.perf_counter()
     frames = tuple(choices.pop("moment_frames", ())) or (

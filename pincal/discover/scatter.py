@@ -99,7 +99,7 @@ def find_excess(fit: ModelFit, measured: ModelFit | None = None) -> Excess | Non
         fit: the fit.
         measured: the same over rows as they were measured, where those of the fit are means of poses.
     """
-    found = [(_scatter_along(*one.readings), one) for alone in fit.alone for one in _along_levers(alone)]
+    found = [(_scatter_along(*one.readings), one) for _, alone, _ in fit.in_places for one in _along_levers(alone)]
     whole, best = max(found, key=lambda pair: pair[0].gain)
     if whole.gain <= NOISE.scatter:
         return None
@@ -108,7 +108,9 @@ def find_excess(fit: ModelFit, measured: ModelFit | None = None) -> Excess | Non
         missing = f"approach_{best.joint}"
     elif conditions.temperature is None:
         missing = "temperature"
-    every = found if measured is None else [(whole, one) for alone in measured.alone for one in _along_levers(alone)]
+    every = (
+        found if measured is None else [(whole, one) for _, alone, _ in measured.in_places for one in _along_levers(alone)]
+    )
     again = next(one for (_, one), (_, at) in zip(every, found, strict=True) if at is best).differences()
     if again is not None and again.gain > chdtri(1, 2.0 * NOISE.chance):
         return Excess(best.joint, again.sigma, missing, "replicates")

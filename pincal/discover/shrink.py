@@ -120,7 +120,7 @@ def partial_residuals(trail: History) -> tuple[PartialResidual, ...]:
     fit = trail.final
     kept = [[effect for effect in step.effects if effect in fit.problem.effects] for step in trail.steps]
     shown = [(effects[0], _shown(fit, effects[0])) for effects in kept if effects]
-    return tuple(_joined(parts) for parts in zip(*(_at_station(alone, shown) for alone in fit.alone), strict=True))
+    return tuple(_joined(parts) for parts in zip(*(_at_station(alone, shown) for _, alone, _ in fit.in_places), strict=True))
 
 
 def _shown(fit: ModelFit, effect: Effect) -> Effect:

@@ -23,7 +23,7 @@ from pincal.programs.language import LANGUAGES
 from pincal.programs.syntax import parser_of
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.robot import Robot
-from pincal.units import SIZES, UNITS
+from pincal.units import UNITS, size_of
 
 _JS = Language(
     statement="  const {} = {};",
@@ -153,7 +153,7 @@ def _about(calibrated: CalibratedModel, formulas: Formulas, frame: str) -> dict[
         "combination": combination.tolist(),
         "reported": np.linalg.inv(combination).tolist(),
         **{name: _place(robot, name) for name in ("world", "flange")},
-        "units": {quantity: {unit: SIZES[unit] for unit in units} for quantity, units in UNITS.items()},
+        "units": {quantity: {unit: size_of(unit, quantity) for unit in units} for quantity, units in UNITS.items()},
         "follows": _follows(calibrated),
         "arm": {"first": shown.first[:3].ravel().tolist(), "before": shown.before[:, :3].reshape(-1, 12).tolist(),
                 "after": shown.after[:, :3].reshape(-1, 12).tolist(), "tip": robot.frames.T_last_tip[:3].ravel().tolist()},

@@ -15,7 +15,7 @@ from pincal.errors import BadInputError
 from pincal.export.exported import FORMATS, Exported, Format, as_comment, checked_poses, filled, header, notes_on, placed_in
 from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.measure.heading import NUMBERED
-from pincal.units import SIZES, UNITS
+from pincal.units import UNITS, size_of
 
 # Largest distance of the formulas' poses from the model's [m, and elements of the rotation matrix].
 TOLERANCE = 1e-12
@@ -79,7 +79,7 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
         days=repr(
             {name: float(found.covered.days[name][0]) for name in ("temperature", "time") if name in found.covered.days}
         ),
-        units=repr({quantity: {unit: SIZES[unit] for unit in units} for quantity, units in UNITS.items()}),
+        units=repr({quantity: {unit: size_of(unit, quantity) for unit in units} for quantity, units in UNITS.items()}),
         names=", ".join(as_comment(chain.robot.joint_names[i]) for i in own),
         reach=repr(float(chain.robot.reach)),
         numbered=repr(NUMBERED.pattern),

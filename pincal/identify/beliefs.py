@@ -95,7 +95,18 @@ def released_of(problem: Problem, options: Options) -> np.ndarray:
         station.split(free)[1][:] = ~station.sensor.fixed
         return free
 
-    return np.asarray(of_stations(problem, released) & (given_sizes(problem, options) != 0.0))
+    given = given_sizes(problem, options)
+    found = of_stations(problem, released) & (given != 0.0)
+    if not any(station.sensor.reads_place for station in problem.stations):
+        # A prior of 2 mm on lengths that no reading sees made a real arm worse than nominal.
+        found &= ~(lengths_of_links(problem) & np.isnan(given))
+    return np.asarray(found)
+
+
+def lengths_of_links(problem: Problem) -> np.ndarray:
+    """Return which parameters are lengths of the robot, shape (P,)."""
+    own = of_stations(problem, lambda station: station.is_own)
+    return np.asarray([p.unit == "m" and not p.is_extrinsic for p in problem.parameters] & ~own)
 
 
 def excited_of(problem: Problem) -> np.ndarray:
@@ -152,5 +163,6 @@ def declared_noise(problem: Problem, options: Options) -> Noise:
         own = options.at(station.name)
         sighted = station.conditions.sighted
         sigma = own.sigma if own.instrument is None or sighted is None else own.instrument.sigma(sighted)
-        declared += [own.sigma_orientation if b.unit == "rad" else sigma for b in station.sensor.blocks]
+        of_unit = {"rad": own.sigma_orientation, "m": sigma, "px": sigma}
+        declared += [of_unit.get(block.unit) for block in station.sensor.blocks]
     return Noise(tuple(declared))

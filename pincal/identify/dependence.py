@@ -292,10 +292,13 @@ def with_blocks(fit: ModelFit, beyond: float = 1.0) -> ModelFit:
     """
     every = list(_seen(fit))
     asked = set(np.linspace(0.0, len(every) - 1.0, _MOST_STATIONS).round().astype(int).tolist())
-    of_blocks = max((every[k].factor() for k in asked), default=1.0)
+    factors = [(every[k].factor(), every[k].station.conditions.are_in_motion) for k in asked]
+    # In motion windows of an IMU overlap, and errors of the joints' path last for some rows: that widens, and is no doubt.
+    of_blocks = max((factor for factor, in_motion in factors if not in_motion), default=1.0)
+    widest = max((factor for factor, _ in factors), default=1.0)
     solution = replace(fit.solution, of_blocks=of_blocks)
-    if of_blocks * beyond > 1.0:
-        sigma = solution.sigma * np.sqrt(of_blocks * beyond)
+    if widest * beyond > 1.0:
+        sigma = solution.sigma * np.sqrt(widest * beyond)
         wide = equations_of(fit.problem, replace(solution, sigma=sigma), fit.priors)
         # What the data identify stays as it is.
         posterior = replace(solution.posterior, covariance=wide.posterior.covariance, own=wide.own)

@@ -227,6 +227,13 @@ class ModelFit:
         return tuple(found)
 
     @property
+    def in_places(self) -> Iterator[tuple[Station, ModelFit, slice]]:
+        """Each station whose readings tell places, with the fit of it alone, and its blocks of readings among all."""
+        for (station, _, blocks), alone in zip(self.stations, self.alone, strict=True):
+            if station.sensor.reads_place:
+                yield station, alone, blocks
+
+    @property
     def arm(self) -> tuple[Model, np.ndarray]:
         """The model of the first station and its values: what they say of the robot holds at all stations."""
         station = self.problem.stations[0]

@@ -18,7 +18,9 @@ from pincal.identify.solve import Course, likeliest_values, solve
 from pincal.identify.station import Station, station_of
 from pincal.measure.extrinsics import Extrinsics
 from pincal.measure.measurements import Measurements
+from pincal.model.catalogue.motion import InstrumentClock
 from pincal.model.chain import Chain
+from pincal.model.effect import Effect, Family
 from pincal.model.effects import BaseFrame, ToolFrame
 from pincal.model.model import Model
 from pincal.parameters import FRAME_SYMBOLS, carried_over
@@ -112,7 +114,7 @@ class _Models:
 
     def same(self, model: Model) -> Model:
         """Return the model, sharing with an earlier one that differs by where base and tool stand what both have."""
-        frames = tuple(e if isinstance(e, BaseFrame | ToolFrame) else id(e) for e in model.effects)
+        frames = tuple(e if e.family is Family.EXTRINSICS else id(e) for e in model.effects)
         first = self._first.setdefault((model.chain.targets, model.chain.path, frames), model)
         if first is model:
             assert model.parameters and model.of_station is not None
@@ -198,12 +200,14 @@ def _candidates(
     centre, instrument = np.array(options.payload_centre), options.instrument
     rows = station_of(arm, measurements, centre, options.setup, name=name, instrument=instrument)
     some = rows.sample(_ROWS)
-    tips = np.ascontiguousarray(arm.predict(values, some.conditions))
+    tips = np.ascontiguousarray(arm.predict(values, some.conditions.at_moments))
     found = some.sensor.starts(tips, some.conditions.target, len(targets))
     candidates = [_known(placement, arm.chain, options) for placement in found]
     if not rows.sensor.base_symbols:
         candidates = [replace(candidate, base=np.eye(4)) for candidate in candidates]
-    frames = (BaseFrame(rows.sensor.base_symbols), ToolFrame(rows.sensor.tool_symbols))
+    frames: tuple[Effect, ...] = (BaseFrame(rows.sensor.base_symbols), ToolFrame(rows.sensor.tool_symbols))
+    if measurements.moving is not None:
+        frames += (InstrumentClock(measurements.moving.middle),)
     whole = rows.with_model(models.same(arm.with_effects([*frames, *arm.effects])))
     deviations = dict(zip(arm.names, values, strict=True))
     return [_at(whole, placement, deviations) for placement in candidates]

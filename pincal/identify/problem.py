@@ -24,7 +24,8 @@ from pincal.measure.extrinsics import sample_rows
 from pincal.measure.sensor import Block
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions, joined_conditions, part_of
-from pincal.model.effects import BaseFrame, Effect, ToolFrame
+from pincal.model.effect import Family
+from pincal.model.effects import Effect
 from pincal.model.sizes import largest_bases
 from pincal.parameters import Parameter, carried_over
 
@@ -201,7 +202,7 @@ class Problem:
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
         """What may deviate, beside base and tool; those of all stations first, then what only some of them have."""
-        first, *others = ([e for e in s.model.effects if not isinstance(e, BaseFrame | ToolFrame)] for s in self.stations)
+        first, *others = ([e for e in s.model.effects if e.family is not Family.EXTRINSICS] for s in self.stations)
         for effects in others:
             known = set(map(id, first))
             first += [effect for effect in effects if id(effect) not in known and effect not in first]
@@ -221,7 +222,7 @@ class Problem:
         """Return the same readings with other effects beside base and tool."""
         stations = []
         for station in self.stations:
-            frames = [effect for effect in station.model.effects if isinstance(effect, BaseFrame | ToolFrame)]
+            frames = [effect for effect in station.model.effects if effect.family is Family.EXTRINSICS]
             model = station.model.with_effects([*frames, *effects_at(effects, station.name)])
             if moment_frame is not None:
                 model = model.with_chain(model.chain.with_moment_frame(moment_frame))

@@ -21,7 +21,7 @@ from pincal.measure.sensor import Sensor
 from pincal.measure.setup import Setup
 from pincal.model.conditions import part_of
 from pincal.model.effects import Conditions
-from pincal.model.model import Model
+from pincal.model.model import Model, Shared
 from pincal.parameters import Parameter, is_on_link
 
 # Rows worked on at once: with 60 parameters a piece is about 6 MB.
@@ -134,7 +134,7 @@ class Station:
         of_model, own = self.split(values)
         for piece in self._pieces():
             part = self._part(piece)
-            out[:, piece] = part.sensor.residuals(part.model.predict(of_model, part.conditions), own)
+            out[:, piece] = part.sensor.residuals(part.model.predict(of_model, part.conditions.at_moments), own)
         return out
 
     def whitened(self, residuals: np.ndarray) -> np.ndarray:
@@ -166,7 +166,7 @@ class Station:
         of_model, own = self.split(values)
         for piece in self._pieces():
             part = self._part(piece)
-            poses = part.model.predict(of_model, part.conditions)
+            poses = part.model.predict(of_model, part.conditions.at_moments)
             out[piece] = part.sensor.displacement(part.sensor.residuals(poses, own), poses, own)
         return out
 
@@ -174,6 +174,8 @@ class Station:
         """Return how far the target is off for one unit of the first block of readings: 1, but for images."""
         if self.sensor.blocks[0].unit == "m":
             return 1.0
+        if not self.sensor.reads_place:
+            return np.nan
         sizes = np.linalg.norm(self.residuals(values)[: self.sensor.blocks[0].size], axis=0)
         return float(np.median(np.linalg.norm(self.displacements(values), axis=1) / np.maximum(sizes, 1e-300)))
 
@@ -183,12 +185,16 @@ class Station:
         model_free, own_free = self.split(free)
         for piece in self._pieces():
             part = self._part(piece)
-            poses, motion = part.model.linearise(of_model, part.conditions, free=model_free, rows=self.sensor.twist_rows)
-            motion = motion.transpose(2, 1, 0)
+            poses, motion = part._motion(of_model, model_free)
             jacobian = part.sensor.jacobian(poses, motion, own)
             if not own_free.all():
                 jacobian = jacobian[np.concatenate([np.ones(len(motion), bool), own_free])]
             yield piece, part.sensor.residuals(poses, own), jacobian
+
+    def _motion(self, of_model: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the poses that the rows depend on, and their motion by free parameters of the model, shape (F, rows, n)."""
+        poses, motion = self.model.linearise(of_model, self.conditions.at_moments, free=free, rows=self.sensor.twist_rows)
+        return poses, motion.transpose(2, 1, 0)
 
     def linearise_shared(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, Jacobian]]:
         """Yield what :meth:`linearise` does, whitened and with the structure of curves kept, for Gram matrices.
@@ -204,9 +210,14 @@ class Station:
         of_model, own = self.split(values)
         model_free, own_free = self.split(free)
         model_free = model_free & part.model.is_felt
-        poses, motion, shared = part.model.linearise_shared(
-            of_model, part.conditions, free=model_free, rows=self.sensor.twist_rows
-        )
+        shared: list[Shared] = []
+        if part.conditions.around is None:
+            poses, motion, shared = part.model.linearise_shared(
+                of_model, part.conditions, free=model_free, rows=self.sensor.twist_rows
+            )
+        else:
+            # A curve moves each of a row's moments by another value.
+            poses, motion = part._motion(of_model, model_free)
         apart = free.copy()
         self.split(apart)[0][:] = model_free
         for group in shared:
@@ -235,7 +246,9 @@ class Station:
 
     def _pieces(self) -> Iterator[slice]:
         is_whole = self.sensor.is_whole or (self.serial is not None and not self.serial.is_in_order)
-        size = max(len(self), 1) if is_whole else PIECE
+        around = self.conditions.around
+        moments = 1 if around is None or around.q is None else around.q.shape[1]
+        size = max(len(self), 1) if is_whole else max(PIECE // moments, 1)
         for start in range(0, len(self), size):
             yield slice(start, min(start + size, len(self)))
 
@@ -312,6 +325,8 @@ def conditions_of(model: Model, measurements: Measurements, payload_centre: np.n
         payload=np.zeros(n) if measurements.payload is None else measurements.payload,
         payload_centre=np.asarray(payload_centre, float),
         sighted=measurements.position,
+        inertial=None if measurements.moving is None else measurements.moving.inertial,
+        around=measurements.moving if measurements.moving is not None and measurements.moving.q is not None else None,
         **recorded,
     )
 

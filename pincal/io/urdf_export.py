@@ -211,7 +211,7 @@ def _with_tip(text: bytes, tree: UrdfTree, robot: Robot, T_tip_calibrated: np.nd
 
 def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
     """Say what a file of the rigid geometry leaves to ``model.json``."""
-    names = [effect.name for effect in model.effects]
+    names = [effect.name for effect in model.effects if effect.locus.acts_on != "clock"]
     elastic = [
         effect.name
         for effect in model.effects

@@ -15,7 +15,7 @@ from pincal.measure.fields import CONDITIONS, FINITE, SIGN, Field
 from pincal.measure.registry import check_fields, expected_columns, known_fields, sensor_class
 from pincal.measure.sensor import Sensor
 from pincal.measure.setup import Setup
-from pincal.recorded import RECORDED, Recorded
+from pincal.recorded import RECORDED, Moving, Recorded
 from pincal.robot.robot import Robot
 from pincal.units import expected_number, is_possible
 
@@ -67,6 +67,8 @@ class Measurements(Recorded):
     """Where ``approach`` comes from, in words, as far as it is known."""
     setup: str = ""
     """Name of the set-up whose instrument it shares with rows between other links; empty if it is one of its own."""
+    moving: Moving | None = None
+    """How the poses of a moving arm go on, by its path (:mod:`pincal.motion`); None where poses were held."""
 
     def __post_init__(self) -> None:
         for name, array in self._present().items():
@@ -141,7 +143,8 @@ class Measurements(Recorded):
     def select(self, index_or_mask: Any) -> Measurements:
         """Return the rows that an index, a slice or a boolean mask of shape (N,) selects, in that order."""
         take = np.atleast_1d(np.arange(len(self))[index_or_mask])
-        return self._with({name: array[take] for name, array in self.columns().items()})
+        chosen = self._with({name: array[take] for name, array in self.columns().items()})
+        return chosen if self.moving is None else replace(chosen, moving=self.moving[take])
 
     def with_readings(self, **readings: np.ndarray) -> Measurements:
         """Return the table with other values of some of its readings."""
@@ -267,7 +270,8 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
     units = {k: v for k, v in first.units.items() if all(table.units.get(k) == v for table in tables)}
     source = ", ".join(dict.fromkeys(table.source for table in tables))
     origins = ", ".join(dict.fromkeys(table.approach_from for table in tables if table.approach_from))
-    return replace(joined, units=units, source=source, approach_from=origins)
+    path = None if first.moving is None else first.moving.joined([table.moving for table in tables[1:] if table.moving])
+    return replace(joined, units=units, source=source, approach_from=origins, moving=path)
 
 
 def validated(

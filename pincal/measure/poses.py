@@ -43,7 +43,7 @@ def by_pose(table: Measurements) -> Measurements:
         >>> means.distance.tolist(), means.readings_per_row.tolist()
         ([1.1, 2.0], [2, 1])
     """
-    if table.readings_per_row is not None:
+    if table.readings_per_row is not None or table.moving is not None:
         return table
     pose = replicate_groups([table], within=SCATTER)[0]
     if not len(pose) or pose.max() + 1 == len(pose):

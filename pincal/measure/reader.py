@@ -129,6 +129,20 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
         sheet = sheet if part is None else _part(sheet, part)
         if was_joined := schema.options.joints is not None and bool(schema.joint_names):
             sheet, schema = _with_log(sheet, schema)
+    return cells_of(sheet, schema, is_part=part is not None, was_joined=was_joined)
+
+
+def cells_of(sheet: Sheet, schema: Schema, *, is_part: bool = False, was_joined: bool = False) -> Cells:
+    """Return what a sheet holds; see :func:`read_table`.
+
+    Args:
+        sheet: the sheet.
+        schema: what it may hold.
+        is_part: whether it is a part of a table, of which nothing is to be cut.
+        was_joined: whether its joints were found in a log.
+    """
+    path = sheet.path
+    with typed_errors(path):
         header = understood(sheet, schema)
         values, rows = read_cells(sheet, header.columns, readings=header.readings, flag=header.flag)
     if header.orientation is not None:
@@ -143,7 +157,7 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
         warn(f"{path.name}: no column for {len(resting)} joints off the paths of these rows, which rest: {at}")
     if joints and (missing := [name for name in joints if name not in values]):
         values |= _followers(schema, values, missing)
-    if joints and header.readings and "time" in values and part is None and not schema.may_lack_joints:
+    if joints and header.readings and "time" in values and not is_part and not schema.may_lack_joints:
         values, rows = held_rows(values, rows, joints, was_joined=was_joined, source=path.name)
     droop = _droop(values, joints, source=path.name)
     arrays = {} if not joints else {"q": np.column_stack([values.pop(name) for name in joints])}

@@ -121,12 +121,13 @@ def _names(folder: Path) -> dict[str, list[str]]:
 _ENDINGS = (".mcap", ".db3", ".bag")
 # Topics that a message lists.
 _LISTED = 20
-_JOINTS = "sensor_msgs/msg/JointState"
+_JOINTS, _IMU = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu"
 _READINGS = tuple(f"geometry_msgs/msg/{kind}Stamped" for kind in ("Pose", "Point", "Transform", "PoseWithCovariance"))
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 # A frame moves if its place or quaternion changes by more, and freely if its place does so in two directions [m].
 _MOVES = 1e-3
 _LABELS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_OF_IMU = ("ax", "ay", "az", "wx", "wy", "wz")
 
 
 @dataclass(frozen=True)
@@ -136,8 +137,9 @@ class _Topic:
     Attributes:
         name: of the topic.
         labels: of the values.
-        time: shape (T,), strictly increasing [s].
+        time: by the recorder, shape (T,), strictly increasing [s].
         values: shape (T, k).
+        own: by the stamps of the messages, shape (T,) [s].
         frames: of a transform, the frame that it is in and its own.
     """
 
@@ -145,7 +147,13 @@ class _Topic:
     labels: tuple[str, ...]
     time: np.ndarray
     values: np.ndarray
+    own: np.ndarray
     frames: tuple[str, ...] = ()
+
+    @property
+    def stamps(self) -> np.ndarray:
+        """Times by the clock of the topic's own node, by the recorder's where those do not increase [s]."""
+        return self.own if len(self.own) > 1 and np.all(np.diff(self.own) > 0.0) else self.time
 
     @property
     def moves(self) -> bool:
@@ -201,6 +209,27 @@ def open_bag(path: Path, *, ignore: Collection[str] = (), only_joints: bool = Fa
     joints = poses.means(arm.values)[seen]
     columns = {"time": arm.time[poses.begin[seen]]} | dict(zip(arm.labels, joints.T, strict=True))
     return _sheet(path, columns | dict(zip(reading.labels, values.T, strict=True)))
+
+
+def open_streams(path: Path, *, ignore: Collection[str] = ()) -> dict[str, Sheet]:
+    """Return the sheets of "joints", "imu" and "tracker", as far as a recording has topics of them.
+
+    Raises:
+        MeasurementError: as :func:`open_bag`, and for several IMUs or readings.
+    """
+    found, listed = _topics(path, ignore, imu=True)
+    imus = [topic for topic in found if topic.labels == _OF_IMU]
+    readings = [topic for topic in found if topic.labels[:3] == _LABELS[:3] and not topic.frames]
+    others = [topic for topic in found if topic.labels[:3] != _LABELS[:3] and topic not in imus]
+    chosen = {"joints": [_arm(others, path, listed)], "imu": imus, "tracker": readings}
+    for what, topics in chosen.items():
+        if len(topics) > 1:
+            raise _several(what, topics, path)
+    return {
+        what: _sheet(path, {"time": topics[0].stamps} | dict(zip(topics[0].labels, topics[0].values.T, strict=True)))
+        for what, topics in chosen.items()
+        if topics
+    }
 
 
 def _sheet(path: Path, columns: dict[str, np.ndarray]) -> Sheet:
@@ -263,28 +292,35 @@ def _several(what: str, topics: list[_Topic], path: Path) -> MeasurementError:
     return MeasurementError(f"{path.name}: {what} in several topics: {names}; expected one: --ignore the others")
 
 
-def _topics(path: Path, ignore: Collection[str]) -> tuple[list[_Topic], str]:
-    """Return all topics of joints and of readings, and in words what else there is.
+def _topics(path: Path, ignore: Collection[str], *, imu: bool = False) -> tuple[list[_Topic], str]:
+    """Return all topics of joints, of readings and perhaps of IMUs, and in words what else there is.
 
     Messages with other joints are topics of their own, and so is each frame of /tf.
     """
     with needed("rosbags", f"{path.name}: recordings of ROS", install="'pincal[ros]'", error=MeasurementError):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
-    found: dict[tuple[str, tuple[str, ...], tuple[str, ...]], list[tuple[float, Any]]] = {}
+    found: dict[tuple[str, tuple[str, ...], tuple[str, ...]], list[tuple[float, float, Any]]] = {}
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
-            kinds = (_JOINTS, *_READINGS, *_TRANSFORMS)
+            kinds = (_JOINTS, *_READINGS, *((_IMU,) if imu else _TRANSFORMS))
             wanted = [each for each in reader.connections if each.msgtype in kinds and each.topic not in ignore]
             listed = ", ".join(f"{each.topic} ({each.msgtype.split('/')[-1]})" for each in reader.connections[:_LISTED])
             for connection, stamp, raw in reader.messages(connections=wanted) if wanted else ():
                 message = reader.deserialize(raw, connection.msgtype)
                 for frames, labels, values in _values(message, connection.msgtype):
                     if not {*frames[1:], " > ".join(frames)} & {*ignore}:
-                        found.setdefault((connection.topic, frames, labels), []).append((1e-9 * stamp, values))
+                        sample = (1e-9 * stamp, _stamp(message), values)
+                        found.setdefault((connection.topic, frames, labels), []).append(sample)
     except Exception as error:  # Whatever a broken recording does to the libraries below.
         raise MeasurementError(f"{path.name}: can't be read ({error}); expected a recording of ROS") from error
     return [_topic(*place, samples) for place, samples in found.items()], listed
+
+
+def _stamp(message: Any) -> float:
+    """Return the stamp of a message, 0 for one without [s]."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return 0.0 if stamp is None else stamp.sec + 1e-9 * stamp.nanosec
 
 
 def _values(message: Any, kind: str) -> Iterator[tuple[tuple[str, ...], tuple[str, ...], Any]]:
@@ -293,6 +329,10 @@ def _values(message: Any, kind: str) -> Iterator[tuple[tuple[str, ...], tuple[st
         for each in message.transforms:
             (_, labels, values), *_ = _values(each, "")
             yield (each.header.frame_id.strip("/"), each.child_frame_id.strip("/")), labels, values
+        return
+    if kind == _IMU:
+        force, rate = message.linear_acceleration, message.angular_velocity
+        yield (), _OF_IMU, (force.x, force.y, force.z, rate.x, rate.y, rate.z)
         return
     if kind == _JOINTS:
         if len(message.position) == len(message.name) > 0:
@@ -310,7 +350,8 @@ def _values(message: Any, kind: str) -> Iterator[tuple[tuple[str, ...], tuple[st
     yield (), _LABELS[: len(values)], values
 
 
-def _topic(name: str, frames: tuple[str, ...], labels: tuple[str, ...], samples: list[tuple[float, Any]]) -> _Topic:
-    time, first = np.unique(np.array([stamp for stamp, _ in samples]), return_index=True)
+def _topic(name: str, frames: tuple[str, ...], labels: tuple[str, ...], samples: list[tuple[float, float, Any]]) -> _Topic:
+    time, first = np.unique(np.array([stamp for stamp, *_ in samples]), return_index=True)
+    own, values = (np.array([sample[k] for sample in samples], float)[first] for k in (1, 2))
     name += " " * bool(frames) + " > ".join(frames)
-    return _Topic(name, labels, time, np.array([values for _, values in samples], float)[first], frames)
+    return _Topic(name, labels, time, values, own, frames)

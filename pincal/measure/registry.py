@@ -13,6 +13,7 @@ from pincal.measure.fields import CONDITIONS, SIGMA, Field
 from pincal.measure.sensor import Block, Sensor, Simulatable
 from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor, FixedCameraSensor
 from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
+from pincal.measure.sensors.imu import ImuSensor
 from pincal.measure.sensors.link_contact import LinkContactSensor, LinkDistanceSensor
 from pincal.measure.sensors.plane import GaugeSensor, PlaneContactSensor
 from pincal.measure.sensors.pose import PoseSensor, PositionSensor
@@ -46,7 +47,16 @@ register_sensor = SENSORS.register
 
 _DISTANCES = (DistanceSensor, AnchoredDistanceSensor, LinkDistanceSensor, LinkContactSensor)
 _CAMERAS = (CameraPointSensor, CameraPixelSensor, FixedCameraSensor)
-for _sensor in (PositionSensor, PoseSensor, *_DISTANCES, ContactSensor, *_CAMERAS, PlaneContactSensor, GaugeSensor):
+for _sensor in (
+    PositionSensor,
+    PoseSensor,
+    *_DISTANCES,
+    ContactSensor,
+    *_CAMERAS,
+    PlaneContactSensor,
+    GaugeSensor,
+    ImuSensor,
+):
     register_sensor(_sensor)
 
 

@@ -29,7 +29,7 @@ class Block:
 
     Attributes:
         name: "position", "orientation", "distance", ...
-        unit: "m", "rad" or "px".
+        unit: "m", "rad" or "px"; of an IMU "m/s^2" and "rad/s".
         size: number of components.
         rounding: of a prediction; noise is never taken to be less.
         noise: standard deviation of one component as good instruments have it, taken where the noise is neither declared
@@ -105,6 +105,7 @@ class Sensor(ABC):
         is_of_joints: whether a row reads nothing but the joints where something touches, see
             :func:`pincal.identify.believed.slope_of_contacts`.
         is_on_tool: whether the sensor itself sits on the tool, so that its mount can be given.
+        reads_place: whether readings tell places, and so lengths, held otherwise; else errors have no size in mm.
         deviation_end: where an arrow from the predicted position ends that is as long as the reading deviates.
     """
 
@@ -121,6 +122,7 @@ class Sensor(ABC):
     has_camera: ClassVar[bool] = False
     is_of_joints: ClassVar[bool] = False
     is_on_tool: ClassVar[bool] = False
+    reads_place: ClassVar[bool] = True
     deviation_end: ClassVar[str] = "measured"
 
     @classmethod
@@ -142,7 +144,8 @@ class Sensor(ABC):
         """Return reading minus prediction.
 
         Args:
-            poses: shape (N, 3, 4), the target in the instrument's frame.
+            poses: shape (N, 3, 4), the target in the instrument's frame; where conditions have K moments about each row
+                shape (N K, 3, 4), and so in the other methods.
             own: values of the sensor's parameters.
 
         Returns:

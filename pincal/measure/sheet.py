@@ -47,7 +47,7 @@ class SheetColumn:
 
     def values(self, cells: pl.Series) -> np.ndarray:
         """Return names, or numbers in SI units, shape (N,)."""
-        return np.array(cells.to_list(), dtype=str) if self.is_name else in_si(cells.to_numpy(), self.unit)
+        return np.array(cells.to_list(), dtype=str) if self.is_name else in_si(cells.to_numpy(), self.unit, self.quantity)
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,6 +40,9 @@ class Conditions(Recorded):
         payload_centre: shape (3,), its centre of mass in the tip frame [m].
         setup: shape (N,), index of the set-up of instrument and targets, where there are several; else None.
         sighted: shape (N, 3), where the instrument sees the target in its own frame [m]; None where nothing was read yet.
+        inertial: shape (N, n, 6), force [N] and moment [N m] that the inertia of all that a moving joint carries exerts on
+            it, in the axes behind its motion and about the origin of the frame before; None at rest.
+        around: the K moments about each pose by which a sensor reads it; None for sensors that read one pose at a time.
     """
 
     q: np.ndarray
@@ -48,6 +51,9 @@ class Conditions(Recorded):
     payload_centre: np.ndarray
     setup: np.ndarray | None = None
     sighted: np.ndarray | None = None
+    inertial: np.ndarray | None = None
+    # A Moving, or None; arrays stand beside it in dictionaries of columns.
+    around: Any = None
 
     @classmethod
     def at(cls, q: np.ndarray, *, payload: float = 0.0, payload_centre: Iterable[float] = (0.0, 0.0, 0.0)) -> Conditions:
@@ -70,6 +76,25 @@ class Conditions(Recorded):
         columns = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "payload_centre"}
         chosen: dict[str, Any] = {name: column[rows] for name, column in columns.items() if column is not None}
         return replace(self, **chosen)
+
+    @cached_property
+    def are_in_motion(self) -> bool:
+        """Whether the arm moves in any of the poses."""
+        return self.velocity is not None and bool(np.any(self.velocity))
+
+    @cached_property
+    def at_moments(self) -> Conditions:
+        """The poses that readings depend on: these, or N K of the moments about them, those of one row together."""
+        if self.around is None or self.around.q is None:
+            return self
+        n, K, joints = self.around.q.shape
+        rows, moving = np.repeat(np.arange(n), K), self.around
+        return replace(
+            replace(self, around=None).select(rows),
+            q=np.ascontiguousarray(moving.q.reshape(-1, joints)),
+            velocity=None if moving.velocity is None else moving.velocity.reshape(-1, joints),
+            inertial=None if moving.loads is None else moving.loads.reshape(-1, joints, 6),
+        )
 
     def column(self, name: str) -> np.ndarray | None:
         """Return a recorded column of ``RECORDABLE``, shape (N, n) or (N,), or None."""
@@ -99,12 +124,13 @@ def joined_conditions(parts: Sequence[Conditions]) -> Conditions:
 
     Targets, which are others in each, are all the first one. Times have a zero of their own in each, so they are left out;
     so are temperatures, droops and sights that some lack. Directions of approach and moves are unknown where they were not
-    recorded.
+    recorded, and poses without a speed were held.
     """
     if len(parts) == 1:
         return parts[0]
     q, payload = (np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "payload"))
-    kept = {name: variable.unknown for name, variable in RECORDED.items() if not variable.has_own_zero} | {"sighted": None}
+    kept = {name: variable.unknown for name, variable in RECORDED.items() if not variable.has_own_zero}
+    kept |= {"sighted": None, "inertial": 0.0}
     columns = {name: _one_column([getattr(part, name) for part in parts], parts, unknown) for name, unknown in kept.items()}
     return Conditions(q, np.zeros(len(q), int), payload, parts[0].payload_centre, **columns)
 
@@ -198,7 +224,7 @@ def recorded_variable(
 
 
 def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool = False) -> np.ndarray:
-    """Return the static moments on the nominal arm, shape (N, 3 n) [N m], of all it carries or of the payload alone."""
+    """Return the moments on the nominal arm, shape (N, 3 n) [N m], of all it carries or of the payload's weight alone."""
     constant, n = chain.nominal, chain.robot.n_joints
     layout = chain.layout._replace(masses=np.zeros(n)) if payload_only else chain.layout
     if are_symbols(conditions.q):
@@ -212,7 +238,27 @@ def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool 
     mass = np.require(conditions.payload, np.float64, ["C", "W"])
     payload = Payload(mass, np.array(conditions.payload_centre, float))
     values = Values(constant.copy(), slot, varying)
-    return borne_moments(chain, values, kernels.static_moments(layout, values, payload)).T
+    static = kernels.static_moments(layout, values, payload)
+    inertial = 0.0 if payload_only else np.transpose(inertial_moments(chain, conditions))
+    return borne_moments(chain, values, static + inertial).T
+
+
+def inertial_moments(chain: Chain, conditions: Conditions) -> np.ndarray | float:
+    """Return what inertia adds to the static moments on the nominal arm, shape (N, 3 n) [N m]; zero at rest.
+
+    They are taken about the bearings and in the axes of the chain's convention.
+    """
+    if conditions.inertial is None:
+        return 0.0
+    force, moment = conditions.inertial[..., :3], conditions.inertial[..., 3:]
+    # About a point at height h: M - h z x F.
+    x, y = moment[..., 0] + chain.bearing_heights * force[..., 1], moment[..., 1] - chain.bearing_heights * force[..., 0]
+    if chain.moment_frame != "after":
+        theta = chain.nominal[[chain.joint(i, "theta") for i in range(chain.robot.n_joints)]]
+        angle = theta + np.where([kind == "prismatic" for kind in chain.robot.joint_types], 0.0, conditions.q)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        x, y = cosine * x - sine * y, sine * x + cosine * y
+    return np.stack([x, y, moment[..., 2]], axis=2).reshape(len(x), -1)
 
 
 @dataclass(frozen=True)
@@ -231,7 +277,7 @@ class PoseSet:
 
     @cached_property
     def moments(self) -> np.ndarray:
-        """Static moments on the nominal arm, shape (N, 3 n) [N m]."""
+        """Moments on the nominal arm, shape (N, 3 n) [N m]: static ones, and those of inertia where it moves."""
         return nominal_moments(self.chain, self.conditions)
 
     @property
@@ -255,5 +301,5 @@ class PoseSet:
         return np.asarray(self.conditions.q[:, self.index(joint)])
 
     def moment(self, joint: str) -> np.ndarray:
-        """Return the static moment about the axis of a joint on the nominal arm, shape (N,) [N m]."""
+        """Return the moment about the axis of a joint on the nominal arm, shape (N,) [N m]."""
         return np.asarray(self.moments[:, 3 * self.index(joint) + 2])

@@ -195,6 +195,30 @@ class DriveEffect(Discoverable):
         return column if column.ndim == 1 else column[:, joint_index(chain, self.joint)]
 
 
+class DriveInMotion(DriveEffect):
+    """A function of a joint's own velocity; it needs none, as poses without any were held."""
+
+    follows: ClassVar[str] = "velocity"
+    needs: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
+        """Yield it on every joint that moves while it is measured."""
+        velocity = situation.conditions.velocity
+        moves = np.zeros(0) if velocity is None else np.ptp(velocity, axis=0)
+        yield from (Candidate(cls(joint)) for joint, moving in zip(situation.joints, moves, strict=False) if moving)
+
+    def variable(self, chain: Chain, conditions: Conditions) -> np.ndarray:
+        """Return the function at the joint's velocity, shape (N,); zero at rest."""
+        if conditions.velocity is None:
+            return np.zeros(len(conditions))
+        return self.of_velocity(conditions.velocity[:, joint_index(chain, self.joint)])
+
+    @abstractmethod
+    def of_velocity(self, velocity: np.ndarray) -> np.ndarray:
+        """Return the function at velocities of shape (N,) [rad/s, prismatic m/s]."""
+
+
 class DriveWaves(DriveEffect):
     """Sines and cosines of multiples of a joint's own position.
 

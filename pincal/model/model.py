@@ -11,7 +11,7 @@ import numpy as np
 
 from pincal.model import kernels
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions
+from pincal.model.conditions import Conditions, inertial_moments
 from pincal.model.effect import Body, Effect, Term
 from pincal.model.evaluated import (
     WORTH_SHARING,
@@ -221,10 +221,10 @@ class Model:
         return poses, jacobian
 
     def static_moments(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
-        """Return the static moments n_x, n_y, n_z of each joint, shape (N, 3 n) [N m] (paper, Eq. (3))."""
+        """Return the moments n_x, n_y, n_z of each joint, shape (N, 3 n) [N m] (paper, Eq. (3)), with those of inertia."""
         state = Evaluation.at(self, values, conditions)
-        moments = kernels.static_moments(state.layout, state.rigid, state.payload)
-        return borne_moments(self.chain, state.rigid, moments).T
+        static = kernels.static_moments(state.layout, state.rigid, state.payload)
+        return borne_moments(self.chain, state.rigid, static + np.transpose(inertial_moments(self.chain, conditions))).T
 
     def coordinates(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the coordinates of the chain on the bent arm, shape (N, K) [rad or m]."""
@@ -285,11 +285,11 @@ class Evaluation:
         layout = laden(model.chain, model.bodies, by_row)
         if not any(effect.uses_moments for effect in model.effects):
             return cls(model, layout, plain, curves, by_row, rigid, rigid, np.empty((0, len(mass))), places, payload)
-        deformed = rigid
+        deformed, inertial = rigid, np.transpose(inertial_moments(model.chain, conditions))
         for _ in range(_EQUILIBRIUM_ROUNDS if model.equilibrium else 1):
             before = deformed
-            moments = kernels.static_moments(layout, deformed, payload, bending=not model.equilibrium)
-            moments = borne_moments(model.chain, deformed, moments)
+            static = kernels.static_moments(layout, deformed, payload, bending=not model.equilibrium)
+            moments = borne_moments(model.chain, deformed, static + inertial)
             elastic = _elastic(model, conditions, moments.T)
             deformed = closed_loops(model.chain, coordinates_of(model.chain, by_row, conditions, plain + elastic, curves))
             change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0

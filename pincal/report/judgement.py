@@ -18,6 +18,7 @@ from pincal.model.catalogue import untestable
 from pincal.notes import Note, doubts_of
 from pincal.recorded import RECORDABLE
 from pincal.report.words import effect_words
+from pincal.validate.accuracy import leading_unit
 from pincal.validate.misfit import Verdict, tells
 
 # Ratio of held-out to fitted rms error above which the rows were too few. N rows and p parameters make it about
@@ -124,6 +125,10 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
         steps.append("Measure more poses: these are too few to distinguish a good model from a bad one.")
     if discovery is not None:
         steps += _after_discovery(discovery)
+    elif not any(station.sensor.reads_place for station in calibration.fit.problem.stations):
+        steps.append(
+            "Measure six to ten poses with an instrument, or in sockets, and calibrate by both: an IMU tells no lengths."
+        )
     elif not is_few and judgement is not Verdict.ADEQUATE and result.converged:
         steps.append("Run pincal discover on the same data: it identifies the effects that the model lacks.")
     if n := len(result.outliers):
@@ -133,8 +138,9 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
         steps.append("Hold rows out (--test-fraction) or measure more (--holdout): otherwise the accuracy is not validated.")
     else:
         # Both ways of holding rows out taken together.
-        ways = [error[way]["rms_mm"] for way in ("regions", "stretches") if way in error] or [error["test"]["rms_mm"]]
-        if np.sqrt(np.mean(np.square(ways))) > _OVERFITTED * error["train"]["rms_mm"]:
+        rms = f"rms_{leading_unit(error['test'])}"
+        ways = [error[way][rms] for way in ("regions", "stretches") if way in error] or [error["test"][rms]]
+        if np.sqrt(np.mean(np.square(ways))) > _OVERFITTED * error["train"][rms]:
             steps.append("Held-out errors exceed fitted ones: measure more poses, spread over the whole range of use.")
     if narrow := ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in narrow_joints(calibration)):
         steps.append(f"These joints moved through little of their range: {narrow}. Outside it the model is not validated.")

@@ -11,6 +11,7 @@ from msgspec import UNSET
 from pincal.calibration.held_out import StationRows
 from pincal.calibration.result import Result
 from pincal.calibration.result_tables import (
+    clock_table,
     correlation_table,
     error_table,
     improvement_table,
@@ -53,7 +54,7 @@ from pincal.report.subject import Subject
 from pincal.report.words import TERMS, effect_meaning, noise_words
 from pincal.result_table import Column, Kind, RowTone, Table
 from pincal.units import fixed
-from pincal.validate.accuracy import cycle_words
+from pincal.validate.accuracy import cycle_words, leading_unit
 from pincal.validate.misfit import Verdict
 from pincal.validate.outcome import StationRecord
 
@@ -88,7 +89,7 @@ def summary(subject: Subject) -> Section:
 def _headline(subject: Subject) -> Markup:
     """Return the mean error now and before, and the noise."""
     result, part = subject.result, subject.part
-    unit = "mm" if "mean_mm" in result.error["calibrated"][part] else "px"
+    unit = leading_unit(result.error["calibrated"][part])
     before, after = (result.error[model][part][f"mean_{unit}"] for model in ("nominal", "calibrated"))
     rows = (
         "On set-ups not used by the calibration, each predicted by the model of the others"
@@ -117,7 +118,8 @@ def _size(value: float, unit: str) -> str:
 def _glance(subject: Subject) -> Iterator[Markup]:
     """Yield mean, 95 % and worst error, before and after."""
     before, after = (subject.result.error[model][subject.part] for model in ("nominal", "calibrated"))
-    for unit, suffix in (("mm", ""), ("mrad", " of orientation")):
+    in_motion = (("m/s^2", " of acceleration"), ("mrad/s", " of angular rate"))
+    for unit, suffix in (("mm", ""), ("mrad", " of orientation"), *in_motion):
         keys = {f"{words} error{suffix}": f"{name}_{unit}" for name, words in _STATISTICS if f"{name}_{unit}" in after}
         yield from glance([
             (title, (before[key], after[key]), (_size(before[key], "").rstrip(), _size(after[key], unit)))
@@ -169,6 +171,12 @@ def _rows_of(rows: StationRows, outliers: Sequence[int]) -> Markup:
     return rich("{}{} in {}: {} rows fitted, {} held out{}{}", name, train.kind, code(train.source), *counts)
 
 
+_CLOCKS = (
+    "Instruments that read the arm while it moved have clocks of their own. Each was aligned with that of the joints by the "
+    "speeds that both see; offset and drift were then fitted with everything else."
+)
+
+
 def accuracy(subject: Subject) -> Section:
     """Errors before and after, and their distribution."""
     result = subject.result
@@ -178,6 +186,11 @@ def accuracy(subject: Subject) -> Section:
         "which no calibration improves. “Nominal” is the robot as in its URDF, with only the placement of instrument and "
         "target fitted."
     )
+    if "mean_mm" not in result.error["calibrated"]["train"]:
+        intro = rich(
+            "An IMU measures no places: an error is the difference between a reading, filtered in time, and its prediction. "
+            "Most of it is vibration of the arm and noise, which no calibration improves."
+        )
     blocks: list[PageBlock] = [paragraph(intro)]
     if not result.rows["test"]:
         text = (
@@ -185,6 +198,8 @@ def accuracy(subject: Subject) -> Section:
             "poses."
         )
         blocks.append(paragraph(text, "note"))
+    if result.clocks is not UNSET:
+        blocks += [heading("Clocks", "clocks"), paragraph(_CLOCKS), clock_table(result.clocks)]
     blocks += [
         error_table(result.error),
         figures("accuracy", error_drawings(subject.readings)),
@@ -228,8 +243,9 @@ def stations(subject: Subject) -> Section | None:
     for record in records:
         nominal, calibrated = (by_part.get(subject.part, by_part["train"]) for by_part in record["error"].values())
         # Of a station that was left out, by the model of the others.
-        before, after = nominal["mean_mm"], record.get("left_out", calibrated)["mean_mm"]
-        shown.append((f"{record['name']}: mean error", (before, after), (f"{before:.3f}", f"{after:.4f} mm")))
+        unit = leading_unit(calibrated)
+        before, after = nominal[f"mean_{unit}"], record.get("left_out", calibrated)[f"mean_{unit}"]
+        shown.append((f"{record['name']}: mean error", (before, after), (f"{before:.3f}", f"{after:.4f} {unit}")))
     blocks: list[PageBlock] = [paragraph(text), arranged("glance", *glance(shown)), station_table(records), *_moved(records)]
     if (again := repeated_table(records)) is not None:
         blocks += [heading("Repeated measurements of poses", "repeatability"), paragraph(REPEATED), again]

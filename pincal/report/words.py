@@ -168,6 +168,9 @@ def noise_words(noise: Mapping[str, Any]) -> str:
         >>> noise_words({"sigma_m": 5e-5}), noise_words({"sigma_m": 3e-7}), noise_words({"sigma_px": 0.1})
         ('0.0500 mm per coordinate', '0.0003 mm per coordinate', '0.1 px per coordinate')
     """
+    if "sigma_m_s2" in noise and not {"sigma_m", "sigma_px"} & noise.keys():
+        rate = f", {noise['sigma_rad_s']:.2g} rad/s" if "sigma_rad_s" in noise else ""
+        return f"{noise['sigma_m_s2']:.2g} m/s^2{rate} per coordinate"
     unit = "px" if "sigma_px" in noise else "m"
     factor, name = readable_unit(unit)
     sigma = noise[f"sigma_{unit}"] * factor

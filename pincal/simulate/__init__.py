@@ -1,8 +1,8 @@
 """The true machine: an independent oracle that measures a robot whose errors are known.
 
-The oracle is what tests hold the model against, and shares nothing with it: ``arm``, ``state``, ``machine``,
-``paper_machine``, the effects (``drive``, ``elastic``, ``tracker``) and what sensors read (``lens``, the set-ups). The rest
-plans campaigns for ``pincal simulate``: ``planning``, ``typical``, ``request``.
+The oracle is what tests hold the model against, and shares nothing with it: ``arm``, ``state``, ``inertia``, ``machine``,
+``moving``, ``paper_machine``, the effects (``drive``, ``elastic``, ``tracker``) and what sensors read (``lens``, the
+set-ups, ``session``). The rest plans campaigns for ``pincal simulate``: ``planning``, ``typical``, ``request``.
 """
 
 from pincal.simulate.arm import Arm as Arm
@@ -16,11 +16,13 @@ from pincal.simulate.contact import Contact as Contact
 from pincal.simulate.drive import AxisWobble as AxisWobble
 from pincal.simulate.drive import Backlash as Backlash
 from pincal.simulate.drive import EncoderSubdivision as EncoderSubdivision
+from pincal.simulate.drive import FrictionWindup as FrictionWindup
 from pincal.simulate.drive import GearEccentricity as GearEccentricity
 from pincal.simulate.drive import GearRatio as GearRatio
 from pincal.simulate.drive import GearRipple as GearRipple
 from pincal.simulate.drive import JointCoupling as JointCoupling
 from pincal.simulate.drive import JointCreep as JointCreep
+from pincal.simulate.drive import JointLag as JointLag
 from pincal.simulate.drive import JointOffset as JointOffset
 from pincal.simulate.drive import JointScatter as JointScatter
 from pincal.simulate.drive import ShortOfTarget as ShortOfTarget

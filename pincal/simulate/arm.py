@@ -47,6 +47,8 @@ class Arm:
         lower: Lower joint limits [rad or m]; -pi for a continuous joint, shape (n,).
         upper: Upper joint limits [rad or m], shape (n,).
         mimics: Joint, the joint that it follows, multiplier and offset, of those that the URDF has mimic another.
+        inertias: Moments of inertia about these centres in the working frames [kg m^2], shape (n, 3, 3); None for masses at
+            points.
         parents: The joint that carries each joint, -1 for the base; by default the one before.
         tip_joint: The joint that moves the tip; by default the last.
         pins: What closes loops.
@@ -64,6 +66,7 @@ class Arm:
     lower: np.ndarray
     upper: np.ndarray
     mimics: tuple[tuple[int, int, float, float], ...] = ()
+    inertias: np.ndarray | None = None
     parents: tuple[int, ...] = ()
     tip_joint: int = -1
     pins: tuple[Pin, ...] = ()

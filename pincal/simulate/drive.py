@@ -294,3 +294,33 @@ class JointScatter(DriveEffect):
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         return np.asarray(self.size * poses.scatter[:, joint])
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointLag(DriveEffect):
+    """Joint that is where it is recorded only later; ``size`` is the delay [s]. Held poses do not show it."""
+
+    effect: ClassVar[str] = "joint_lag"
+    unit: ClassVar[str] = "s"
+    typical_size: ClassVar[float] = 1e-3
+
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        # Where it was before: as far as a step back along the path at constant acceleration.
+        return np.asarray(-self.size * poses.velocity[:, joint] + 0.5 * self.size**2 * poses.acceleration[:, joint])
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionWindup(DriveEffect):
+    """Gear that its friction winds up while it moves; ``size`` is how far [rad]. Held poses do not show it.
+
+    Attributes:
+        slow: Speed at which friction has about 70 % of its size [rad/s].
+    """
+
+    effect: ClassVar[str] = "friction_windup"
+    typical_size: ClassVar[float] = 1e-4
+    slow: float = 0.01
+
+    def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
+        speed = poses.velocity[:, joint]
+        return np.asarray(-self.size * speed / np.hypot(speed, self.slow))

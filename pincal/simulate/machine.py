@@ -18,6 +18,7 @@ from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
 from pincal.simulate.effect import DeformingEffect, HiddenEffect
 from pincal.simulate.elastic import BearingElasticity, JointElasticity, PayloadError
+from pincal.simulate.inertia import Inertia
 from pincal.simulate.rods import closing_step
 from pincal.simulate.state import (
     Deformation,
@@ -194,7 +195,9 @@ class TrueMachine:
         return poses_of(self.nominal, q, reference_temperature=self.reference_temperature, **conditions)
 
     def equilibrium(self, poses: Poses) -> Equilibrium:
-        """Let the arm come to rest: deform it under the loads that it has when it is deformed.
+        """Let the arm come to rest, or to a steady deformation while it moves, under the loads that it has when deformed.
+
+        Inertia is that of the motion without deformation, whose own accelerations are a thousandth of it.
 
         Raises:
             BadInputError: If the arm is too soft to carry itself.
@@ -205,12 +208,13 @@ class TrueMachine:
                 mass, com = effect.true_payload(mass, com)
         poses = replace(poses, payload=mass, payload_com=com)
         q, gravity = poses.q + self.joint_offsets, np.asarray(self.gravity, float)
+        inertia = Inertia.of(self.arm, (q, poses.velocity, poses.acceleration), mass, com)
         deformation = self._deformed(poses, Loads.zero(*q.shape))
         for _ in range(_ROUNDS):
             places = place(self._chain, self._data, configurations(q, deformation))
             if self.arm.pins:
                 q, places = self._closed(q, places, deformation)
-            loads = gravity_loads(self.arm, places, payload=mass, payload_com=com, gravity=gravity)
+            loads = gravity_loads(self.arm, places, payload=mass, payload_com=com, gravity=gravity, inertia=inertia)
             settled = self._deformed(poses, loads)
             if settled.change(deformation) < _AT_REST:
                 tip, k = places[:, -1], self.arm.start_joint

@@ -15,6 +15,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
+from pincal.simulate.inertia import Inertia
 from pincal.simulate.rods import rates
 
 
@@ -30,6 +31,8 @@ class Poses:
         time: Time since the start [s], shape (N,).
         approach: Direction from which each joint arrived (-1, 0, 1), shape (N, n); None: by the order of the poses.
         scatter: Standard normal draws per joint and pose, scaled by unrepeatable effects, shape (N, n).
+        velocity: Velocity of the joints [rad/s or m/s], shape (N, n); zero where poses are held.
+        acceleration: Acceleration of the joints [rad/s^2 or m/s^2], shape (N, n).
     """
 
     q: np.ndarray
@@ -39,6 +42,8 @@ class Poses:
     time: np.ndarray
     approach: np.ndarray | None
     scatter: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
 
     def pieces(self, size: int) -> Iterator[Poses]:
         """Yield the poses piece by piece, at most ``size`` at a time."""
@@ -57,6 +62,8 @@ class Conditions(TypedDict, total=False):
         temperature: Temperature [deg C], shape (N,); default: the machine's reference temperature.
         time: Time [s], shape (N,); default: 0.
         approach: Direction from which each joint arrived (-1, 0, 1), shape (N, n), or by joint name, shape (N,).
+        velocity: Velocity of the joints [rad/s or m/s], shape (N, n); default: at rest.
+        acceleration: Acceleration of the joints [rad/s^2 or m/s^2], shape (N, n).
     """
 
     payload: Any
@@ -64,6 +71,8 @@ class Conditions(TypedDict, total=False):
     temperature: Any
     time: Any
     approach: Mapping[str, Any] | np.ndarray | None
+    velocity: np.ndarray
+    acceleration: np.ndarray
 
 
 def poses_of(
@@ -107,6 +116,8 @@ def poses_of(
         time=broadcast_copy("time", 0.0 if time is None else time, (rows,)),
         approach=None if approach is None else broadcast_copy("approach", approach, (rows, n)),
         scatter=broadcast_copy("scatter", 0.0 if scatter is None else scatter, (rows, n)),
+        velocity=broadcast_copy("velocity", conditions.get("velocity", 0.0), (rows, n)),
+        acceleration=broadcast_copy("acceleration", conditions.get("acceleration", 0.0), (rows, n)),
     )
 
 
@@ -273,7 +284,13 @@ def joints_and_links(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def gravity_loads(
-    arm: Arm, places: np.ndarray, *, payload: np.ndarray, payload_com: np.ndarray, gravity: np.ndarray
+    arm: Arm,
+    places: np.ndarray,
+    *,
+    payload: np.ndarray,
+    payload_com: np.ndarray,
+    gravity: np.ndarray,
+    inertia: Inertia | None = None,
 ) -> Loads:
     """Return the loads on every joint of the arm as it is placed.
 
@@ -283,6 +300,7 @@ def gravity_loads(
         payload: Mass at the tip [kg], shape (N,).
         payload_com: Its centre of mass in the tip frame [m], shape (N, 3).
         gravity: Acceleration in the undeformed base frame [m/s^2], shape (3,).
+        inertia: What the bodies' inertia exerts in addition; default: they are at rest.
     """
     last = places.shape[1] - 1
     before, joint, after = (places[:, first:last:3] for first in (_BEFORE, _JOINT, _AFTER))
@@ -291,14 +309,16 @@ def gravity_loads(
     load = np.einsum("nab,nb->na", tip[:, :3, :3], payload_com) + tip[:, :3, 3]
     centres = np.concatenate((links, load[:, None]), axis=1)
     masses = np.column_stack((np.broadcast_to(arm.masses, links.shape[:2]), payload))
-    weights = masses[..., None] * gravity
+    weights, couples = masses[..., None] * gravity, np.zeros((*masses.shape, 3))
+    if inertia is not None:
+        weights, couples = weights + inertia.forces, inertia.couples
     n = len(arm.names)
     beyond = arm.carried & ~np.eye(n, n + 1, dtype=bool)
-    moments = _moments(centres, weights, joint[..., :3, 3], arm.carried)
+    moments = _moments(centres, weights, couples, joint[..., :3, 3], arm.carried)
     following = [arm.next_joint(i) for i in range(n)]
     ends = np.stack([before[:, k] if k >= 0 else after[:, i] for i, k in enumerate(following)], axis=1)[..., :3, 3]
     ends[:, arm.tip_joint] = tip[:, :3, 3]
-    base = _moments(centres, weights, places[:, _BASE : _BASE + 1, :3, 3], np.ones((1, n + 1), bool))
+    base = _moments(centres, weights, couples, places[:, _BASE : _BASE + 1, :3, 3], np.ones((1, n + 1), bool))
     drive = np.where(arm.prismatic, _turned(joint, _sums(weights, arm.carried))[..., 2], _turned(after, moments)[..., 2])
     if arm.pins:
         # What hangs on joints that only follow is borne by those that move them (virtual work).
@@ -308,16 +328,19 @@ def gravity_loads(
         before=_turned(before, moments),
         after=_turned(joint, moments),
         drive=drive,
-        end_moment=_turned(after, _moments(centres, weights, ends, beyond)),
+        end_moment=_turned(after, _moments(centres, weights, couples, ends, beyond)),
         end_force=_turned(after, _sums(weights, beyond)),
         base=_turned(places[:, _BASE : _BASE + 1], base)[:, 0],
     )
 
 
-def _moments(centres: np.ndarray, weights: np.ndarray, origins: np.ndarray, carried: np.ndarray) -> np.ndarray:
-    """Return for origin k the sum over the bodies of mask k of (centre - origin) x weight, shape (N, k, 3)."""
+def _moments(
+    centres: np.ndarray, weights: np.ndarray, couples: np.ndarray, origins: np.ndarray, carried: np.ndarray
+) -> np.ndarray:
+    """Return for origin k the sum over the bodies of mask k of (centre - origin) x weight + couple, shape (N, k, 3)."""
     pairs = zip(np.moveaxis(origins, 1, 0), carried, strict=True)
-    return np.stack([np.cross(centres[:, b] - o[:, None], weights[:, b]).sum(axis=1) for o, b in pairs], axis=1)
+    moments = [np.cross(centres[:, b] - o[:, None], weights[:, b]) + couples[:, b] for o, b in pairs]
+    return np.stack([each.sum(axis=1) for each in moments], axis=1)
 
 
 def _sums(weights: np.ndarray, carried: np.ndarray) -> np.ndarray:

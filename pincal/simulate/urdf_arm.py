@@ -213,6 +213,7 @@ def _arm(model: Any, tip: str, base: str | None, *, start: str | None, order: Se
         placements=np.array(placements),
         masses=np.array([model.inertias[i].mass for i in joints]),
         centres=np.array([axis.T @ model.inertias[i].lever for i, axis in zip(joints, axes, strict=True)]),
+        inertias=np.array([axis.T @ model.inertias[i].inertia @ axis for i, axis in zip(joints, axes, strict=True)]),
         axes=axes,
         lower=lower,
         upper=upper,

@@ -24,14 +24,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
-from pincal.units import readable_unit
+from pincal.units import Unit, readable_unit
 
 CYCLES = 30
 """Cycles, measurements of each pose, that ISO 9283 asks for."""
 
 _ANGLES = "abc"
+
+ERROR_UNITS = ("mm", "mrad", "px", "m/s^2", "mrad/s")
+"""What errors are given in."""
 
 ANGLE_WORDS = {"AP_mm": "mm"} | {f"AP_{a}_mrad": f"mrad about {axis}" for a, axis in zip(_ANGLES, "xyz", strict=True)}
 """What each kind of accuracy is given in."""
@@ -46,17 +50,22 @@ def pose_errors(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
 
     Returns:
         Block name ("position", "orientation", "distance", "image") -> shape (N,). An image's errors also stand as
-        "position": what they are across the view at the distance of the point.
+        "position": what they are across the view at the distance of the point. Those of an IMU are in m/s^2 and mrad/s.
     """
     residuals = station.residuals(values)
     ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
     found = {
-        block.name: np.linalg.norm(residuals[a : a + block.size], axis=0) * readable_unit(block.unit).factor
+        block.name: np.linalg.norm(residuals[a : a + block.size], axis=0) * _read_in(block.unit).factor
         for block, a in zip(station.sensor.blocks, ends, strict=False)
     }
-    if station.sensor.blocks[0].unit == "m":
+    if station.sensor.blocks[0].unit == "m" or not station.sensor.reads_place:
         return found
     return {"position": np.linalg.norm(station.displacements(values), axis=1) * readable_unit("m").factor} | found
+
+
+def _read_in(unit: str) -> Unit:
+    """Return the unit in which errors are read: rates as angles are, in thousandths."""
+    return Unit(1e3, "mrad/s") if unit == "rad/s" else readable_unit(unit)
 
 
 def error_summary(station: Station, values: np.ndarray) -> dict[str, float]:
@@ -70,8 +79,8 @@ def error_summary(station: Station, values: np.ndarray) -> dict[str, float]:
 
 
 def pose_error_sizes(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the size of the error at each row by its unit, "mm", "mrad" or "px", shape (N,) each; empty without rows."""
-    units = {block.name: readable_unit(block.unit).name for block in station.sensor.blocks}
+    """Return the size of the error at each row by its unit, one of ``ERROR_UNITS``, shape (N,) each; empty without rows."""
+    units = {block.name: _read_in(block.unit).name for block in station.sensor.blocks}
     found = pose_errors(station, values) if len(station) else {}
     return {units.get(block, "mm"): sizes for block, sizes in found.items()}
 
@@ -83,6 +92,17 @@ def error_statistics(parts: Iterable[Mapping[str, ArrayLike]]) -> dict[str, floa
         for unit, sizes in part.items():
             errors.setdefault(unit, []).append(sizes)
     return {name: value for unit, of_unit in errors.items() for name, value in _statistics(np.concatenate(of_unit), unit)}
+
+
+def leading_block(fit: ModelFit) -> int:
+    """Return the first block of readings that tells places, by its number; where none does, the first of all."""
+    stations = ((station, blocks.start) for station, _, blocks in fit.stations)
+    return next((first for station, first in stations if station.sensor.reads_place), 0)
+
+
+def leading_unit(statistics: Mapping[str, float]) -> str:
+    """Return the unit of the errors that lead: places, or where no reading tells any, images or accelerations."""
+    return next(unit for unit in ("mm", "px", "m/s^2") if f"mean_{unit}" in statistics)
 
 
 def _statistics(errors: np.ndarray, unit: str) -> Iterator[tuple[str, float]]:

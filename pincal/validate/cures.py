@@ -35,6 +35,8 @@ _ALIKE = 1.2
 
 def typical_left(station: Station, values: np.ndarray) -> tuple[float, float]:
     """Return the robust size of the errors of position [m] and orientation [rad]: outliers have no say."""
+    if not station.sensor.reads_place:
+        return 0.0, 0.0
     station = station.sample(_TYPICAL)
     position = float(np.median(np.linalg.norm(station.displacements(values), axis=1)))
     ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])

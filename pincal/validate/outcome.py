@@ -18,8 +18,9 @@ class NoiseRecord(TypedDict):
     Attributes:
         source: whether the noise was declared by the user or estimated from the residuals.
         sigma_m, sigma_rad, sigma_px: noise that the fit used, of lengths [m], angles [rad] and image coordinates [px].
-        residual_sigma_m, residual_sigma_rad, residual_sigma_px: estimate from the residuals of the fitted rows, corrected
-            for degrees of freedom.
+        sigma_m_s2, sigma_rad_s: of an IMU's specific forces [m/s^2] and angular rates [rad/s].
+        residual_sigma_m, residual_sigma_rad, residual_sigma_px, residual_sigma_m_s2, residual_sigma_rad_s: estimate from the
+            residuals of the fitted rows, corrected for degrees of freedom.
     """
 
     source: Literal["declared", "estimated"]
@@ -29,6 +30,20 @@ class NoiseRecord(TypedDict):
     residual_sigma_rad: NotRequired[float]
     sigma_px: NotRequired[float]
     residual_sigma_px: NotRequired[float]
+    sigma_m_s2: NotRequired[float]
+    residual_sigma_m_s2: NotRequired[float]
+    sigma_rad_s: NotRequired[float]
+    residual_sigma_rad_s: NotRequired[float]
+
+
+def noise_key(unit: str) -> str:
+    """Return the entry of a :class:`NoiseRecord` that is in a unit.
+
+    Example:
+        >>> noise_key("m"), noise_key("m/s^2")
+        ('sigma_m', 'sigma_m_s2')
+    """
+    return f"sigma_{unit.replace('/', '_').replace('^', '')}"
 
 
 class RowCounts(TypedDict):
@@ -112,6 +127,29 @@ class StationRecord(TypedDict):
 
 
 @dataclass(frozen=True)
+class ClockRecord:
+    """Clock of an instrument that read an arm in motion: its stamp t is of the joints' t + offset + drift (t - middle).
+
+    Attributes:
+        station: name of the station, "" for one that is alone.
+        offset_s, offset_sigma_s: offset and its standard deviation [s].
+        drift_ppm, drift_sigma_ppm: drift and its standard deviation [1e-6].
+        middle_s: stamp at which the offset holds [s].
+        gyro_early_s, gyro_early_sigma_s: of an IMU, by how much the stamps of its rates are earlier than those of its
+            accelerations of the same moment [s]; else null.
+    """
+
+    station: str
+    offset_s: float
+    offset_sigma_s: float
+    drift_ppm: float
+    drift_sigma_ppm: float
+    middle_s: float
+    gyro_early_s: float | None = None
+    gyro_early_sigma_s: float | None = None
+
+
+@dataclass(frozen=True)
 class Improvement:
     """Standard deviation of the predicted position of a link in a region.
 
@@ -158,6 +196,7 @@ class Outcome:
         lack_of_fit: test of the residuals against the scatter between repeated measurements.
         stations: results of each station.
         improvement: how far predictions are improved, by link and region, where no instrument saw the robot.
+        clocks: of the instruments that read an arm in motion.
     """
 
     noise: NoiseRecord
@@ -179,3 +218,4 @@ class Outcome:
     lack_of_fit: LackOfFit | None = None
     stations: tuple[StationRecord, ...] | UnsetType = UNSET
     improvement: tuple[Improvement, ...] | UnsetType = UNSET
+    clocks: tuple[ClockRecord, ...] | UnsetType = UNSET

@@ -32,6 +32,7 @@ from pincal.model.catalogue.environment import BaseDrift, MeasurementScale, Ther
 from pincal.model.catalogue.instrument import InstrumentAzimuth, InstrumentElevation, InstrumentRange, InstrumentTilt
 from pincal.model.catalogue.link_bending import LinkBending
 from pincal.model.catalogue.masses import LinkMass
+from pincal.model.catalogue.motion import FrictionWindup, InstrumentClock, JointLag
 from pincal.model.catalogue.relaxation import JointCreep, ThermalGrowth
 from pincal.model.catalogue.ripple import EncoderSubdivision, GearRipple
 from pincal.model.catalogue.transmission import TransmissionError
@@ -49,6 +50,8 @@ _IN_ORDER: tuple[type[Effect], ...] = (
     ThermalOffset,
     JointCreep,
     ServoDroop,
+    JointLag,
+    FrictionWindup,
     BaseElasticity,
     PayloadError,
     ThermalExpansion,
@@ -71,6 +74,7 @@ _IN_ORDER: tuple[type[Effect], ...] = (
     InstrumentElevation,
     InstrumentTilt,
     InstrumentRange,
+    InstrumentClock,
     Unnamed,
 )
 for _effect in _IN_ORDER:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -109,9 +109,9 @@ def _link_span(chain: Chain, i: int, k: int) -> np.ndarray:
 def _loads_at_end(chain: Chain, conditions: Conditions, k: int) -> tuple[np.ndarray, np.ndarray]:
     """Return force and moment of all that joint k carries, about where the URDF places it, each of shape (N, 3).
 
-    On the nominal arm, in the axes at the end of the link before it [N, N m].
+    On the nominal arm at rest, in the axes at the end of the link before it [N, N m].
     """
-    robot = chain.robot
+    robot, conditions = chain.robot, replace(conditions, inertial=None)
     carried = [j for j in range(robot.n_joints) if j == k or robot.carries(k, j)]
     mass = robot.masses[carried].sum() + conditions.payload * float(chain.path.tip_joint in carried)
     force = mass[:, None] * _gravity_before(chain, conditions, k)

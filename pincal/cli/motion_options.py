@@ -1,0 +1,174 @@
+"""Arms that move: streams on the command line, and for ``pincal simulate`` a path and who logs it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pincal.cli.arguments import NumberType, option
+from pincal.cli.quantities import ANGLES, QuantityType
+from pincal.units import UNITS, plain_number, size_of
+
+if TYPE_CHECKING:
+    from pincal.measure.fields import TableOptions
+    from pincal.measure.measurements import Measurements
+    from pincal.robot.robot import Robot
+    from pincal.simulate.session import SessionOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionOptions:
+    """Streams of an arm that moves, each on a clock of its own, in place of a folder of them."""
+
+    imu: Path | None = option(
+        "Log of an IMU on the tool while the arm moves (time, ax ay az, wx wy wz); --joints then logs its joints (time and "
+        "a column for each).",
+        metavar="LOG",
+    )
+    tracker: Path | None = option(
+        "Log of an instrument that reads a target on the tool meanwhile (time, x y z, perhaps qx qy qz qw).", metavar="LOG"
+    )
+
+    @property
+    def are_given(self) -> bool:
+        """Whether there is one of them."""
+        return self.imu is not None or self.tracker is not None
+
+    def check(self, joints: Path | None, data: Sequence[Path]) -> None:
+        """Refuse streams without their joints, and no input at all."""
+        if self.are_given and joints is None:
+            raise click.UsageError("--imu and --tracker need the joints that were logged meanwhile: --joints LOG")
+        if not self.are_given and not data:
+            raise click.UsageError("Missing argument 'DATA.csv...'; or --joints, --imu and --tracker of an arm in motion")
+
+
+def input_files(paths: Iterable[Path]) -> Iterator[Path]:
+    """Yield files, those in folders of sessions one by one."""
+    from pincal.motion.sessions import joints_of_session
+
+    for path in paths:
+        yield from (
+            (path,) if joints_of_session(path) is None or path.is_file() else sorted(filter(Path.is_file, path.iterdir()))
+        )
+
+
+def load_sessions(
+    robot: Robot, paths: Sequence[Path], reading: TableOptions, motion: MotionOptions
+) -> tuple[dict[str, Measurements], list[Path]]:
+    """Return the tables of stations in motion by their names, and the other files, which are tables.
+
+    Raises:
+        BadInputError: for a stream that is invalid.
+    """
+    from pincal.motion.sessions import Session, joints_of_session, read_session, read_streams
+    from pincal.motion.stations import session_tables
+
+    motion.check(reading.joints, paths)  # type: ignore[arg-type]
+    sessions = list[Session]()
+    plain: dict[str, Any] = {"columns": reading.columns, "ignore": reading.ignore}
+    if motion.are_given:
+        given: dict[str, Any] = {"joints": reading.joints, "imu": motion.imu, "tracker": motion.tracker}
+        sessions.append(read_streams(robot, **given, **plain))
+    folders = [path for path in paths if joints_of_session(path) is not None]
+    sessions += [read_session(robot, path, **plain) for path in folders]
+    return session_tables(robot, sessions), [path for path in paths if path not in folders]
+
+
+# Samples a second of a fast logger.
+_MOST_RATE = 10_000.0
+
+
+class _DensitiesType(click.ParamType[tuple[float, float]]):
+    """Noise densities of an IMU's accelerometer and gyroscope, such as ``1mg,0.01deg/s``."""
+
+    name = "densities"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
+        """Return both in SI units per root of a hertz."""
+        if isinstance(value, tuple):
+            return value
+        found, words = list[float](), str(value).split(",")
+        for word, quantity in zip(words, ("acceleration", "angular rate"), strict=False):
+            units = {unit: size_of(unit, quantity) for unit in UNITS[quantity]}
+            found.append(
+                QuantityType(units, "1mg" if quantity == "acceleration" else "0.01deg/s", zero=True).convert(
+                    word, param, ctx
+                )
+            )
+        if len(words) != 2:
+            self.fail(f"{value!r}; expected the densities of accelerometer and gyroscope, such as 1mg,0.01deg/s", param, ctx)
+        return found[0], found[1]
+
+
+class _RatesType(click.ParamType[tuple[float, float, float]]):
+    """Samples a second of joints, IMU and tracker, such as ``150,100,250``."""
+
+    name = "rates"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float, float]:
+        """Return the rates [Hz]."""
+        if isinstance(value, tuple):
+            return value
+        try:
+            joints, imu, tracker = (plain_number(word) for word in str(value).split(","))
+        except ValueError:
+            joints = imu = tracker = 0.0
+        if not all(1.0 <= rate <= _MOST_RATE for rate in (joints, imu, tracker)):
+            self.fail(f"{value!r}; expected rates of joints, IMU and tracker [Hz], such as 150,100,250", param, ctx)
+        return joints, imu, tracker
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionArguments:
+    """A path that is driven, and who logs it."""
+
+    path: float | None = option(
+        "Drive a random path of this duration instead of holding poses; --out is then a folder of joints.csv, imu.csv and "
+        "tracker.csv, each on a clock of its own.",
+        metavar="DURATION",
+        type=QuantityType({"s": 1.0, "min": 60.0}, "300s"),
+    )
+    imu: bool = option("Log an IMU on the tool; a tracker besides if --sensor is given.", False)
+    imu_noise: tuple[float, float] | None = option(
+        "Noise densities of accelerometer and gyroscope, per root of a hertz.",
+        metavar="ACC,GYRO",
+        type=_DensitiesType(),
+        words="1mg,0.01deg/s",
+    )
+    vibration: float | None = option(
+        "Vibration of the arm at full speed [m/s^2 rms].", metavar="SIZE", type=NumberType(0.0, 100.0), words="0.1"
+    )
+    resolution: float | None = option(
+        "Step of the recorded joint positions.",
+        metavar="ANGLE",
+        type=QuantityType(ANGLES, "0.001deg", zero=True),
+        words="0.001deg",
+    )
+    log_rates: tuple[float, float, float] | None = option(
+        "Samples a second of joints, IMU and tracker.", metavar="HZ,HZ,HZ", type=_RatesType(), words="150,100,250"
+    )
+    clock_drift: float | None = option(
+        "Drift of the clocks of IMU and tracker.",
+        metavar="PPM",
+        type=NumberType(-1e5, 1e5),
+        words="random within 100",
+    )
+    dropped: float | None = option("Rows that loggers lose.", metavar="PERCENT", type=NumberType(0.0, 20.0), words="0.5")
+
+    def first_given(self) -> str | None:
+        """Return the name of an option that is given."""
+        return next((field.name for field in fields(self) if getattr(self, field.name) not in (None, False)), None)
+
+    def session_options(self) -> SessionOptions:
+        """Return what is asked of a path and its logs; the rest as it is by default."""
+        from pincal.simulate.session import SessionOptions
+
+        drift = None if self.clock_drift is None else 1e-6 * self.clock_drift
+        dropped = None if self.dropped is None else 1e-2 * self.dropped
+        own: dict[str, Any] = {"duration": self.path, "imu": self.imu, "imu_noise": self.imu_noise, "drift": drift}
+        own |= {"vibration": self.vibration, "resolution": self.resolution, "rates": self.log_rates, "dropped": dropped}
+        return SessionOptions(**{name: value for name, value in own.items() if value is not None})

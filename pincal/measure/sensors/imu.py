@@ -1,0 +1,325 @@
+r"""Readings of an IMU on the tool: specific force and angular rate, from the poses about each moment.
+
+In a level frame, whose z points against gravity, the target is the IMU and its pose :math:`(R, p)` a function of time. Poses
+at :math:`t - h, t, t + h` give
+
+.. math:: f = R_0^T \left( \frac{p_+ - 2 p_0 + p_-}{h^2} + g e_z \right), \quad
+          \omega = \mathrm{vee} \frac{S_+ - S_-}{2 h}, \quad \dot\omega = \mathrm{vee} \frac{S_+ + S_-}{h^2},
+          \quad S_\pm = R_0^T R_\pm ,
+
+vee that of the antisymmetric part. So whatever moves the target by its pose moves it here, too: each effect has its columns
+from the motions of these poses. With :math:`\delta_\pm = R_0^T (d\varphi_\pm - d\varphi_0)`,
+
+.. math:: df = R_0^T \left( \frac{dp_+ - 2 dp_0 + dp_-}{h^2} - d\varphi_0 \times (a + g e_z) \right), \quad
+          d\omega = \frac{T_+ \delta_+ - T_- \delta_-}{2 h}, \quad d\dot\omega = \frac{T_+ \delta_+ + T_- \delta_-}{h^2},
+          \quad T = \tfrac{1}{2} (\mathrm{tr}(S) I - S) .
+
+A row is a mean over a window that is a Gaussian in time, as the readings are filtered; it is summed over a few moments
+(Gauss-Hermite). An IMU reads :math:`(I + C_a) f + b_a` and :math:`(I + C_w)(\omega + \delta \dot\omega) + b_w`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar, Self
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.measure.extrinsics import Extrinsics
+from pincal.measure.fields import Field, TableRows
+from pincal.measure.sensor import Block, OwnParameters, Sensor
+from pincal.measure.setup import Setup
+from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.robot.se3 import nearest_rotation, shortest_turn, transform
+from pincal.units import STANDARD_GRAVITY
+
+FORCE = Field("specific_force", ("ax", "ay", "az"), "acceleration")
+RATE = Field("angular_rate", ("wx", "wy", "wz"), "angular rate")
+# Step of the differences [s]: of motions of 5 Hz they are right to 5e-6, and rounding makes 1e-8 m/s^2.
+_STEP = 2.5e-4
+# Moments of a window: exact for polynomials of degree 5 in time.
+_MOMENTS = 3
+# What low-cost IMUs are off by: scale and misalignment [1], biases [m/s^2, rad/s], delay of the gyroscope [s].
+_SCALE, _FORCE_BIAS, _RATE_BIAS, _DELAY = 0.02, 0.5, 0.02, 0.02
+# The accelerometer's rotation is that of the mount, so its matrix is triangular.
+_OF_FORCE = [(i, j) for i in range(3) for j in range(i + 1)]
+_OF_RATE = [(i, j) for i in range(3) for j in range(3)]
+
+
+@dataclass(frozen=True)
+class Window:
+    """A Gaussian window in time, and when about its middle poses are needed.
+
+    Attributes:
+        width: standard deviation [s]; 0 for a reading of one moment.
+    """
+
+    width: float
+
+    @cached_property
+    def _rule(self) -> tuple[np.ndarray, np.ndarray]:
+        if self.width == 0.0:
+            return np.zeros(1), np.ones(1)
+        nodes, weights = np.polynomial.hermite_e.hermegauss(_MOMENTS)
+        return self.width * nodes, weights / weights.sum()
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Of its moments, shape (K,)."""
+        return self._rule[1]
+
+    @property
+    def offsets(self) -> np.ndarray:
+        """When poses are needed, from the middle, shape (3 K,) [s]: before, at and after each moment."""
+        return np.asarray((self._rule[0][:, None] + np.array([-_STEP, 0.0, _STEP])).ravel())
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """What an ideal IMU reads in N windows, each of shape (N, 3).
+
+    Attributes:
+        force: specific force [m/s^2].
+        rate: angular rate [rad/s].
+        turning: its derivative [rad/s^2].
+    """
+
+    force: np.ndarray
+    rate: np.ndarray
+    turning: np.ndarray
+
+    @classmethod
+    def of(cls, poses: np.ndarray, window: Window, gravity: float = STANDARD_GRAVITY) -> Inertial:
+        """Return what the poses of windows give.
+
+        Args:
+            poses: shape (N O, 3, 4), of each row those at the O offsets of the window, in a level frame.
+            window: the window.
+            gravity: size of gravity [m/s^2].
+        """
+        whole = _triples(poses, window)
+        weights = window.weights[None, :, None]
+        return cls(*((weights * part).sum(axis=1) for part in _ideal(whole, gravity)))
+
+
+def inertial_columns(
+    poses: np.ndarray, motion: np.ndarray, window: Window, gravity: float = STANDARD_GRAVITY
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the derivatives of :class:`Inertial` by P parameters, shape (P, 3, N) each.
+
+    Args:
+        poses: shape (N O, 3, 4), as in :meth:`Inertial.of`.
+        motion: shape (P, 6, N O), motion and turning of the poses by parameter, in the level frame's axes.
+        window: the window.
+        gravity: size of gravity [m/s^2].
+    """
+    whole, n, P = _triples(poses, window), len(poses) // len(window.offsets), len(motion)
+    # One linear map a row from all motions of its poses to force, rate and turning.
+    maps = _maps(whole, gravity) * window.weights[None, :, None, None, None]
+    maps = np.ascontiguousarray(maps.transpose(0, 2, 4, 1, 3)).reshape(n, 9, -1)
+    moves = np.ascontiguousarray(motion.reshape(P, 6, n, len(window.offsets)).transpose(2, 1, 3, 0)).reshape(
+        n, maps.shape[2], P
+    )
+    columns = np.matmul(maps, moves).transpose(2, 1, 0)
+    return columns[:, :3], columns[:, 3:6], columns[:, 6:]
+
+
+def _triples(poses: np.ndarray, window: Window) -> np.ndarray:
+    """Return the poses of N rows, K moments, before, at and after, shape (N, K, 3, 3, 4)."""
+    return poses.reshape(-1, len(window.weights), 3, 3, 4)
+
+
+def _ideal(poses: np.ndarray, gravity: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return force, rate and turning at all moments, shape (N, K, 3) each."""
+    R0, upward = poses[:, :, 1, :, :3], _upward(poses, gravity)
+    before, after = _relative(poses)
+    force = np.einsum("nkba,nkb->nka", R0, upward)
+    return force, _vee(after - before) / (2.0 * _STEP), _vee(after + before) / _STEP**2
+
+
+def _upward(poses: np.ndarray, gravity: float) -> np.ndarray:
+    """Return acceleration less gravity, shape (N, K, 3), in the level frame."""
+    p = poses[..., 3]
+    # Differences of neighbours first, so that far away nothing is lost.
+    found = ((p[:, :, 2] - p[:, :, 1]) - (p[:, :, 1] - p[:, :, 0])) / _STEP**2
+    found[..., 2] += gravity
+    return np.asarray(found)
+
+
+def _relative(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rotations before and after a moment in the axes at this moment, shape (N, K, 3, 3) each."""
+    back = poses[:, :, 1, :, :3].swapaxes(-1, -2)
+    return back @ poses[:, :, 0, :, :3], back @ poses[:, :, 2, :, :3]
+
+
+def _vee(M: np.ndarray) -> np.ndarray:
+    """Return the vectors of the antisymmetric parts of matrices, shape (..., 3)."""
+    pairs = ((2, 1), (0, 2), (1, 0))
+    return np.stack([0.5 * (M[..., i, j] - M[..., j, i]) for i, j in pairs], axis=-1)
+
+
+def _skew(v: np.ndarray) -> np.ndarray:
+    """Return the matrices of the cross products with vectors, shape (..., 3, 3)."""
+    x, y, z = np.moveaxis(v, -1, 0)
+    o = np.zeros_like(x)
+    return np.stack([np.stack(row, axis=-1) for row in ((o, -z, y), (z, o, -x), (-y, x, o))], axis=-2)
+
+
+def _maps(poses: np.ndarray, gravity: float) -> np.ndarray:
+    """Return the linear maps from motions, shape (N, K, 9, 3, 6): rows of force, rate, turning; poses; their motions."""
+    back = poses[:, :, 1, :, :3].swapaxes(-1, -2)
+    out = np.zeros((*back.shape[:2], 9, 3, 6))
+    for k, weight in enumerate((1.0, -2.0, 1.0)):
+        out[:, :, :3, k, :3] = weight / _STEP**2 * back
+    # - dphi x u = u x dphi.
+    out[:, :, :3, 1, 3:] = back @ _skew(_upward(poses, gravity))
+    for k, sign, S in zip((0, 2), (-1.0, 1.0), _relative(poses), strict=True):
+        T = 0.5 * (np.trace(S, axis1=2, axis2=3)[..., None, None] * np.eye(3) - S) @ back
+        for rows, factor in ((slice(3, 6), sign / (2.0 * _STEP)), (slice(6, 9), 1.0 / _STEP**2)):
+            out[:, :, rows, k, 3:] += factor * T
+            out[:, :, rows, 1, 3:] -= factor * T
+    return out
+
+
+def imu_parameters() -> tuple[Parameter, ...]:
+    """Return what an IMU may be off by: scale and misalignment, biases, delay of the gyroscope."""
+    found = [(f"acc_{'xyz'[i]}{'xyz'[j]}", "1", _SCALE) for i, j in _OF_FORCE]
+    found += [(f"acc_bias_{axis}", "m/s^2", _FORCE_BIAS) for axis in "xyz"]
+    found += [(f"gyro_{'xyz'[i]}{'xyz'[j]}", "1", _SCALE) for i, j in _OF_RATE]
+    found += [(f"gyro_bias_{axis}", "rad/s", _RATE_BIAS) for axis in "xyz"]
+    found += [("gyro_delay", "s", _DELAY)]
+    return tuple(Parameter(f"imu.{name}", unit, "imu", 0.0, size) for name, unit, size in found)
+
+
+@dataclass(frozen=True)
+class ImuErrors:
+    """What an IMU makes of ideal readings.
+
+    Attributes:
+        acc: shape (3, 3), I + C_a.
+        acc_bias: shape (3,) [m/s^2].
+        gyro: shape (3, 3), I + C_w.
+        gyro_bias: shape (3,) [rad/s].
+        delay: by which the gyroscope's stamps are too early [s].
+    """
+
+    acc: np.ndarray
+    acc_bias: np.ndarray
+    gyro: np.ndarray
+    gyro_bias: np.ndarray
+    delay: float
+
+    @classmethod
+    def of(cls, own: np.ndarray) -> ImuErrors:
+        """Return the errors of values of :func:`imu_parameters`, shape (22,)."""
+        acc, gyro = np.eye(3), np.eye(3) + own[9:18].reshape(3, 3)
+        for value, place in zip(own[:6], _OF_FORCE, strict=True):
+            acc[place] += value
+        return cls(acc, own[6:9], gyro, own[18:21], float(own[21]))
+
+    def readings(self, ideal: Inertial) -> np.ndarray:
+        """Return what is read, shape (6, N): specific force [m/s^2], angular rate [rad/s]."""
+        force = self.acc @ ideal.force.T + self.acc_bias[:, None]
+        rate = self.gyro @ (ideal.rate + self.delay * ideal.turning).T + self.gyro_bias[:, None]
+        return np.concatenate([force, rate])
+
+    def columns(self, force: np.ndarray, rate: np.ndarray, turning: np.ndarray) -> np.ndarray:
+        """Return derivatives of the readings, shape (P, 6, N), from those of the ideal ones, shape (P, 3, N) each."""
+        return np.concatenate([self.acc @ force, self.gyro @ (rate + self.delay * turning)], axis=1)
+
+    def own_columns(self, ideal: Inertial) -> np.ndarray:
+        """Return derivatives of the readings by the errors, shape (22, 6, N)."""
+        later, out = ideal.rate + self.delay * ideal.turning, np.zeros((22, 6, len(ideal.rate)))
+        for p, (i, j) in enumerate(_OF_FORCE):
+            out[p, i] = ideal.force[:, j]
+        for p, (i, j) in enumerate(_OF_RATE):
+            out[9 + p, 3 + i] = later[:, j]
+        for axis in range(3):
+            out[6 + axis, axis] = out[18 + axis, 3 + axis] = 1.0
+        out[21, 3:] = self.gyro @ ideal.turning.T
+        return out
+
+
+@dataclass(frozen=True)
+class ImuSensor(Sensor, OwnParameters):
+    """IMU on the tool: specific force, shape (N, 3) [m/s^2], and angular rate, shape (N, 3) [rad/s], in windows of its log.
+
+    The instrument's frame is level, its z against gravity; the target is the IMU.
+    """
+
+    kind: ClassVar[str] = "imu"
+    fields: ClassVar[tuple[Field, ...]] = (FORCE, RATE)
+    blocks: ClassVar[tuple[Block, ...]] = (
+        Block("specific_force", "m/s^2", 3, rounding=1e-7, noise=0.02),
+        Block("angular_rate", "rad/s", 3, rounding=1e-8, noise=5e-4),
+    )
+    tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
+    base_symbols: ClassVar[tuple[str, ...]] = ("rx", "ry")
+    twist_rows: ClassVar[int] = 6
+    per_row: ClassVar[tuple[str, ...]] = ("force", "rate")
+    default_target: ClassVar[str] = "imu"
+    is_on_tool: ClassVar[bool] = True
+    reads_place: ClassVar[bool] = False
+
+    force: np.ndarray
+    rate: np.ndarray
+
+    @classmethod
+    def of(cls, table: TableRows, setup: Setup) -> Self:
+        if getattr(table, "moving", None) is None:
+            raise MeasurementError(
+                f"{table.source}: an IMU is read along the path of the joints; give both as streams with their times: a "
+                "folder with joints.csv and imu.csv, or --joints LOG --imu LOG, which may be one file"
+            )
+        return cls(table.array(FORCE.name), table.array(RATE.name))
+
+    @property
+    def own_parameters(self) -> tuple[Parameter, ...]:
+        return imu_parameters()
+
+    @property
+    def own_words(self) -> str:
+        return ""
+
+    def shifted(self, change: np.ndarray) -> Self:
+        return replace(self, force=self.force + change[:3].T, rate=self.rate + change[3:].T)
+
+    def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        ideal = Inertial.of(poses, self._window(poses))
+        return np.asarray(np.vstack([self.force.T, self.rate.T]) - ImuErrors.of(own).readings(ideal))
+
+    def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
+        errors, window = ImuErrors.of(own), self._window(poses)
+        by_motion = errors.columns(*inertial_columns(poses, motion, window))
+        return np.concatenate([by_motion, errors.own_columns(Inertial.of(poses, window))])
+
+    def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return nothing: acceleration and rate tell no place."""
+        return np.zeros((len(self), 3))
+
+    def _window(self, poses: np.ndarray) -> Window:
+        """Return a window with as many moments as these poses have; its width is in them."""
+        return Window(float(len(poses) > 3 * len(self)))
+
+    def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
+        """Yield the mount by which rates follow those of the tip; lever arm and upward direction from the forces."""
+        window = self._window(tips)
+        ideal, R = Inertial.of(tips, window, 0.0), tips[len(window.offsets) // 2 :: len(window.offsets), :, :3]
+        centred = [rate - rate.mean(axis=0) for rate in (ideal.rate, self.rate)]
+        mount = nearest_rotation(centred[0].T @ centred[1])
+        spin = _skew(ideal.rate)
+        features = [R.swapaxes(1, 2), _skew(ideal.turning) + spin @ spin, np.tile(np.eye(3), (len(R), 1, 1))]
+        left = self.force @ mount.T - ideal.force
+        solution = np.linalg.lstsq(np.concatenate(features, axis=2).reshape(-1, 9), left.ravel(), rcond=1e-9)[0]
+        tools = np.tile(transform(mount, solution[3:6]), (n_targets, 1, 1))
+        level = shortest_turn(solution[:3] / np.linalg.norm(solution[:3]), np.array([0.0, 0.0, 1.0]))
+        yield Extrinsics(transform(level[:3, :3], np.zeros(3)), tools, np.zeros(len(self.own_parameters)))
+
+    def unobservable(self) -> Iterator[str]:
+        yield (
+            "an IMU does not tell where the robot stands nor which way it faces, the zeros of the first and the last joint, "
+            "those of parallel joints one by one, nor lengths, which are held as in the URDF unless other rows tell them"
+        )

@@ -1,0 +1,122 @@
+r"""Effects of motion: clocks that differ, joints that lag, drives that friction winds up.
+
+All of them follow the joints' velocities and are zero where poses were held, which is how a calibration found in motion is
+used at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.model.chain import Chain
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect, Family, Locus, Term
+from pincal.model.effect_bases import PLAY, DriveInMotion, recorded
+from pincal.parameters import ANYWHERE, Parameter, Scope
+
+# Typical size of a servo's delay [s].
+_LAG = 1e-3
+
+
+@dataclass(frozen=True)
+class InstrumentClock(Effect):
+    r"""The instrument's clock is off against that of the joints: its reading is of the pose at a later time.
+
+    A reading of time t is of the joints at :math:`t + \tau_0 + \tau_1 (t - t_m)`, so that every drive adds
+    :math:`\dot q_j` times this, to first order: the times are known to a millisecond before. Like the place of the
+    instrument it may be anything.
+
+    Distinguished by:
+        motions that start and stop. An offset equals the same lag of all joints.
+
+    Source:
+        pincal's own; temporal calibration as in Furgale, Rehder and Siegwart (2013).
+
+    Attributes:
+        middle: time t_m about which the clock drifts [s]; that in the middle of a session is well conditioned.
+        drifts: whether it also runs at another rate.
+    """
+
+    middle: float = 0.0
+    drifts: bool = True
+    name: ClassVar[str] = "instrument_clock"
+    meaning: ClassVar[str] = "the instrument's clock differs from that of the joints"
+    family: ClassVar[Family] = Family.EXTRINSICS
+    scope: ClassVar[Scope] = "station"
+    locus: ClassVar[Locus] = Locus(acts_on="clock", follows="velocity")
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Offset [s] and drift [1]."""
+        symbols = (("offset", "s"), ("drift", "1"))[: 1 + self.drifts]
+        return tuple(Parameter(f"clock.{symbol}", unit, self.name, 0.0, ANYWHERE) for symbol, unit in symbols)
+
+    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+        """Add the way that each joint goes in a unit of time."""
+        if conditions.velocity is None:
+            return ()
+        since = [np.ones(len(conditions))]
+        if self.drifts:
+            since.append(recorded(self, "time", conditions.time) - self.middle)
+        pairs = zip(chain.drives.tolist(), conditions.velocity.T, strict=True)
+        return tuple(Term(p, k, way * t) for k, way in pairs for p, t in enumerate(since) if way.any())
+
+
+@dataclass(frozen=True)
+class JointLag(DriveInMotion):
+    r"""Joint that stands where it is recorded only a while later: :math:`-\tau \dot q` adds to its position.
+
+    Lags of all joints alike are an offset of the instrument's clock; differences between joints are their own, such as
+    encoders that are read one after the other, or velocity errors of position loops.
+
+    Distinguished by:
+        the same path at two speeds and in both directions: a lag grows with the speed, friction does not.
+
+    Source:
+        velocity error of position control, Siciliano et al. (2009), section 8.3.
+    """
+
+    name: ClassVar[str] = "joint_lag"
+    meaning: ClassVar[str] = "the joint follows its recorded position with a delay"
+    symbol: ClassVar[str] = "lag"
+    unit: ClassVar[str] = "s"
+    typical: ClassVar[float] = _LAG
+
+    def of_velocity(self, velocity: np.ndarray) -> np.ndarray:
+        """Return minus the velocity."""
+        return -velocity
+
+
+@dataclass(frozen=True)
+class FrictionWindup(DriveInMotion):
+    r"""Drive that is wound up by its own friction, against the direction of motion: :math:`-c \tanh(\dot q / v)`.
+
+    Distinguished by:
+        the same path at two speeds and in both directions: it changes sign with the direction and hardly with the speed.
+        Where poses are held it is hysteresis, which follows the direction of approach.
+
+    Source:
+        Coulomb friction behind a compliant gear, Ruderman, Hoffmann and Bertram (2009).
+
+    Attributes:
+        joint: the joint.
+        slow: speed v over which friction changes sides [rad/s or m/s].
+    """
+
+    slow: float = 0.02
+    name: ClassVar[str] = "friction_windup"
+    meaning: ClassVar[str] = "friction winds the drive up against the direction of motion"
+    symbol: ClassVar[str] = "friction_windup"
+    typical: ClassVar[float] = PLAY
+
+    def __post_init__(self) -> None:
+        """Refuse a speed that is none."""
+        if not self.slow > 0.0:
+            raise BadInputError(f"friction_windup of {self.joint}: slow {self.slow} rad/s; expected more than 0")
+
+    def of_velocity(self, velocity: np.ndarray) -> np.ndarray:
+        """Return minus its direction, which changes smoothly."""
+        return -np.tanh(velocity / self.slow)

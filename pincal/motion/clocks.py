@@ -1,0 +1,191 @@
+r"""Clocks of instruments against that of the joints: found by what both see of one motion.
+
+First speeds are correlated over all offsets. Then a reading y of each stamp t is a linear function of what the nominal arm
+has at :math:`t + \tau_0 + \tau_1 (t - t_m)`, whatever way the instrument stands: an IMU's rates of the flange's rates, a
+tracker's positions of the flange's pose. Offset and drift follow by Gauss-Newton with the linear part projected out (Kaufman
+1975), over stretches that grow, so that a clock of any drift is caught. A fit of the arm refines them
+(:class:`pincal.model.catalogue.InstrumentClock`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+# Samples a second at which speeds are compared, and the part of the shorter log that has to overlap.
+_RATE, _OVERLAP = 50.0, 0.3
+# Correlation of speeds below which they are of different motions; and by which the best offset has to beat one that is
+# farther from it than this [s].
+_SAME_MOTION, _CLEAR, _APART = 0.6, 0.03, 1.0
+# First stretch that is aligned [s], rows of it at most, steps at most, and the change that is none [s].
+_FIRST, _ROWS, _STEPS, _SETTLED = 60.0, 6_000, 20, 1e-6
+# Step by which what the arm does is differentiated [s].
+_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class Clock:
+    """A clock by that of the joints: its stamp t is their time t + offset + drift (t - middle).
+
+    Attributes:
+        offset: [s].
+        drift: [1].
+        middle: stamp at which the offset holds [s].
+        sigma: standard deviations of offset [s] and drift [1], infinite where they are only guessed.
+
+    Example:
+        >>> Clock(0.5, 1e-3, 100.0).to_joints(np.array([100.0, 200.0])).tolist()
+        [100.5, 200.6]
+    """
+
+    offset: float = 0.0
+    drift: float = 0.0
+    middle: float = 0.0
+    sigma: tuple[float, float] = (np.inf, np.inf)
+
+    def to_joints(self, time: np.ndarray) -> np.ndarray:
+        """Return stamps as times of the joints' clock, shape (N,) [s]."""
+        return np.asarray(time + self.offset + self.drift * (time - self.middle))
+
+    def moved(self, offset: float, drift: float) -> Clock:
+        """Return the clock after a change by what a fit found."""
+        return replace(self, offset=self.offset + offset, drift=self.drift + drift)
+
+
+@dataclass(frozen=True)
+class SpeedMatch:
+    """What two logs of speeds have in common.
+
+    Attributes:
+        offset: what to add to the second's times [s].
+        likeness: correlation of the speeds there, at most 1.
+        rival: the best correlation at another offset.
+    """
+
+    offset: float
+    likeness: float
+    rival: float
+
+    @property
+    def is_same(self) -> bool:
+        """Whether both are of one motion."""
+        return self.likeness >= _SAME_MOTION
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether no other offset would do as well, as one does where a motion repeats."""
+        return self.rival < self.likeness - _CLEAR
+
+
+def correlate(time: np.ndarray, speed: np.ndarray, other_time: np.ndarray, other: np.ndarray) -> SpeedMatch:
+    """Return by how much the times of one log of speeds are off against another's.
+
+    Args:
+        time: shape (N,), increasing [s].
+        speed: shape (N,), of any unit.
+        other_time: shape (M,) [s].
+        other: shape (M,).
+    """
+    from scipy.signal import fftconvolve
+
+    a, b = (_resampled(t, v) for t, v in ((time, speed), (other_time, other)))
+    masks = np.ones(len(a)), np.ones(len(b))[::-1]
+    a, b = a - a.mean(), (b - b.mean())[::-1]
+    count = np.maximum(np.round(fftconvolve(*masks)), 1.0)
+    sums = fftconvolve(a, masks[1]), fftconvolve(masks[0], b)
+    squares = fftconvolve(a**2, masks[1]), fftconvolve(masks[0], b**2)
+    spread = [np.maximum(s - own**2 / count, 1e-12 * s.max(initial=1e-300)) for s, own in zip(squares, sums, strict=True)]
+    like = (fftconvolve(a, b) - sums[0] * sums[1] / count) / np.sqrt(spread[0] * spread[1])
+    like[count < _OVERLAP * min(len(a), len(b))] = -1.0
+    best = int(np.argmax(like))
+    others = np.abs(np.arange(len(like)) - best) > _APART * _RATE
+    start = float(time[0] - other_time[0]) + (best - (len(b) - 1)) / _RATE
+    return SpeedMatch(start, float(like[best]), float(like[others].max(initial=-1.0)))
+
+
+def _resampled(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return means of values about times that are evenly apart, shape (K,)."""
+    grid = np.arange(time[0], time[-1], 1.0 / _RATE)
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    ends = np.searchsorted(time, [grid - 0.5 / _RATE, grid + 0.5 / _RATE])
+    count = ends[1] - ends[0]
+    means = (sums[ends[1]] - sums[ends[0]]) / np.maximum(count, 1)
+    return np.asarray(np.where(count > 0, means, np.interp(grid, time, values)))
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """A clock, and how readings then follow from what the arm does.
+
+    Attributes:
+        clock: the clock.
+        matrix: shape (m, k), readings by features.
+        constant: shape (m,).
+        scatter: shape (m,), standard deviation of what is left.
+    """
+
+    clock: Clock
+    matrix: np.ndarray
+    constant: np.ndarray
+    scatter: np.ndarray
+
+
+def aligned(
+    time: np.ndarray,
+    readings: np.ndarray,
+    features: Callable[[np.ndarray], np.ndarray],
+    covers: Callable[[np.ndarray], np.ndarray],
+    start: Clock,
+) -> Alignment:
+    """Return the clock by which readings follow features of the motion linearly.
+
+    Args:
+        time: stamps of the readings, shape (N,) [s].
+        readings: shape (N, m).
+        features: of times of the joints, shape (N,) [s], features of shape (N, k).
+        covers: at which of such times they are known, shape (N,).
+        start: the clock, to some tenths of a second.
+    """
+    clock, known = start, covers(start.to_joints(time))
+    begin, end = time[known][0], time[known][-1]
+    middle, half = 0.5 * (begin + end), 0.5 * min(_FIRST, end - begin)
+    clock = Clock(float(clock.to_joints(np.array(middle)) - middle), clock.drift, float(middle))
+    while True:
+        inside = np.flatnonzero(np.abs(time - middle) <= half + 1e-9)
+        rows = inside[np.linspace(0, len(inside) - 1, min(_ROWS, len(inside))).astype(int)]
+        found = _aligned(time[rows], readings[rows], features, covers, clock)
+        clock = found.clock
+        if half >= 0.5 * (end - begin):
+            return found
+        half = min(2.0 * half, 0.5 * (end - begin))
+
+
+def _aligned(
+    time: np.ndarray,
+    readings: np.ndarray,
+    features: Callable[[np.ndarray], np.ndarray],
+    covers: Callable[[np.ndarray], np.ndarray],
+    clock: Clock,
+) -> Alignment:
+    for _ in range(_STEPS):
+        at = clock.to_joints(time)
+        seen = covers(at)
+        at, y, since = at[seen], readings[seen], time[seen] - clock.middle
+        A, ahead, behind = (np.column_stack([features(at + s), np.ones(len(at))]) for s in (0.0, _STEP, -_STEP))
+        Q = np.linalg.qr(A)[0]
+        solution = np.linalg.lstsq(A, y, rcond=1e-12)[0]
+        left = y - A @ solution
+        rate = ((ahead - behind) / (2.0 * _STEP)) @ solution
+        columns = [way - Q @ (Q.T @ way) for way in (rate, rate * since[:, None])]
+        scatter = np.sqrt(np.sum(left**2, axis=0) / max(len(y) - A.shape[1] - 1, 1))
+        weights = 1.0 / np.maximum(scatter, 1e-12 * np.abs(y).max(initial=1e-300))
+        J = np.column_stack([(column * weights).ravel() for column in columns])
+        H = J.T @ J
+        step = np.linalg.solve(H, J.T @ (left * weights).ravel())
+        sigma = np.sqrt(np.diag(np.linalg.inv(H)))
+        clock = replace(clock.moved(*step.tolist()), sigma=(float(sigma[0]), float(sigma[1])))
+        if abs(step[0]) < _SETTLED and abs(step[1]) * np.ptp(since) < _SETTLED:
+            break
+    return Alignment(clock, solution[:-1].T, solution[-1], scatter)

@@ -1,0 +1,116 @@
+"""Readings of an IMU as rows: filtered where they were read, with the noise of the vibration there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pincal.measure.sensors.imu import Window
+
+# Rows are so many widths of the window apart: what is between two of them is in both.
+_APART = 2.5
+# How far a window reaches, and the gap that it may have, in widths.
+_REACH, _GAP = 4.0, 1.25
+# Time over which the size of vibrations is averaged [s].
+_LOCAL = 1.0
+
+
+@dataclass(frozen=True)
+class ImuRows:
+    """N filtered readings.
+
+    Attributes:
+        time: middle of each window by the IMU's clock, shape (N,) [s].
+        readings: specific force [m/s^2] and angular rate [rad/s], shape (6, N).
+        sigma: standard deviation of white noise as large as the vibration about each window leaves, shape (2, N), of a
+            component of either.
+        window: the filter.
+    """
+
+    time: np.ndarray
+    readings: np.ndarray
+    sigma: np.ndarray
+    window: Window
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @classmethod
+    def of(cls, time: np.ndarray, force: np.ndarray, rate: np.ndarray, window: Window, *, delay: float = 0.0) -> ImuRows:
+        """Filter readings by a Gaussian window about times that are evenly apart; where many are missing there is no row.
+
+        Args:
+            time: shape (T,), increasing [s].
+            force: shape (T, 3) [m/s^2].
+            rate: shape (T, 3) [rad/s].
+            window: the filter.
+            delay: by which the rate's stamps are too early [s].
+        """
+        middles = np.arange(time[0] + _REACH * window.width, time[-1] - _REACH * window.width, _APART * window.width)
+        (of_force, found), (of_rate, _) = (_filters(time + s, middles, window) for s in (0.0, delay))
+        rows = np.concatenate([of_force @ force, of_rate @ rate], axis=1)
+        noise = [_noise(F, time, middles, values, window.width) for F, values in ((of_force, force), (of_rate, rate))]
+        return cls(middles[found], rows[found].T, np.array(noise)[:, found], window)
+
+    def select(self, rows: np.ndarray) -> ImuRows:
+        """Return some of the rows (mask or indices)."""
+        return replace(self, time=self.time[rows], readings=self.readings[:, rows], sigma=self.sigma[:, rows])
+
+
+def _filters(time: np.ndarray, middles: np.ndarray, window: Window) -> tuple[Any, np.ndarray]:
+    """Return the weights of readings in rows, sparse of shape (N, T), and which rows miss none, shape (N,)."""
+    from scipy.sparse import csr_array
+
+    reach = _REACH * window.width
+    first, last = np.searchsorted(time, middles - reach), np.searchsorted(time, middles + reach)
+    count = last - first
+    starts = np.concatenate([[0], np.cumsum(count)])
+    columns = np.arange(starts[-1]) - np.repeat(starts[:-1] - first, count)
+    # Of an integral over time: each reading stands for the time about it, so that stamps may come unevenly.
+    cells = np.gradient(time) if len(time) > 1 else np.ones(len(time))
+    away = (time[columns] - np.repeat(middles, count)) / window.width
+    F = csr_array((cells[columns] * np.exp(-0.5 * away**2), columns, starts), shape=(len(middles), len(time)))
+    # Moments of the window are those of a Gaussian, so that the mean of a parabola is exact.
+    gram = _moments(F, away)
+    factors = np.linalg.solve(
+        gram + 1e-12 * np.eye(3) * gram[:, :1, :1], np.tile([[1.0], [0.0], [1.0]], (len(middles), 1, 1))
+    )
+    F.data *= sum(np.repeat(factors[:, k, 0], count) * away**k for k in range(3))
+    gaps = np.diff(time, prepend=time[0]) > _GAP * window.width
+    begins, ends = time[:-1][gaps[1:]], time[1:][gaps[1:]]
+    touched = np.zeros(len(middles), bool)
+    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+        touched |= (middles > begin - 0.5 * reach) & (middles < end + 0.5 * reach)
+    return F, ~touched & (count > 2)
+
+
+def _moments(F: Any, away: np.ndarray) -> np.ndarray:
+    """Return sums over the weights of rows times powers of how far readings are away, shape (N, 3, 3)."""
+    powers, sums = F.copy(), []
+    for order in range(5):
+        powers.data = F.data * away**order
+        sums.append(powers.sum(axis=1))
+    return np.stack([np.stack(sums[i : i + 3], axis=-1) for i in range(3)], axis=-2)
+
+
+def _noise(F: Any, time: np.ndarray, middles: np.ndarray, values: np.ndarray, width: float) -> np.ndarray:
+    """Return the standard deviation of rows by what readings scatter about a parabola in each window, shape (N,)."""
+    away = (time[F.indices] - np.repeat(middles, np.diff(F.indptr))) / width
+    powers, along, gram = F.copy(), [], _moments(F, away)
+    for order in range(3):
+        powers.data = F.data * away**order
+        along.append(powers @ values)
+    moments = np.stack(along, axis=1)
+    # A window of few readings has no parabola of its own.
+    solved = np.linalg.solve(gram + 1e-9 * np.eye(3), moments)
+    variance = np.maximum(F @ values**2 - np.sum(moments * solved, axis=1), 0.0).mean(axis=1)
+    powers.data = F.data**2
+    share = powers.sum(axis=1)
+    # What the parabola takes of white noise: the mean of 1 + t^2 + (t^2 - 1)^2 / 2 over the square of the window.
+    variance /= np.maximum(1.0 - 1.875 * share, 0.1)
+    size = max(round(_LOCAL / (_APART * width)), 1)
+    kernel = np.ones(size)
+    local = np.convolve(variance, kernel, "same") / np.convolve(np.ones(len(variance)), kernel, "same")
+    return np.asarray(np.sqrt(local * share))

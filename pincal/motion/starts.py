@@ -1,0 +1,254 @@
+"""How streams lie on the motion of the arm before any fit: clocks, the mount of an IMU, where a tracker stands.
+
+All of it follows from the nominal arm, to a millisecond and some milliradians. On the way what only the arm can tell of a
+stream is found out: rates in degrees, a mirrored frame, axes that are swapped, an IMU of another session, one that slipped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from pincal.errors import MeasurementError, warn
+from pincal.measure.sensors.imu import FORCE, RATE, Window
+from pincal.motion.clocks import Alignment, Clock, SpeedMatch, aligned, correlate
+from pincal.motion.imu_rows import ImuRows
+from pincal.motion.moving_arm import MovingArm
+from pincal.motion.sessions import Stream
+from pincal.robot.se3 import nearest_rotation, rotation_vectors
+
+# Samples a second of the arm's speeds, and the window of rates that are compared with them [s].
+_GRID, _WIDTH = 0.02, 0.03
+# By how much lengths and rates may seem off before units are [1], and how far a drift is worth telling [1].
+_SCALE, _DRIFT = 0.2, 2e-4
+_DEGREE = np.pi / 180.0
+# Angle between the frames of accelerometer and gyroscope from which columns are mixed up [rad]; of a mount that slipped, and
+# how many times its own scatter that has to be; rows over which a mount is found.
+_TURNED, _SLIPPED, _CLEARLY, _BLOCK = 0.2, 0.01, 6.0, 40
+# What positions may be off after the best placement, of how far they move, before they are of another arm.
+_OFF = 0.1
+
+
+@dataclass(frozen=True)
+class ImuStart:
+    """How an IMU lies on the motion of an arm.
+
+    Attributes:
+        clock: of the IMU.
+        mount: rotation from the IMU's frame to the tip, shape (3, 3).
+        rows: its filtered readings, as far as the joints were logged.
+    """
+
+    clock: Clock
+    mount: np.ndarray
+    rows: ImuRows
+
+
+def start_imu(
+    arm: MovingArm, imu: Stream, *, window: Window | None = None, others: Sequence[tuple[str, MovingArm]] = ()
+) -> ImuStart:
+    """Lay the readings of an IMU onto the motion of an arm.
+
+    Args:
+        arm: the arm on its path.
+        imu: the stream.
+        window: of the rows; default: of 30 ms.
+        others: arms of other sessions by name, to say whose an IMU is that is not of this one.
+
+    Raises:
+        MeasurementError: if it is not of this motion, is mirrored, or has its rates in another unit.
+    """
+    rows = ImuRows.of(imu.time, imu.readings[FORCE.name], imu.readings[RATE.name], window or Window(_WIDTH))
+    found = _turned(arm, imu, rows)
+    if found is None:
+        names = [name for name, other in others if _turned(other, imu, rows) is not None]
+        whose = (
+            f"it is of {names[0]}: were two IMUs, or two files, swapped?" if names else "is it of another arm or session?"
+        )
+        raise MeasurementError(
+            f"{imu.name}: its rates do not follow these joints at any offset of the clocks; {whose} Expected an IMU on the "
+            "tool, logged while the joints were"
+        )
+    _check_rates(imu, found)
+    _tell_drift(imu, found.clock)
+    rows = rows.select(arm.path.covers(found.clock.to_joints(rows.time), 4.0 * rows.window.width))
+    mount = nearest_rotation(found.matrix).T
+    _check_forces(arm, imu, rows, found.clock, mount)
+    _check_slip(arm, imu, rows, found.clock, mount)
+    return ImuStart(found.clock, mount, rows)
+
+
+def aligned_forces(arm: MovingArm, start: ImuStart) -> float:
+    """Return by how much the stamps of the rates of an IMU are too early for those of its forces, to a millisecond [s]."""
+
+    def features(at: np.ndarray) -> np.ndarray:
+        # Linear in the mount's rotation, and in its lever arm.
+        ideal = arm.ideal(at, start.rows.window)
+        spin = np.einsum("na,nb->nab", ideal.rate, ideal.rate)[:, *np.triu_indices(3)]
+        return np.hstack([ideal.force, ideal.turning, spin])
+
+    rows = start.rows
+    covers = partial(arm.path.covers, margin=4.0 * rows.window.width)
+    middle = np.array([start.clock.middle])
+    forces = aligned(rows.time, rows.readings[:3].T, features, covers, start.clock).clock
+    return float((start.clock.to_joints(middle) - forces.to_joints(middle))[0])
+
+
+def _turned(arm: MovingArm, imu: Stream, rows: ImuRows) -> Alignment | None:
+    """Return how rates follow those of an arm; None if they do not."""
+    match = _match(arm, imu, rows.time, np.linalg.norm(rows.readings[3:], axis=0), by_rate=True)
+    if not match.is_same:
+        return None
+    return aligned(
+        rows.time,
+        rows.readings[3:].T,
+        lambda at: arm.ideal(at, rows.window).rate,
+        lambda at: arm.path.covers(at, 4.0 * rows.window.width),
+        Clock(match.offset),
+    )
+
+
+def _match(arm: MovingArm, stream: Stream, time: np.ndarray, speed: np.ndarray, *, by_rate: bool) -> SpeedMatch:
+    """Return how speeds of a stream lie on those of the arm's tip, turning or moving."""
+    begin, end = arm.path.span
+    grid = np.arange(begin, end, _GRID)
+    tips = arm.ideal(grid).rate if by_rate else np.gradient(arm.tips(grid)[:, :, 3], grid, axis=0)
+    match = correlate(grid, np.linalg.norm(tips, axis=1), time, speed)
+    if match.is_same and not match.is_clear:
+        warn(
+            f"{stream.name}: the motion repeats, so that its clock may be off by a period; start the logs together, or "
+            "begin with a motion that does not come again"
+        )
+    return match
+
+
+def _check_rates(imu: Stream, found: Alignment) -> None:
+    """Refuse rates whose linear map from the arm's is no rotation."""
+    sizes = np.linalg.svd(found.matrix, compute_uv=False)
+    if np.all(np.abs(sizes * _DEGREE - 1.0) < _SCALE):
+        raise MeasurementError(
+            f"{imu.name}: rates are {sizes.mean():.3g} times those of the arm; looks like degrees: write `wx [deg/s]`, "
+            "`wy [deg/s]`, `wz [deg/s]` in the header"
+        )
+    if np.any(np.abs(sizes - 1.0) > _SCALE):
+        raise MeasurementError(
+            f"{imu.name}: rates are {', '.join(f'{size:.3g}' for size in sizes)} times those of the arm along three axes; "
+            "expected 1: look at units, and whether two columns are the same"
+        )
+    if np.linalg.det(found.matrix) < 0.0:
+        raise MeasurementError(
+            f"{imu.name}: rates are those of a mirrored arm, its frame is left-handed; expected a right-handed frame: turn "
+            "the sign of one axis of ax ay az and of wx wy wz, or swap two columns of both"
+        )
+
+
+def _check_forces(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount: np.ndarray) -> None:
+    """Refuse specific forces in another frame than the rates."""
+    ideal = arm.ideal(clock.to_joints(rows.time), rows.window).force
+    features = np.column_stack([ideal @ mount, np.ones(len(ideal))])
+    M = np.linalg.lstsq(features, rows.readings[:3].T, rcond=None)[0][:3].T
+    sizes = np.linalg.svd(M, compute_uv=False)
+    if np.any(np.abs(sizes - 1.0) > _SCALE):
+        warn(f"{imu.name}: specific forces hardly tell their axes; drive so that the tool points to all sides")
+        return
+    if np.linalg.det(M) < 0.0:
+        is_opposite = np.abs(nearest_rotation(-M) - np.eye(3)).max() < _TURNED
+        what = "have the other sign: a resting IMU reads +9.8 upwards" if is_opposite else "are mirrored"
+        raise MeasurementError(
+            f"{imu.name}: specific forces {what}; turn the sign of {'ax, ay and az' if is_opposite else 'one of ax, ay, az'}"
+        )
+    turned = float(np.linalg.norm(rotation_vectors(nearest_rotation(M)[None])))
+    if turned > _TURNED:
+        raise MeasurementError(
+            f"{imu.name}: the frames of ax ay az and wx wy wz are {np.degrees(turned):.0f} deg apart; expected one frame: "
+            "look at the order and the signs of the columns"
+        )
+
+
+def _check_slip(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount: np.ndarray) -> None:
+    """Refuse an IMU whose mount turned while it was logged."""
+    count = len(rows) // _BLOCK
+    if count < 4:
+        return
+    ideal = arm.ideal(clock.to_joints(rows.time), rows.window).rate @ mount
+    bias = np.median(rows.readings[3:].T - ideal, axis=0)
+    blocks = [slice(k * _BLOCK, (k + 1) * _BLOCK) for k in range(count)]
+    turns = rotation_vectors(np.array([nearest_rotation((rows.readings[3:, b].T - bias).T @ ideal[b]) for b in blocks]))
+    middles = [[np.median(part, axis=0) for part in (turns[:k], turns[k:])] for k in range(1, count)]
+    left = [np.linalg.norm(turns - np.repeat(pair, [k, count - k], axis=0), axis=1) for k, pair in enumerate(middles, 1)]
+    at = int(np.argmin([own.sum() for own in left])) + 1
+    best, scatter = float(np.linalg.norm(np.diff(middles[at - 1], axis=0))), 1.4826 * float(np.median(left[at - 1]))
+    if best > max(_SLIPPED, _CLEARLY * scatter / np.sqrt(min(at, count - at))):
+        when = rows.time[blocks[at].start]
+        raise MeasurementError(
+            f"{imu.name}: the IMU turned on its mount by {1e3 * best:.0f} mrad at about {when:.5g} s of its clock; "
+            "fasten it and drive again, or give the parts before and after as two sessions"
+        )
+
+
+def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Clock:
+    """Lay positions that an instrument reads of the tool onto the motion of an arm; return its clock.
+
+    Args:
+        arm: the arm on its path.
+        tracker: the stream.
+        position: its positions, shape (T, 3) [m].
+
+    Raises:
+        MeasurementError: if they are not of this motion, in another unit, or in a left-handed frame.
+    """
+    smooth = max(round(0.02 * tracker.rate), 1)
+    moved = (position[smooth:] - position[:-smooth]) / (tracker.time[smooth:] - tracker.time[:-smooth])[:, None]
+    middles = 0.5 * (tracker.time[smooth:] + tracker.time[:-smooth])
+    match = _match(arm, tracker, middles, np.linalg.norm(moved, axis=1), by_rate=False)
+    if not match.is_same:
+        raise MeasurementError(
+            f"{tracker.name}: its positions do not move as these joints do at any offset of the clocks (correlation of "
+            f"speeds {match.likeness:.2f}); expected a target on the tool of this arm, read while the joints were logged"
+        )
+    found = aligned(tracker.time, position, lambda at: _features(arm.tips(at)), arm.path.covers, Clock(match.offset))
+    sizes = np.linalg.svd(found.matrix[:, :3], compute_uv=False)
+    if np.any(np.abs(sizes - 1.0) > _SCALE):
+        unit = next(
+            (
+                u
+                for u, size in (("mm", 1e3), ("cm", 1e2), ("in", 1.0 / 0.0254))
+                if np.all(np.abs(sizes / size - 1.0) < _SCALE)
+            ),
+            "",
+        )
+        cure = (
+            f"looks like [{unit}]: write `x [{unit}]` in the header" if unit else "look at its unit and at the robot's size"
+        )
+        raise MeasurementError(f"{tracker.name}: positions move {sizes.mean():.3g} times as far as the arm; {cure}")
+    if np.linalg.det(found.matrix[:, :3]) < 0.0:
+        raise MeasurementError(
+            f"{tracker.name}: positions are those of a mirrored arm; expected a right-handed frame: swap two of x, y, z, or "
+            "turn the sign of one"
+        )
+    left = float(np.linalg.norm(found.scatter))
+    if left > _OFF * float(np.linalg.norm(position.std(axis=0))):
+        raise MeasurementError(
+            f"{tracker.name}: after the best placement positions are off by {1e3 * left:.3g} mm rms; expected some mm: "
+            "is it this arm, and is the target fixed to the tool?"
+        )
+    _tell_drift(tracker, found.clock)
+    return found.clock
+
+
+def _features(tips: np.ndarray) -> np.ndarray:
+    """Return what positions of a target are linear in, shape (N, 12): place and rotation of the tip."""
+    return np.hstack([tips[:, :, 3], tips[:, :, :3].reshape(len(tips), 9)])
+
+
+def _tell_drift(stream: Stream, clock: Clock) -> None:
+    """Warn of a clock that runs at another rate than crystals do."""
+    if abs(clock.drift) > max(_DRIFT, 5.0 * clock.sigma[1]):
+        runs = "slowly" if clock.drift > 0.0 else "fast"
+        warn(
+            f"{stream.name}: its clock runs {1e6 * abs(clock.drift):.0f} ppm too {runs} for that of the joints, which "
+            "is taken into account; do its stamps count frames of a rate that is assumed?"
+        )

@@ -1,0 +1,184 @@
+"""Arms in motion: paths with exact derivatives, and how the true tip moves along them by Pinocchio's kinematics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pincal.errors import BadInputError
+from pincal.simulate.arm import Arm
+from pincal.simulate.machine import TrueMachine
+from pincal.simulate.planning import is_clear
+from pincal.simulate.state import Deformation, build_chain, configurations
+
+# Waves of each joint, and the range of their frequencies [Hz].
+_WAVES, _SLOWEST, _FASTEST = 8, 0.03, 0.6
+# Part of the joint range that is used; paths that are drawn, and how much smaller each next try is.
+_SPAN, _TRIES, _SMALLER = 0.95, 60, 0.97
+# Step by which deformations are differentiated [s], and speed at which a joint has a direction of approach [rad/s or m/s].
+_STEP, _SLOW = 5e-4, 0.01
+# Moments worked on at once.
+_PIECE = 5_000
+
+
+@dataclass(frozen=True)
+class FourierPath:
+    """Joint positions as sums of waves (Swevers et al. 1997), with all their derivatives.
+
+    Attributes:
+        centre: Mean positions [rad or m], shape (n,).
+        rates: Angular frequencies [rad/s], shape (n, K).
+        sines: Amplitudes [rad or m], shape (n, K).
+        cosines: Likewise.
+    """
+
+    centre: np.ndarray
+    rates: np.ndarray
+    sines: np.ndarray
+    cosines: np.ndarray
+
+    def at(self, time: np.ndarray, order: int = 0) -> np.ndarray:
+        """Return positions, or derivatives of them, at some times [s], shape (N, n)."""
+        found = np.empty((len(time), len(self.centre)))
+        for start in range(0, len(time), _PIECE):
+            phase = np.asarray(time, float)[start : start + _PIECE, None, None] * self.rates + 0.5 * np.pi * order
+            waves = self.rates**order * (self.sines * np.sin(phase) + self.cosines * np.cos(phase))
+            found[start : start + _PIECE] = waves.sum(axis=2)
+        return found + self.centre if order == 0 else found
+
+    def scaled(self, factor: np.ndarray | float) -> FourierPath:
+        """Return the path with waves by some factor, shape (n,) or a number, about the same centre."""
+        grown = np.broadcast_to(factor, self.centre.shape)[:, None]
+        return FourierPath(self.centre, self.rates, self.sines * grown, self.cosines * grown)
+
+
+def draw_path(
+    arm: Arm,
+    duration: float,
+    rng: np.random.Generator,
+    *,
+    speed: float = 1.0,
+    acceleration: float = 3.0,
+    min_height: float | None = 0.1,
+) -> FourierPath:
+    """Draw a path within the limits of the joints.
+
+    Args:
+        arm: Nominal arm.
+        duration: How long it has to be clear of the floor [s].
+        rng: Source of randomness.
+        speed: Largest speed of a joint [rad/s]; of one that slides half as much [m/s].
+        acceleration: Likewise [rad/s^2].
+        min_height: Height of the floor [m], as in :func:`pincal.simulate.planning.is_clear`; None for no floor.
+
+    Raises:
+        BadInputError: If the arm hits the floor whatever it does.
+    """
+    n, time = len(arm.names), np.arange(0.0, duration, 0.1)
+    middle, half = 0.5 * (arm.upper + arm.lower), 0.5 * _SPAN * (arm.upper - arm.lower)
+    least = np.where(arm.prismatic, 0.5, 1.0)
+    size = 1.0
+    for _ in range(_TRIES):
+        rates = 2.0 * np.pi * np.exp(rng.uniform(np.log(_SLOWEST), np.log(_FASTEST), (n, _WAVES)))
+        amplitudes = rng.standard_normal((2, n, _WAVES)) / rates
+        shape = FourierPath(np.zeros(n), rates, *amplitudes)
+        largest = [np.abs(shape.at(time, order)).max(axis=0) for order in range(3)]
+        factor = np.minimum(half / largest[0], least * np.minimum(speed / largest[1], acceleration / largest[2]))
+        path = _following(arm, shape.scaled(size * factor), middle + (half - size * factor * largest[0]) * _about(rng, n))
+        if is_clear(arm, path.at(time), min_height).all():
+            return path
+        size *= _SMALLER
+    raise BadInputError(
+        f"{_TRIES} paths, and the arm goes below {min_height} m on each; give a lower --floor, or --no-floor"
+    )
+
+
+def _about(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Return where centres lie in what the waves leave of the joints' ranges, from -1 to 1, mostly amid them."""
+    return np.asarray(rng.uniform(-0.5, 0.5, n))
+
+
+def _following(arm: Arm, path: FourierPath, centre: np.ndarray) -> FourierPath:
+    """Return the path with the joints that follow another where that takes them."""
+    sources = np.arange(len(centre))
+    factors = np.ones(len(centre))
+    for joint, source, multiplier, _ in arm.mimics:
+        sources[joint], factors[joint] = source, multiplier
+    moved = path.scaled(1.0)
+    return FourierPath(
+        arm.mimicking(centre[None])[0],
+        moved.rates[sources],
+        factors[:, None] * moved.sines[sources],
+        factors[:, None] * moved.cosines[sources],
+    )
+
+
+class TipMotion(NamedTuple):
+    """How the tip moves at N moments, in its own axes but for its place.
+
+    Attributes:
+        T: Transform to the base frame, shape (N, 4, 4).
+        rate: Angular velocity [rad/s], shape (N, 3).
+        turning: Angular acceleration [rad/s^2], shape (N, 3).
+        acceleration: Of its origin [m/s^2], shape (N, 3).
+    """
+
+    T: np.ndarray
+    rate: np.ndarray
+    turning: np.ndarray
+    acceleration: np.ndarray
+
+
+def conditions_along(path: FourierPath, time: np.ndarray, **others: Any) -> dict[str, Any]:
+    """Return the conditions of the poses of a path at some times [s], shape (N,): time, motion, direction of approach."""
+    velocity = path.at(time, 1)
+    moved = {"velocity": velocity, "acceleration": path.at(time, 2), "approach": np.tanh(velocity / _SLOW)}
+    return {"time": np.asarray(time, float)} | moved | others
+
+
+def tip_motion(machine: TrueMachine, path: FourierPath, time: np.ndarray, **others: Any) -> TipMotion:
+    """Return how the tip of a machine moves along a path.
+
+    Rigid motion has its exact derivatives; those of deformations, a thousandth of it, are differences.
+
+    Args:
+        machine: The true machine.
+        path: What its joints' readings do.
+        time: Shape (N,) [s].
+        **others: Further conditions, such as the payload.
+    """
+    parts = [_tip_motion(machine, path, time[k : k + _PIECE], others) for k in range(0, len(time), _PIECE)]
+    return TipMotion(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _tip_motion(machine: TrueMachine, path: FourierPath, time: np.ndarray, others: dict[str, Any]) -> TipMotion:
+    import pinocchio as pin
+
+    model = build_chain(machine.arm)
+    data, tip = model.createData(), model.njoints - 1
+    drives = [model.joints[model.getJointId(name)].idx_v for name in machine.names]
+    steps = [_deformed(machine, path, time + shift, others) for shift in (-_STEP, 0.0, _STEP)]
+    is_rigid = all(step.change(Deformation.zero(*step.joint.shape)) == 0.0 for step in steps)
+    v, a = np.zeros((2, len(time), model.nv))
+    here = configurations(path.at(time) + machine.joint_offsets, steps[1])
+    if not is_rigid:
+        before, after = (configurations(path.at(time) + machine.joint_offsets, steps[k]) for k in (0, 2))
+        for i in range(len(time)):
+            ahead, behind = pin.difference(model, here[i], after[i]), pin.difference(model, before[i], here[i])
+            v[i], a[i] = (ahead + behind) / (2.0 * _STEP), (ahead - behind) / _STEP**2
+    v[:, drives] += path.at(time, 1)
+    a[:, drives] += path.at(time, 2)
+    T, motions = np.empty((len(time), 4, 4)), np.empty((len(time), 3, 3))
+    for i in range(len(time)):
+        pin.forwardKinematics(model, data, here[i], v[i], a[i])
+        T[i] = data.oMi[tip].homogeneous
+        rate, moved = data.v[tip].angular, data.a[tip]
+        motions[i] = rate, moved.angular, moved.linear + np.cross(rate, data.v[tip].linear)
+    return TipMotion(T, motions[:, 0], motions[:, 1], motions[:, 2])
+
+
+def _deformed(machine: TrueMachine, path: FourierPath, time: np.ndarray, others: dict[str, Any]) -> Deformation:
+    poses = machine.poses(path.at(time), **conditions_along(path, time, **others))
+    return machine.equilibrium(poses).deformation

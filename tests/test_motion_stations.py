@@ -1,0 +1,206 @@
+"""Stations of sessions in motion: an IMU and a tracker in a calibration, from arrays, in Python and on the command line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_cli import run
+
+import pincal
+from pincal.builtin import kuka_urdf_path
+from pincal.calibration.caveats import CaveatKind, findings_on_order
+from pincal.errors import Exit, MeasurementError
+from pincal.identify.fit import ModelFit
+from pincal.identify.station import Station
+from pincal.identify.whitening import Serial
+from pincal.measure.measurements import concatenate
+from pincal.measure.poses import by_pose
+from pincal.recorded import Moving
+
+URDF = str(kuka_urdf_path())
+ROBOT = pincal.Robot.from_urdf(kuka_urdf_path())
+GEOMETRY = pincal.Options(effects=pincal.GEOMETRIC)
+DRIVEN = ["--imu", "--sensor", "position", "--noise", "0.03mm", "--elastic", "0", "--clock-drift", "150", "--seed", "3"]
+
+
+def simulated(folder: Path, *arguments: str) -> dict[str, Any]:
+    """Drive a path; return the truth."""
+    truth = folder.with_suffix(".json")
+    assert run("simulate", URDF, "--path", "25s", "--out", folder, "--truth", truth, "--quiet", *DRIVEN, *arguments) == 0
+    found: dict[str, Any] = json.loads(truth.read_text())
+    return found
+
+
+@pytest.fixture(scope="module")
+def day(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a session, its truth beside it, and a table of eight held poses of the same machine."""
+    folder = tmp_path_factory.mktemp("sessions") / "monday"
+    simulated(folder, "--log-rates", "80,80,50")
+    held = ["--poses", "8", "--noise", "0.03mm", "--elastic", "0", "--seed", "3"]
+    assert run("simulate", URDF, *held, "--out", folder.parent / "eight.csv", "--quiet") == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def fit(day: Path) -> pincal.Fit:
+    """Return a calibration by both streams."""
+    return pincal.calibrate(ROBOT, pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)]), GEOMETRY)
+
+
+def clock_of(fit: ModelFit, station: str, moving: Moving) -> tuple[float, float, float]:
+    """Return offset, its standard deviation, and drift, of a station."""
+    known = dict(zip(fit.estimate.names, zip(fit.values, fit.estimate.sigma, strict=True), strict=True))
+    (offset, sigma), (drift, _) = known[f"{station}clock.offset"], known[f"{station}clock.drift"]
+    return moving.clock[0] + offset, sigma, moving.clock[1] + drift
+
+
+def sloped(station: Station, values: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the Jacobian of a station and that by differences, shape (P, m, N)."""
+    whole = np.concatenate([J for _, _, J in station.linearise(values, free)], axis=2)
+    found = []
+    for k in range(len(values)):
+        step = np.zeros(len(values))
+        # Second differences of poses are rounded to 1e-8 m/s^2.
+        step[k] = 1e-5 if station.parameters[k].symbol == "drift" else 3e-4
+        found.append((station.residuals(values - step) - station.residuals(values + step)) / (2.0 * step[k]))
+    return whole, np.array(found)
+
+
+def test_jacobians_of_stations_in_motion_are_exact(fit: pincal.Fit) -> None:
+    """By geometry, base, mount, the clock and the sensor's own, against differences; and as normal equations have them."""
+    for station, places, _ in fit.stations:
+        some, values = station.select(np.arange(5, len(station), len(station) // 7)), fit.values[places]
+        exact, differences = sloped(some, values, free := np.ones(len(values), bool))
+        size = np.abs(differences).max(axis=(1, 2), keepdims=True) + 1e-3 * np.abs(differences).max()
+        np.testing.assert_allclose(exact / size, differences / size, rtol=0.0, atol=1e-3)
+        ((_, _, shared),) = replace(some, serial=None).linearise_shared(values, free)
+        columns, kept = shared.dense_columns()
+        np.testing.assert_allclose(columns, exact[kept], rtol=1e-9, atol=1e-12 * np.abs(exact).max())
+
+
+def test_clocks_are_found_with_everything_else(fit: pincal.Fit, day: Path) -> None:
+    """Each to its interval, the IMU's to a tenth of a millisecond or two, the tracker's to some microseconds."""
+    truth, tables = json.loads(day.with_suffix(".json").read_text())["clocks"], fit.problem.stations
+    session = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])
+    assert [station.name for station in tables] == [*session] == ["monday/imu", "monday/tracker"]
+    for name, most in (("imu", 1e-3), ("tracker", 2e-5)):
+        moving, at = session[f"monday/{name}"].moving, truth[name]
+        assert moving is not None
+        offset, sigma, drift = clock_of(fit, f"monday/{name}/", moving)
+        off = offset - at["offset"] - at["drift"] * (moving.middle - at["middle"])
+        assert abs(off) < min(4.0 * sigma, most) and drift == pytest.approx(1.5e-4, abs=4e-5)
+
+
+def test_noise_and_readings_are_what_was_put_in(fit: pincal.Fit) -> None:
+    """Nothing is left but the noise: of positions the declared one, of the IMU that of its densities in the window."""
+    positions = fit.solution.estimated[2]
+    assert positions == pytest.approx(3e-5, rel=0.1)
+    # White noise in a Gaussian window of 30 ms: density times the root of 1 / (2 sqrt(pi) width), half for one side.
+    assert fit.solution.estimated[1] > 1.7e-4 * np.sqrt(0.5 / (2.0 * np.sqrt(np.pi) * 0.03))
+
+
+def test_what_follows_the_motion_is_no_change_of_the_setup(fit: pincal.Fit) -> None:
+    """Errors that persist along a path are what the model lacks; windows of an IMU overlap, which is no doubt."""
+    imu, tracker = fit.problem.stations
+    told = []
+    for station in (imu, tracker, replace(tracker, conditions=replace(tracker.conditions, velocity=None))):
+        m, n = int(station.block_sizes.sum()), len(station)
+        serial = Serial(np.full(m, 0.9), np.full(m, 0.5), np.arange(n, dtype=float), np.ones(n, bool))
+        told.append([found.kind for found in findings_on_order(replace(station, serial=serial))])
+    assert told == [[], [CaveatKind.LEFT_IN_MOTION], [CaveatKind.DEPENDENT_ROWS]]
+
+
+def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:
+    """Lengths stay as in the URDF unless a prior is given; errors are of accelerations; a saved model is the same."""
+    table = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]
+    found = pincal.calibrate(ROBOT, table, GEOMETRY)
+    lengths = [k for k, p in enumerate(found.problem.parameters) if p.unit == "m" and p.effect != "tool_frame"]
+    assert len(lengths) >= 12 and not found.values[lengths].any() and not found.solution.free[lengths].any()
+    found.save(tmp_path / "model.json")
+    q = table.q[:3]
+    np.testing.assert_allclose(pincal.load_model(tmp_path / "model.json").predict(q), found.predict(q), atol=1e-12)
+
+    freed = pincal.calibrate(ROBOT, table, pincal.Options(effects=pincal.GEOMETRIC, priors={"joint_2.a": "0.2mm"}))
+    assert freed.values[freed.estimate.names.index("joint_2.a")] != 0.0
+
+
+def test_rows_in_motion_are_no_replicates(day: Path) -> None:
+    """They are never averaged, and what follows them goes along when they are chosen or joined."""
+    table = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]
+    assert by_pose(table) is table
+    parts = concatenate([table.select(slice(0, 20)), table.select(slice(20, None))])
+    assert table.moving is not None and parts.moving is not None and table.moving.q is not None
+    np.testing.assert_array_equal(parts.moving.q, table.moving.q)
+    assert parts.moving.clock == table.moving.clock
+
+
+def test_a_session_is_calibrated_by_commands(
+    day: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a few held poses as a further station; by the streams one by one; and another session validates it."""
+    monkeypatch.setenv("COLUMNS", "100")
+    out, model = tmp_path / "both", ["--model", "geometric", "--quiet"]
+    assert run("calibrate", URDF, day.parent / "eight.csv", day, "--out", out, *model) == 0
+    printed = capsys.readouterr().out
+    assert "clock    monday/imu: " in printed and "gyroscope" in printed and "drift +1" in printed
+    result = json.loads((out / "result.json").read_text())
+    assert [station["name"] for station in result["stations"]] == ["eight", "monday/imu", "monday/tracker"]
+    clock = next(clock for clock in result["clocks"] if clock["station"] == "monday/tracker")
+    assert clock["drift_ppm"] == pytest.approx(150.0, abs=2.0) and clock["gyro_early_s"] is None
+    page = (out / "report.html").read_text()
+    assert "Clocks against that of the joints" in page and "m/s^2" in page
+
+    streams = ["--joints", day / "joints.csv", "--imu", day / "imu.csv"]
+    # It has no error in mm, so no limit in mm is kept.
+    assert run("calibrate", URDF, *streams, "--out", tmp_path / "o", *model, "--max-error", "0.1mm") == Exit.INACCURATE
+    printed = capsys.readouterr()
+    words = " ".join(printed.out.split())
+    assert "m/s^2" in words.split("after")[1] and " mm" not in words and "lengths, which are held" in words
+    assert "tell no places" in printed.err
+
+    simulated(tmp_path / "tuesday", "--pose-seed", "8", "--log-rates", "80,80,50")
+    capsys.readouterr()
+    assert run("validate", out / "model.json", tmp_path / "tuesday", "--quiet", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["mean_mm"] < 0.06 and {each["kind"] for each in found["stations"]} == {"imu", "position"}
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ([], "Missing argument"),
+        (["--imu", "imu.csv"], "--joints LOG"),
+        (["nothing"], "nothing"),
+    ],
+)
+def test_streams_that_are_not_given_are_asked_for(
+    given: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A usage error, or one that names what is missing."""
+    assert run("calibrate", URDF, *given, "--out", tmp_path / "out") != 0
+    assert words in capsys.readouterr().err
+
+
+def test_an_imu_in_a_table_of_poses_is_refused() -> None:
+    """Its readings are of a motion; what to give instead is said."""
+    rng = np.random.default_rng(0)
+    read = {
+        "specific_force": rng.standard_normal((40, 3)) + np.array([0.0, 0.0, 9.8]),
+        "angular_rate": rng.standard_normal((40, 3)),
+    }
+    table = pincal.measurements(ROBOT, ROBOT.random_configurations(40, rng), **read)
+    with pytest.raises(MeasurementError, match="--joints LOG --imu LOG, which may be one file"):
+        pincal.calibrate(ROBOT, table, GEOMETRY)
+
+
+def test_an_instrument_without_places_in_motion_is_refused(day: Path, tmp_path: Path) -> None:
+    """Only positions and poses have speeds by which a clock is found."""
+    (tmp_path / "tracker.csv").write_text("time,distance\n" + "".join(f"{0.01 * k},1.{k}\n" for k in range(999)))
+    session = pincal.read_streams(ROBOT, joints=day / "joints.csv", tracker=tmp_path / "tracker.csv")
+    with pytest.raises(MeasurementError, match="expected x y z"):
+        pincal.session_tables(ROBOT, [session])
