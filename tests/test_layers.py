@@ -35,6 +35,7 @@ LAYERS = (
     "discover",
     "diagnosis",
     "design",
+    "fleet",
     "compensate",
     "programs",
     "export",

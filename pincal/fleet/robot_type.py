@@ -1,0 +1,349 @@
+"""A type of robot: what its machines have in common, how far they differ, and which machine is not one of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from pincal.calibration.calibrated_fit import Fit, calibrate
+from pincal.errors import BadInputError, ModelFileError
+from pincal.fleet.evidence import Forms, chance, in_prior_units, log_ratios, regular, scores
+from pincal.fleet.machines import Gathered, Machine, gathered, kinds_of
+from pincal.fleet.population import population_of
+from pincal.identify.calibrate import Tables
+from pincal.identify.options import Options
+from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, packed_matrix
+from pincal.io.entries import ParameterEntry, plain, restoring
+from pincal.io.strict_json import Fault, FileKind, read_json, write_json
+from pincal.model.catalogue.masses import with_masses
+from pincal.model.chain import Chain
+from pincal.model.model import Model
+from pincal.parameters import Covariance, Estimate, Parameter, root_of
+from pincal.robot.robot import Robot
+
+# Part of the machines that may be of another kind, whatever the machines of the type were.
+_LEAST_HIT = 0.02
+# Probability of being like the others below which a machine is not, and the share of a way to be off that counts then.
+_UNLIKELY, _SHARE = 0.5, 0.1
+# Chance of a machine of the type to be thought off, where few machines leave its spread unsure.
+_ALPHA = 0.05
+# Log variances are known at least by this [variance], however few the machines.
+_LOOSEST = 2.0
+EVERYTHING = "all"
+"""A machine that differs in more than one element."""
+
+_FILE = FileKind("a type", ModelFileError, mark="pincal-type", whole="what save() of pincal's RobotType writes")
+
+
+@dataclass(frozen=True, eq=False)
+class Membership:
+    """How a machine compares with its type.
+
+    Attributes:
+        machine: its name.
+        p_value: chance that a machine of the type is as far off, in any element or in all.
+        probability: that it is like the others.
+        off: elements (joints) in which it differs, :data:`EVERYTHING` for more than one; empty if it is like the others.
+    """
+
+    machine: str
+    p_value: float
+    probability: float
+    off: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class RobotType:
+    """The machines of a type as a normal distribution of their parameters.
+
+    Attributes:
+        robot: name of the arm.
+        geometry: checksum of its nominal geometry.
+        parameters: the P parameters; values are deviations from their nominals.
+        priors: shape (P,), standard deviations of their priors without a type.
+        mean: shape (P,).
+        covariance: shape (P, P), of machines about the mean.
+        mean_covariance: shape (P, P), of the mean.
+        spread_variance: shape (P,), variance of the logarithm of each variance: how well the spread is known.
+        seen: shape (P, P), projector on directions that the machines determine, parameters in units of their priors; along
+            all others, such as a joint offset that is a turn of the base, the priors hold.
+        machines: number of machines.
+        hit: part of them that were hit or are of another kind.
+    """
+
+    robot: str
+    geometry: int
+    parameters: tuple[Parameter, ...]
+    priors: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+    mean_covariance: np.ndarray
+    spread_variance: np.ndarray
+    seen: np.ndarray
+    machines: int
+    hit: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def degrees(self) -> float:
+        """Degrees of freedom by which spreads are known."""
+        share = np.diag(self.seen)
+        return float(2.0 / max(share @ self.spread_variance / max(share.sum(), 1e-9), 1e-6))
+
+    def prior(self, *, names: Collection[str] | None = None, off: Collection[str] = ()) -> Estimate:
+        """Return what is known of a further machine: ``Options.earlier`` of its calibration.
+
+        Args:
+            names: parameters that its model has; default: all. What is known of the others is left out.
+            off: elements in which it differs from its type, :data:`EVERYTHING` for all: what they may be without a type is
+                added to the spread.
+        """
+        mean, covariance = self._further()
+        wide = np.array([EVERYTHING in off or p.element in off for p in self.parameters], float)
+        covariance = covariance + np.diag(wide)
+        scale = self.priors
+        estimate = Estimate(
+            self.parameters,
+            mean * scale,
+            np.ones(len(scale), bool),
+            Covariance.of(covariance * np.outer(scale, scale)),
+            scale,
+        )
+        return estimate if names is None else estimate.take(name for name in self.names if name in set(names))
+
+    def _further(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean and covariance of a further machine in units of the priors: what is unsure of both is part of it."""
+        scale = np.outer(self.priors, self.priors)
+        wider = np.exp(0.25 * np.minimum(self.spread_variance, _LOOSEST))
+        covariance = (self.covariance * np.outer(wider, wider) + self.mean_covariance) / scale
+        covariance = self.seen @ covariance @ self.seen + np.eye(len(scale)) - self.seen
+        return self.seen @ (self.mean / self.priors), 0.5 * (covariance + covariance.T)
+
+    def judge(self, machine: Machine) -> Membership:
+        """Return how a machine that was not learned from compares with the type.
+
+        Raises:
+            BadInputError: if it is of another nominal geometry.
+        """
+        if machine.information.geometry != self.geometry:
+            raise BadInputError(
+                f"the type is of {self.robot}, and machine {machine.name!r} ({machine.information.robot}) has another "
+                "nominal geometry; expected the same URDF, base and tip"
+            )
+        found = gathered([machine], like=self.parameters)
+        mean, covariance = self._further()
+        P, own = len(mean), len(found.parameters)
+        # Effects that the type does not have keep their priors.
+        whole_mean, whole = np.zeros(own), np.eye(own)
+        scale = self.priors / found.priors[:P]
+        whole_mean[:P], whole[:P, :P] = mean * scale, covariance * np.outer(scale, scale)
+        (membership,) = _memberships(found, found.forms, whole_mean, root_of(whole), self)
+        return membership
+
+    def save(self, path: str | os.PathLike[str], *, provenance: dict[str, Any] | None = None) -> None:
+        """Write it to a file, see :func:`load_type`.
+
+        Raises:
+            OutputError: if the place can't be written to.
+        """
+        file = TypeFile.like(
+            self,
+            format="pincal-type",
+            format_version=1,
+            parameters=tuple(map(ParameterEntry.of_parameter, self.parameters)),
+            provenance=provenance or {},
+        )
+        write_json(path, plain(file), indent=None)
+
+
+class TypeFile(Record, frozen=True, kw_only=True):
+    """A type of robot, see :class:`RobotType`: nothing of single machines is in it.
+
+    Attributes:
+        format: what the file is.
+        format_version: 1.
+        provenance: versions, time, command, in JSON types.
+        robot: name of the arm.
+        geometry: checksum of its nominal geometry (CRC-32 of its link frames, rounded to 1e-9).
+        parameters: the P parameters.
+        priors: shape (P,), standard deviations of their priors without a type [their own units].
+        mean: shape (P,), deviation of the mean machine from the nominal.
+        covariance: shape (P, P), of machines about the mean.
+        mean_covariance: shape (P, P), of the mean.
+        spread_variance: shape (P,), variance of the logarithm of each variance.
+        seen: shape (P, P), projector on what machines determine, parameters in units of their priors.
+        machines: number of machines.
+        hit: part of them that were hit or are of another kind.
+    """
+
+    format: Literal["pincal-type"]
+    format_version: Literal[1]
+    provenance: dict[str, Any]
+    robot: str
+    geometry: int
+    parameters: Annotated[tuple[ParameterEntry, ...], ArrayShape("parameters")]
+    priors: Annotated[Numbers, ArrayShape("parameters")]
+    mean: Annotated[Numbers, ArrayShape("parameters")]
+    covariance: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_matrix)]
+    mean_covariance: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_matrix)]
+    spread_variance: Annotated[Numbers, ArrayShape("parameters")]
+    seen: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_matrix)]
+    machines: int
+    hit: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if np.any(self.priors <= 0.0) or not 0.0 <= self.hit < 1.0:
+            raise Fault("holds numbers that can't be meant", "standard deviations above 0 and a part below 1")
+        for name in ("covariance", "mean_covariance", "seen"):
+            matrix = getattr(self, name)
+            size = np.sqrt(np.abs(np.diag(matrix)))
+            if np.any(np.diag(matrix) < -1e-12) or np.any(np.abs(matrix - matrix.T) > 1e-9 * np.outer(size, size) + 1e-30):
+                raise Fault("is no covariance", "a symmetric matrix with a positive diagonal", key=f".{name}")
+
+
+def load_type(path: str | os.PathLike[str]) -> RobotType:
+    """Read a type.
+
+    Raises:
+        ModelFileError: if the file can't be read, or a value is missing or invalid.
+    """
+    file = read_json(path, TypeFile, _FILE, hook=restoring())
+    kept = [name for name in TypeFile.__struct_fields__ if name not in ("format", "format_version", "provenance")]
+    found = {name: getattr(file, name) for name in kept}
+    return RobotType(**found | {"parameters": tuple(entry.parameter() for entry in file.parameters)})
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """A type and the machines that it was learned from.
+
+    Attributes:
+        type: the type.
+        members: how each machine compares with it, in the order of the machines; those of one name are one machine.
+        values: shape (M, P), the most probable deviations of each machine from the nominal.
+        sigma: shape (M, P), their standard deviations.
+    """
+
+    type: RobotType
+    members: tuple[Membership, ...]
+    values: np.ndarray
+    sigma: np.ndarray
+
+
+def learn_type(machines: Iterable[Machine]) -> Learned:
+    """Learn a type from information on its machines, by empirical Bayes (see :mod:`pincal.fleet.population`).
+
+    Each machine counts by what its readings determine: few poses, other sensors and parameters that others lack are welcome.
+    A single machine is enough to begin with. The result does not depend on the order of the machines, nor on which files
+    they come from.
+
+    Raises:
+        BadInputError: for no machine, or machines of different nominal geometries.
+    """
+    given = tuple(machines)
+    order = sorted(range(len(given)), key=lambda k: given[k].information.form.g.tobytes())
+    found = gathered(given[k] for k in order)
+    kinds = kinds_of(found.parameters)
+    population = population_of(found.forms, kinds)
+    scale = np.outer(found.priors, found.priors)
+    learned = RobotType(
+        found.robot,
+        found.geometry,
+        found.parameters,
+        found.priors,
+        population.mean * found.priors,
+        population.covariance * scale,
+        population.mean_covariance * scale,
+        population.spread_variance,
+        population.seen,
+        len(found.machines),
+        population.hit,
+    )
+    mean, covariance = learned._further()
+    root = root_of(covariance)
+    members = _memberships(found, found.forms, mean, root, learned)
+    values, sigma = _points(found.forms, mean, root)
+    # In the order in which machines were given.
+    first = dict[object, int]()
+    for k, machine in enumerate(given):
+        first.setdefault(machine.name or id(machine), k)
+    places = np.argsort([first[machine.name or id(machine)] for machine in found.machines])
+    return Learned(
+        learned,
+        tuple(members[k] for k in places),
+        values[places] * found.priors,
+        sigma[places] * found.priors,
+    )
+
+
+def _memberships(found: Gathered, forms: Forms, mean: np.ndarray, root: np.ndarray, of: RobotType) -> list[Membership]:
+    """Return how machines compare with a population of this mean and root of its covariance."""
+    members = list[Membership]()
+    elements = list(dict.fromkeys(p.element for p in found.parameters))
+    labels = [*elements, EVERYTHING] if len(elements) > 1 else elements
+    spread = np.sqrt(np.sum(root**2, axis=1))
+    for rows, part in forms.pieces():
+        q, Q = scores(part, mean, root)
+        apart, Apart = in_prior_units(q, Q, root)
+        logs = log_ratios(part, apart, Apart)
+        like = regular(logs, max(of.hit, _LEAST_HIT))
+        all_p = chance(q, Q, of.degrees)
+        own = [
+            chance((apart * spread)[:, at], (Apart * np.outer(spread, spread))[:, at[:, None], at], of.degrees)
+            for at in part.ways[: len(elements)]
+        ]
+        p = np.minimum(1.0, 2.0 * np.minimum(all_p, len(own) * np.min(own, axis=0)))
+        for k, machine in enumerate(found.machines[rows]):
+            share = np.exp(logs[:, k] - logs[:, k].max())
+            off = tuple(label for label, s in zip(labels, share / share.sum(), strict=True) if s > _SHARE)
+            is_off = like[k] < _UNLIKELY and p[k] < _ALPHA
+            members.append(Membership(machine.name, float(p[k]), float(like[k]), off if is_off else ()))
+    return members
+
+
+def _points(forms: Forms, mean: np.ndarray, root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the most probable deviations of machines and their standard deviations, shape (M, P) each."""
+    values, sigma = np.empty_like(forms.g), np.empty_like(forms.g)
+    for rows, part in forms.pieces():
+        q, Q = scores(part, mean, root)
+        values[rows] = mean + q @ root.T
+        variance = np.sum((root @ (np.eye(len(mean)) - Q)) * root, axis=2)
+        sigma[rows] = np.sqrt(np.maximum(variance, 0.0))
+    return values, sigma
+
+
+def calibrate_of_type(
+    robot: Robot, measurements: Tables, of: RobotType, options: Options | None = None, *, name: str = ""
+) -> tuple[Fit, Membership]:
+    """Calibrate a machine of a known type; where its rows show that it is not like the others, with a wider prior.
+
+    Args:
+        robot: the arm, of the nominal geometry that the type is of.
+        measurements: its rows, as :func:`pincal.calibrate` takes them.
+        of: the type.
+        options: how to calibrate.
+        name: of the machine.
+
+    Returns:
+        The fit, and how the machine compares with its type.
+
+    Raises:
+        BadInputError: if the robot is of another nominal geometry.
+        MeasurementError: as :func:`pincal.calibrate`.
+    """
+    options = Options() if options is None else options
+    names = Model(Chain.of(robot), with_masses(robot, options.effects)).names
+    fit = calibrate(robot, measurements, replace(options, earlier=of.prior(names=names)))
+    member = of.judge(Machine.of(fit, name))
+    if member.off:
+        fit = calibrate(robot, measurements, replace(options, earlier=of.prior(names=names, off=member.off)))
+    return fit, member

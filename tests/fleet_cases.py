@@ -1,0 +1,141 @@
+"""Fleets whose truth is known: information drawn by NumPy alone, siblings of an arm, and machines as makers measured them.
+
+A family of information forms needs no robot: parameters are drawn, each machine has information of its own and a score of
+this covariance. Siblings are true machines, measured and calibrated. Real ones stand in ../shared/data/ur_fleet.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from pincal import GEOMETRIC, Fit, Measurements, Options, Robot, calibrate, measurements_from_arrays
+from pincal import simulate as sim
+from pincal.calibration.information import RobotInformation
+from pincal.fleet.machines import Machine
+from pincal.identify.quadratic import Quadratic
+from pincal.parameters import Parameter
+
+FLEET = Path(__file__).resolve().parents[2] / "shared" / "data" / "ur_fleet"
+NOISE = 5e-5  # [m]
+OPTIONS = Options(effects=GEOMETRIC, sigma=NOISE)
+PRIOR = 3e-3  # [m, rad]
+JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+TOOL, INSTRUMENT = np.array([0.05, 0.03, 0.10]), np.array([2.0, 0.5, -0.3])  # [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """A population of machines in P parameters, all in units of 3 mm and 3 mrad.
+
+    Attributes:
+        mean: shape (P,).
+        root: shape (P, P), L with L L^T the covariance.
+        seen: shape (P, n), orthonormal columns: what readings of any machine determine.
+    """
+
+    mean: np.ndarray
+    root: np.ndarray
+    seen: np.ndarray
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, *, parameters: int = 40, unseen: int = 0, correlated: bool = False) -> Family:
+        """Return a family with spreads of 0.05 in the median, from a fifth of that to five times as much."""
+        spread = np.exp(rng.normal(-3.0, 0.7, parameters))
+        root = np.diag(spread)
+        if correlated:
+            mix = np.eye(parameters) + rng.normal(size=(parameters, parameters)) * 0.6 / np.sqrt(parameters)
+            root = spread[:, None] * mix / np.linalg.norm(mix, axis=1, keepdims=True)
+        axes = np.linalg.qr(rng.normal(size=(parameters, parameters)))[0]
+        return cls(1.5 * spread * rng.normal(size=parameters), root, axes[:, unseen:])
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the machines."""
+        return self.root @ self.root.T
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of several joints, of three kinds."""
+        kinds = (("d", "m", "link_geometry"), ("theta", "rad", "joint_offset"), ("s_x", "rad", "axis_distortion"))
+        found = []
+        for k in range(len(self.mean)):
+            symbol, unit, effect = kinds[k % 3]
+            found.append(Parameter(f"joint_{k // 6 + 1}.{symbol}{k % 6 // 3}", unit, effect, 0.0, PRIOR))
+        return tuple(found)
+
+    def draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return machines, shape (count, P)."""
+        return self.mean + rng.normal(size=(count, len(self.mean))) @ self.root.T
+
+    def measured(
+        self, x: np.ndarray, rng: np.random.Generator, *, least: float = 1e2, most: float = 1e5, name: str = ""
+    ) -> Machine:
+        """Return what readings say of a machine, shape (P,): information from ``least`` to ``most`` along what they see."""
+        n = self.seen.shape[1]
+        sizes = np.exp(rng.uniform(np.log(least), np.log(most), n))
+        rows = (self.seen @ np.linalg.qr(rng.normal(size=(n, n)))[0] * np.sqrt(sizes)).T
+        return machine_of(self.parameters, rows / PRIOR, rows @ x + rng.normal(size=n), name)
+
+
+def machine_of(parameters: tuple[Parameter, ...], J: np.ndarray, r: np.ndarray, name: str = "") -> Machine:
+    """Return a machine by rows in units of their noise, J of shape (R, P) and r of shape (R,)."""
+    form = Quadratic.of_rows([p.name for p in parameters], J, r)
+    return Machine(name, RobotInformation("arm", 1, parameters, form), np.array([p.size for p in parameters]))
+
+
+@cache
+def _links(file: str) -> dict[tuple[str, ...], list[dict[str, str]]]:
+    found = dict[tuple[str, ...], list[dict[str, str]]]()
+    with (FLEET / file).open(encoding="utf-8") as stream:
+        for row in csv.DictReader(stream):
+            found.setdefault((row["type"], *([row["machine"]] if "machine" in row else [])), []).append(row)
+    return found
+
+
+def urdf_of(links: list[dict[str, str]]) -> bytes:
+    """Return the URDF of an arm of Universal Robots by the frames of its links."""
+    text, parent = '<robot name="arm"><link name="base"/>', "base"
+    for joint, row in zip(JOINTS, links, strict=True):
+        place = " ".join(row[axis] for axis in "xyz"), " ".join(row[axis] for axis in ("roll", "pitch", "yaw"))
+        text += f'<link name="{row["link"]}"/><joint name="{joint}" type="revolute"><parent link="{parent}"/>'
+        text += f'<child link="{row["link"]}"/><origin xyz="{place[0]}" rpy="{place[1]}"/><axis xyz="0 0 1"/>'
+        text += '<limit lower="-3.1" upper="3.1" effort="1" velocity="1"/></joint>'
+        parent = row["link"]
+    return (text + "</robot>").encode()
+
+
+def nominal_arm(kind: str) -> Robot:
+    """Return the arm of a type as its data sheet has it."""
+    return Robot.from_urdf(urdf_of(_links("nominal.csv")[(kind,)]))
+
+
+def real_machines() -> Iterator[tuple[str, str, sim.TrueMachine]]:
+    """Yield type, name and true machine of all real ones."""
+    for (kind, name), links in _links("machines.csv").items():
+        yield kind, name, sim.TrueMachine.from_urdf(urdf_of(links).decode(), tip="wrist_3")
+
+
+def table_of(robot: Robot, machine: sim.TrueMachine, poses: int, seed: int, *, noise: float = NOISE) -> Measurements:
+    """Return positions of a reflector in random poses."""
+    rng = np.random.default_rng(seed)
+    q = robot.random_configurations(poses, rng)
+    tip = machine.tip(q)
+    position = tip[:, :3, :3] @ TOOL + tip[:, :3, 3] + INSTRUMENT
+    return measurements_from_arrays(robot.joint_names, q, position=position + noise * rng.normal(size=position.shape))
+
+
+def error_of(fit: Fit, truth: Measurements) -> float:
+    """Return the mean error of predictions [mm]."""
+    assert truth.position is not None
+    return 1e3 * float(np.linalg.norm(fit.predict(truth.q)[:, :, 3] - truth.position, axis=1).mean())
+
+
+def sibling_of(robot: Robot, machine: sim.TrueMachine, name: str, *, poses: int, seed: int) -> Machine:
+    """Return what a calibration says of a machine."""
+    return Machine.of(calibrate(robot, table_of(robot, machine, poses, seed), OPTIONS), name)
