@@ -7,8 +7,8 @@ this covariance. Siblings are true machines, measured and calibrated. Real ones 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -17,7 +17,10 @@ import numpy as np
 from pincal import GEOMETRIC, Fit, Measurements, Options, Robot, calibrate, measurements_from_arrays
 from pincal import simulate as sim
 from pincal.calibration.information import RobotInformation
+from pincal.fleet.checks import FALSE_DISCOVERIES, FleetWatch
+from pincal.fleet.history import FleetChange, Visit
 from pincal.fleet.machines import Machine
+from pincal.fleet.robot_type import RobotType
 from pincal.identify.quadratic import Quadratic
 from pincal.parameters import Parameter
 
@@ -139,3 +142,80 @@ def error_of(fit: Fit, truth: Measurements) -> float:
 def sibling_of(robot: Robot, machine: sim.TrueMachine, name: str, *, poses: int, seed: int) -> Machine:
     """Return what a calibration says of a machine."""
     return Machine.of(calibrate(robot, table_of(robot, machine, poses, seed), OPTIONS), name)
+
+
+class Year:
+    """Robots of a family, calibrated and then checked week by week.
+
+    Attributes:
+        family, of: what they are drawn from, and what is known of that.
+        x: shape (robots, P), what they are now.
+        what: of robots that were changed, the parameter.
+        watch: what is made of it.
+        changes: what was found.
+    """
+
+    def __init__(
+        self,
+        family: Family,
+        of: RobotType,
+        *,
+        robots: int,
+        seed: int,
+        labels: Callable[[int], dict[str, str]] = lambda _: {},
+        alpha: float = FALSE_DISCOVERIES,
+    ) -> None:
+        """Draw robots and calibrate them."""
+        self.family, self.of, self.rng = family, of, np.random.default_rng(seed)
+        self.x, self.labels = family.draw(robots, self.rng), [labels(k) for k in range(robots)]
+        self.what, self.changes = dict[int, str](), list[FleetChange]()
+        self.watch = FleetWatch(of, alpha)
+        self._take(0, [self._calibration(k, 0) for k in range(robots)])
+
+    def check(self, week: int) -> tuple[FleetChange, ...]:
+        """Check all robots by a few poses."""
+        visits = []
+        for k, x in enumerate(self.x):
+            visits.append(Visit(f"r{k}", self.day_of(week), self._few(x)))
+        return self._take(week, visits)
+
+    def calibrate(self, robot: int, week: int) -> None:
+        """Calibrate a robot anew."""
+        self._take(week, [self._calibration(robot, week)])
+
+    def change(self, robot: int, strength: float) -> None:
+        """Change a parameter of a robot so that a check shows it with this lambda."""
+        K, P = self.family.seen, self.x.shape[1]
+        seen = np.flatnonzero(np.sum(K**2, axis=1) > 0.3)
+        k = int(self.rng.choice(seen))
+        # A typical check after a calibration, which is known much better.
+        Q = np.mean([self._few(self.x[robot]).information.form.H[k, k] for _ in range(9)]) * PRIOR**2
+        self.x[robot] += np.sign(self.rng.normal()) * np.sqrt(strength / Q) * np.eye(P)[k]
+        self.what[robot] = self.family.parameters[k].name
+
+    def drift(self, label: str, value: str, *, place: int, by: float) -> None:
+        """Move a parameter of all robots with a label."""
+        for k, labels in enumerate(self.labels):
+            self.x[k, place] += by * (labels.get(label) == value)
+
+    @staticmethod
+    def day_of(week: int) -> str:
+        """Return the day of a week."""
+        return str(np.datetime64("2026-01-01") + 7 * week)
+
+    @staticmethod
+    def week_of(day: str) -> int:
+        """Return the week of a day."""
+        return int((np.datetime64(day) - np.datetime64("2026-01-01")).astype(int)) // 7
+
+    def _few(self, x: np.ndarray) -> Machine:
+        return self.family.measured(x, self.rng, least=3e2, most=1e4)
+
+    def _calibration(self, robot: int, week: int) -> Visit:
+        many = self.family.measured(self.x[robot], self.rng, least=1e4, most=1e6, name=f"r{robot}")
+        return Visit(f"r{robot}", self.day_of(week), replace(many, labels=self.labels[robot]), is_calibration=True)
+
+    def _take(self, week: int, visits: list[Visit]) -> tuple[FleetChange, ...]:
+        found = self.watch.take(week, visits)
+        self.changes += found
+        return found

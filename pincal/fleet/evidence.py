@@ -18,14 +18,14 @@ a likelihood ratio of two marginal likelihoods, hence an e-value: its mean is 1 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import fdtrc
 
 # Machines worked on at a time: with 40 parameters their matrices take 6 MB.
-PIECE = 500
+_PIECE = 500
 # Log odds beyond which nothing changes any more.
 _SURE = 500.0
 
@@ -49,8 +49,8 @@ class Forms:
 
     def pieces(self) -> Iterator[tuple[slice, Forms]]:
         """Yield some machines at a time, and where they stand."""
-        for start in range(0, len(self), PIECE):
-            rows = slice(start, start + PIECE)
+        for start in range(0, len(self), _PIECE):
+            rows = slice(start, start + _PIECE)
             yield rows, replace(self, H=self.H[rows], g=self.g[rows])
 
     @property
@@ -138,3 +138,23 @@ def chance(q: np.ndarray, Q: np.ndarray, degrees: float = np.inf) -> np.ndarray:
     # Beyond a million degrees of freedom F is chi-square.
     found = fdtrc(np.maximum(free, 1e-3), np.minimum(degrees * np.maximum(free, 1.0), 1e6), ratio)
     return np.where(mean > 1e-9, found, 1.0)
+
+
+def least_chance(
+    q: np.ndarray, Q: np.ndarray, root: np.ndarray, elements: Sequence[np.ndarray], degrees: float = np.inf
+) -> np.ndarray:
+    """Return the chance that any element, or all parameters together, are as far off if nothing is, shape (M,).
+
+    Args:
+        q: shape (M, P), in units of the priors.
+        Q: shape (M, P, P).
+        root: L with L L^T the covariance of the population, shape (P, P).
+        elements: the parameters of each element.
+        degrees: degrees of freedom by which the spread of one parameter is known.
+    """
+    spread = np.sqrt(np.sum(root**2, axis=-1))
+    own, Own = q * spread, Q * np.outer(spread, spread)
+    whole = chance(q @ root, root.T @ Q @ root, degrees)
+    single = [chance(own[:, at], Own[:, at[:, None], at], degrees) for at in elements]
+    # Two tests, one of them of as many elements (Bonferroni).
+    return np.asarray(np.minimum(1.0, 2.0 * np.minimum(whole, len(single) * np.min(single, axis=0))))

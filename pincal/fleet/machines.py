@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = 1
 """Of the rows that machines are written as."""
 
-_COLUMNS = ("schema", "machine", "robot", "geometry", "names", "units", "effects", "nominals", "sizes", "priors")
+_COLUMNS = ("schema", "machine", "arm", "geometry", "names", "units", "effects", "nominals", "sizes", "priors")
 _ARRAYS = ("H", "g", "whole")
 _NUMBERS = ("square", "degrees")
 
@@ -144,13 +144,13 @@ def machines_frame(machines: Iterable[Machine]) -> pl.DataFrame:
     """Return machines as a table of one row each."""
     import polars as pl
 
-    rows = list[dict[str, Any]]()
-    for machine in machines:
+    rows, found = list[dict[str, Any]](), list(machines)
+    for machine in found:
         own, form = machine.information, machine.information.form
         row: dict[str, Any] = {
             "schema": SCHEMA_VERSION,
             "machine": machine.name,
-            "robot": own.robot,
+            "arm": own.robot,
             "geometry": own.geometry,
             "names": list(form.names),
             "units": [p.unit for p in own.parameters],
@@ -163,21 +163,27 @@ def machines_frame(machines: Iterable[Machine]) -> pl.DataFrame:
             "whole": form.whole.tolist(),
             "square": form.square,
             "degrees": form.degrees,
-            "labels": [{"key": key, "value": value} for key, value in sorted(machine.labels.items())],
         }
         rows.append(row)
     numbers, texts = pl.List(pl.Float64), pl.List(pl.String)
     schema: dict[str, Any] = {
         "schema": pl.Int32,
         "machine": pl.String,
-        "robot": pl.String,
+        "arm": pl.String,
         "geometry": pl.Int64,
         **dict.fromkeys(("names", "units", "effects"), texts),
         **dict.fromkeys(("nominals", "sizes", "priors", *_ARRAYS), numbers),
         **dict.fromkeys(_NUMBERS, pl.Float64),
-        "labels": pl.List(pl.Struct({"key": pl.String, "value": pl.String})),
     }
-    return pl.DataFrame(rows, schema=schema)
+    return pl.DataFrame(rows, schema=schema).with_columns(labelled([machine.labels for machine in found]))
+
+
+def labelled(labels: Sequence[Mapping[str, str]]) -> pl.Series:
+    """Return the column of labels of each row."""
+    import polars as pl
+
+    entries = [[{"key": key, "value": value} for key, value in sorted(row.items())] for row in labels]
+    return pl.Series("labels", entries, pl.List(pl.Struct({"key": pl.String, "value": pl.String})))
 
 
 def machines_of(frame: pl.DataFrame, source: str) -> list[Machine]:
@@ -221,7 +227,7 @@ def machines_of(frame: pl.DataFrame, source: str) -> list[Machine]:
             square=lists["square"][k],
             degrees=lists["degrees"][k],
         )
-        information = RobotInformation(lists["robot"][k], lists["geometry"][k], known[facts], form)
+        information = RobotInformation(lists["arm"][k], lists["geometry"][k], known[facts], form)
         labels = {entry["key"]: entry["value"] for entry in lists["labels"][k]}
         found.append(Machine(lists["machine"][k], information, np.array(lists["priors"][k]), labels))
     return found

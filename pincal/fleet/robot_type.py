@@ -11,7 +11,7 @@ import numpy as np
 
 from pincal.calibration.calibrated_fit import Fit, calibrate
 from pincal.errors import BadInputError, ModelFileError
-from pincal.fleet.evidence import Forms, chance, in_prior_units, log_ratios, regular, scores
+from pincal.fleet.evidence import Forms, in_prior_units, least_chance, log_ratios, regular, scores
 from pincal.fleet.machines import Gathered, Machine, gathered, kinds_of
 from pincal.fleet.population import population_of
 from pincal.identify.calibrate import Tables
@@ -290,18 +290,11 @@ def _memberships(found: Gathered, forms: Forms, mean: np.ndarray, root: np.ndarr
     members = list[Membership]()
     elements = list(dict.fromkeys(p.element for p in found.parameters))
     labels = [*elements, EVERYTHING] if len(elements) > 1 else elements
-    spread = np.sqrt(np.sum(root**2, axis=1))
     for rows, part in forms.pieces():
-        q, Q = scores(part, mean, root)
-        apart, Apart = in_prior_units(q, Q, root)
-        logs = log_ratios(part, apart, Apart)
+        q, Q = in_prior_units(*scores(part, mean, root), root)
+        logs = log_ratios(part, q, Q)
         like = regular(logs, max(of.hit, _LEAST_HIT))
-        all_p = chance(q, Q, of.degrees)
-        own = [
-            chance((apart * spread)[:, at], (Apart * np.outer(spread, spread))[:, at[:, None], at], of.degrees)
-            for at in part.ways[: len(elements)]
-        ]
-        p = np.minimum(1.0, 2.0 * np.minimum(all_p, len(own) * np.min(own, axis=0)))
+        p = least_chance(q, Q, root, part.ways[: len(elements)], of.degrees)
         for k, machine in enumerate(found.machines[rows]):
             share = np.exp(logs[:, k] - logs[:, k].max())
             off = tuple(label for label, s in zip(labels, share / share.sum(), strict=True) if s > _SHARE)
