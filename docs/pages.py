@@ -37,6 +37,11 @@ _FILES = {
         "INFORMATION.json",
         "Information on a robot, as `fit.information().save(PATH)` writes it and `pincal.load_information` adds it up.",
     ),
+    "type": (
+        "TYPE.json",
+        "A type of robot, as `pincal.fleet.robot_type.learn_type` finds it from information on its machines: what they have in "
+        "common and how far they differ. Nothing of single machines is in it.",
+    ),
     "camera": ("CAMERA.json", "A camera's parameters, as `--camera` takes and `simulate --camera-out` writes them."),
 }
 # What the sources of effects are called in full.

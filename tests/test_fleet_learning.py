@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import fleet_cases as cases
+import jsonschema
 import numpy as np
 import pytest
 from fleet_cases import OPTIONS, PRIOR, Family, machine_of, nominal_arm, real_machines, sibling_of, table_of
@@ -14,7 +16,9 @@ from pincal import BadInputError, calibrate
 from pincal.errors import ModelFileError
 from pincal.fleet.machines import Machine, load_machines, save_machines
 from pincal.fleet.robot_type import EVERYTHING, Learned, RobotType, calibrate_of_type, learn_type, load_type
+from pincal.fleet.summary import at_tool, effect_summary, member_summary, parameter_summary, poses_summary, strangers
 from pincal.identify.quadratic import Quadratic
+from pincal.io.schemas import schema_of
 
 
 def learned(family: Family, count: int, seed: int = 1, **measured: float) -> tuple[Learned, np.ndarray, list[Machine]]:
@@ -173,6 +177,7 @@ def test_a_file_holds_a_type_to_the_last_digit(tmp_path: Path) -> None:
     of = learned(family, 8)[0].type
     of.save(tmp_path / "type.json", provenance={"version": "0"})
     again = load_type(tmp_path / "type.json")
+    jsonschema.validate(json.loads((tmp_path / "type.json").read_text()), schema_of("type"))
 
     assert again.parameters == of.parameters and again.machines == 8
     for name in ("mean", "covariance", "mean_covariance", "seen"):
@@ -246,3 +251,24 @@ def test_information_without_priors_is_taken_as_it_is() -> None:
 
     assert isinstance(plain[0].information.form, Quadratic)
     np.testing.assert_allclose(learn_type(plain).type.mean, learn_type(machines).type.mean)
+
+
+def test_what_a_person_asks_of_a_type(shared_data: Path) -> None:
+    """Of four UR3e: the upper arm is longer than the data sheet has it, and how far machines differ at the tool."""
+    robot = nominal_arm("ur3e")
+    siblings = [(name, machine) for kind, name, machine in real_machines() if kind == "ur3e"]
+    fits = [calibrate(robot, table_of(robot, machine, 60, k), OPTIONS) for k, (_, machine) in enumerate(siblings)]
+    found = learn_type(Machine.of(fit, name) for fit, (name, _) in zip(fits, siblings, strict=True))
+    tool = at_tool(found.type, fits[0].robot_predictor())
+    texts = [str(table) for table in (parameter_summary(found.type), effect_summary(tool), poses_summary(tool))]
+
+    k = found.type.names.index("shoulder_lift.a")
+    mean, sigma = found.type.mean[k], np.sqrt(found.type.mean_covariance[k, k])
+    assert 1e-4 < abs(mean) < 4e-4 and sigma < 1e-4
+    assert 5e-4 < tool.spread < 3.5e-3 and tool.exchangeability > tool.spread
+    assert set(tool.by_effect) == {"joint_offset", "link_geometry", "axis_distortion"}
+    assert tool.needed[8][0] < 0.5 * tool.needed[8][1] and tool.needed[60][0] <= tool.needed[60][1]
+    with_type, without = tool.poses_for(2e-4)
+    assert with_type is not None and without is not None and with_type < without
+    assert "shoulder_lift.a" in texts[0] and "exchangeability" in texts[1] and "without" in texts[2]
+    assert not strangers(found.members) and "4 machines" in str(member_summary(found))

@@ -50,7 +50,7 @@ SIBLINGS = {"model", "measure"}
 ASIDE = {
     "builtin": {"errors"},
     "simulate": {"errors", "builtin", "measure"},
-    "schemas": {"atomic", "model", "io", "calibration"},
+    "schemas": {"atomic", "model", "io", "calibration", "fleet"},
 }
 HEAVY = (
     "pinocchio",

@@ -348,12 +348,13 @@ class FleetWatch:
         """Return a change in words and numbers."""
         best = int(np.argmax(step.logs))
         equals = [self._names[k] for k in np.argsort(-step.logs) if k != best and step.logs[k] > step.logs[best] - _EQUAL]
-        change = sigma = None
+        change, sigma, unit = None, None, ""
         if best < len(step.q):
+            unit = self.type.parameters[best].unit
             variance = 1.0 / (step.Q[best, best] + _SIZE**-2)
             change = float(variance * step.q[best] * self.type.priors[best])
             sigma = float(np.sqrt(variance) * self.type.priors[best])
-        return FleetChange(subject, is_group, day, step.day, self._names[best], tuple(equals), change, sigma, log_e)
+        return FleetChange(subject, is_group, day, step.day, self._names[best], tuple(equals), change, sigma, unit, log_e)
 
 
 def _hazard(steps: Sequence[_Step]) -> np.ndarray:

@@ -42,8 +42,9 @@ class FleetChange:
         since: day of the first readings after it.
         what: the parameter or element that explains it best; :data:`EVERYTHING` for more than one element.
         equals: what explains it as well.
-        change: by how much, of a single parameter [its own unit]; None for others.
+        change: by how much, of a single parameter [``unit``]; None for others.
         sigma: its standard deviation.
+        unit: the parameter's.
         log_e: logarithm of the e-value.
     """
 
@@ -55,6 +56,7 @@ class FleetChange:
     equals: tuple[str, ...]
     change: float | None
     sigma: float | None
+    unit: str
     log_e: float
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from pincal.calibration.calibrated_fit import Fit, calibrate
-from pincal.errors import BadInputError, ModelFileError
+from pincal.errors import BadInputError, MeasurementError, ModelFileError
 from pincal.fleet.evidence import Forms, in_prior_units, least_chance, log_ratios, regular, scores
 from pincal.fleet.machines import Gathered, Machine, gathered, kinds_of
 from pincal.fleet.population import population_of
@@ -335,8 +335,10 @@ def calibrate_of_type(
     """
     options = Options() if options is None else options
     names = Model(Chain.of(robot), with_masses(robot, options.effects)).names
-    fit = calibrate(robot, measurements, replace(options, earlier=of.prior(names=names)))
-    member = of.judge(Machine.of(fit, name))
-    if member.off:
-        fit = calibrate(robot, measurements, replace(options, earlier=of.prior(names=names, off=member.off)))
-    return fit, member
+    try:
+        # A narrow prior would take sound rows of another kind of machine for outliers.
+        alone = calibrate(robot, measurements, options)
+    except MeasurementError:
+        alone = calibrate(robot, measurements, replace(options, earlier=of.prior(names=names)))
+    member = of.judge(Machine.of(alone, name))
+    return calibrate(robot, measurements, replace(options, earlier=of.prior(names=names, off=member.off))), member
