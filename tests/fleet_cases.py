@@ -89,7 +89,7 @@ class Family:
 def machine_of(parameters: tuple[Parameter, ...], J: np.ndarray, r: np.ndarray, name: str = "") -> Machine:
     """Return a machine by rows in units of their noise, J of shape (R, P) and r of shape (R,)."""
     form = Quadratic.of_rows([p.name for p in parameters], J, r)
-    return Machine(name, RobotInformation("arm", 1, parameters, form), np.array([p.size for p in parameters]))
+    return Machine(name, RobotInformation.of_form(form, "arm", 1, {p.name: (p, p.size) for p in parameters}))
 
 
 @cache

@@ -1,9 +1,9 @@
 """What a type brings and what a fleet's checks find: ``python tests/fleet_study.py [PART ...] --out FILE.jsonl``.
 
 Parts: ``learn`` (5000 machines of 40 parameters: seconds, memory, error, coverage), ``few`` (3, 5 and 10 machines of
-families of every kind, with and without a type), ``real`` (machines as their makers measured them, one left out), ``year`` (a
-year of weekly checks), ``store`` (tables calibrated from a store). Each case is one line of the file as soon as it is done: a
-run that was stopped goes on where it was. Rates stand with their exact 95 % intervals (Clopper and Pearson).
+families of every kind, with and without a type), ``real`` (machines as their makers measured them, one left out), ``year``
+(of weekly checks), ``store`` (tables calibrated from a store). Each case is one line of the file as soon as it is done: a run
+that was stopped goes on where it was. Rates stand with their exact 95 % intervals (Clopper and Pearson).
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from fleet_cases import PRIOR, Family, Year
@@ -143,6 +144,6 @@ def test_what_can_not_be_meant_is_refused(family: Family, of: RobotType) -> None
         fleet_changes(of, [Visit("r1", "yesterday", machine, is_calibration=True)])
     with pytest.raises(BadInputError, match="alpha"):
         fleet_changes(of, [], alpha=2.0)
-    other = replace(machine, information=replace(machine.information, geometry=5))
+    other = replace(machine, information=msgspec.structs.replace(machine.information, geometry=5))
     with pytest.raises(BadInputError, match="another nominal geometry"):
         FleetWatch(of).take(0, [Visit("r1", "2026-01-01", other, is_calibration=True)])

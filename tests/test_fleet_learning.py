@@ -8,16 +8,16 @@ from pathlib import Path
 
 import fleet_cases as cases
 import jsonschema
+import msgspec
 import numpy as np
 import pytest
 from fleet_cases import OPTIONS, PRIOR, Family, machine_of, nominal_arm, real_machines, sibling_of, table_of
 
 from pincal import BadInputError, calibrate
+from pincal.calibration.information import RobotInformation
 from pincal.errors import ModelFileError
 from pincal.fleet.machines import Machine, load_machines, save_machines
 from pincal.fleet.robot_type import EVERYTHING, Learned, RobotType, calibrate_of_type, learn_type, load_type
-from pincal.fleet.summary import at_tool, effect_summary, member_summary, parameter_summary, poses_summary, strangers
-from pincal.identify.quadratic import Quadratic
 from pincal.io.schemas import schema_of
 
 
@@ -122,9 +122,7 @@ def _log_ratio(of: RobotType, family: Family) -> np.ndarray:
 def _without(machine: Machine, place: int) -> Machine:
     own = machine.information
     form = own.form.released(np.array([place])).held(np.array([place]))
-    parameters = tuple(p for k, p in enumerate(own.parameters) if k != place)
-    information = replace(own, form=form, parameters=parameters)
-    return replace(machine, information=information, priors=np.delete(machine.priors, place))
+    return replace(machine, information=RobotInformation.of_form(form, own.robot, own.geometry, own.known))
 
 
 def test_machines_that_were_hit_do_not_spoil_the_type_and_are_named() -> None:
@@ -193,7 +191,7 @@ def test_what_is_not_of_one_type_is_refused(tmp_path: Path) -> None:
     """Another nominal geometry, other units, no machine, and damaged files."""
     family = Family.drawn(np.random.default_rng(15), parameters=12)
     found, _, machines = learned(family, 3)
-    other = replace(machines[0], name="other", information=replace(machines[0].information, geometry=2))
+    other = replace(machines[0], name="other", information=msgspec.structs.replace(machines[0].information, geometry=2))
     with pytest.raises(BadInputError, match="different nominal geometries"):
         learn_type([*machines, other])
     with pytest.raises(BadInputError, match="another nominal geometry"):
@@ -241,34 +239,3 @@ def test_a_machine_of_another_kind_gets_its_wide_prior_back() -> None:
     np.testing.assert_allclose(wide[6:12] ** 2, narrow[6:12] ** 2 + PRIOR**2)
     np.testing.assert_allclose(wide[12:], narrow[12:])
     assert isinstance(of, RobotType)
-
-
-def test_information_without_priors_is_taken_as_it_is() -> None:
-    """A file of one robot's information is a machine, too."""
-    family = Family.drawn(np.random.default_rng(18), parameters=12)
-    _, _, machines = learned(family, 4)
-    plain = [Machine.of_information(machine.information, machine.name) for machine in machines]
-
-    assert isinstance(plain[0].information.form, Quadratic)
-    np.testing.assert_allclose(learn_type(plain).type.mean, learn_type(machines).type.mean)
-
-
-def test_what_a_person_asks_of_a_type(shared_data: Path) -> None:
-    """Of four UR3e: the upper arm is longer than the data sheet has it, and how far machines differ at the tool."""
-    robot = nominal_arm("ur3e")
-    siblings = [(name, machine) for kind, name, machine in real_machines() if kind == "ur3e"]
-    fits = [calibrate(robot, table_of(robot, machine, 60, k), OPTIONS) for k, (_, machine) in enumerate(siblings)]
-    found = learn_type(Machine.of(fit, name) for fit, (name, _) in zip(fits, siblings, strict=True))
-    tool = at_tool(found.type, fits[0].robot_predictor())
-    texts = [str(table) for table in (parameter_summary(found.type), effect_summary(tool), poses_summary(tool))]
-
-    k = found.type.names.index("shoulder_lift.a")
-    mean, sigma = found.type.mean[k], np.sqrt(found.type.mean_covariance[k, k])
-    assert 1e-4 < abs(mean) < 4e-4 and sigma < 1e-4
-    assert 5e-4 < tool.spread < 3.5e-3 and tool.exchangeability > tool.spread
-    assert set(tool.by_effect) == {"joint_offset", "link_geometry", "axis_distortion"}
-    assert tool.needed[8][0] < 0.5 * tool.needed[8][1] and tool.needed[60][0] <= tool.needed[60][1]
-    with_type, without = tool.poses_for(2e-4)
-    assert with_type is not None and without is not None and with_type < without
-    assert "shoulder_lift.a" in texts[0] and "exchangeability" in texts[1] and "without" in texts[2]
-    assert not strangers(found.members) and "4 machines" in str(member_summary(found))

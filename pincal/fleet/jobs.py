@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any, final
 import msgspec
 import numpy as np
 
-from pincal.calibration.calibrated_fit import calibrate
-from pincal.calibration.calibrated_robot import CalibratedRobot, load_stations
+from pincal.calibration.calibrated_robot import CalibratedRobot, calibrate, load_stations
 from pincal.calibration.information import RobotInformation
 from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, diagnose
 from pincal.discover.run import run_discovery
@@ -117,8 +116,7 @@ class CalibrateTables(Job):
     def nothing(self, key: Key, labels: Mapping[str, str]) -> pl.DataFrame:
         """Return a machine of which nothing is known."""
         empty = Quadratic(np.zeros((0, 0)), np.zeros(0), np.zeros(0), names=(), square=0.0, degrees=0.0)
-        information = RobotInformation(self.robot.name, 0, (), empty)
-        machine = Machine(key.machine, information, np.zeros(0), labels)
+        machine = Machine(key.machine, RobotInformation.of_form(empty, self.robot.name, 0, {}), labels)
         return information_frame(machine, "", converged=False)
 
 

@@ -7,16 +7,15 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pincal.atomic import write_atomic
-from pincal.calibration.information import RobotInformation, load_information
+from pincal.calibration.information import RobotInformation, information_of, load_information
 from pincal.errors import BadInputError, ModelFileError
 from pincal.fleet.evidence import Forms
 from pincal.identify.fit import ModelFit
-from pincal.identify.quadratic import Quadratic
 from pincal.parameters import Parameter
 
 if TYPE_CHECKING:
@@ -24,10 +23,6 @@ if TYPE_CHECKING:
 
 SCHEMA_VERSION = 1
 """Of the rows that machines are written as."""
-
-_COLUMNS = ("schema", "machine", "arm", "geometry", "names", "units", "effects", "nominals", "sizes", "priors")
-_ARRAYS = ("H", "g", "whole")
-_NUMBERS = ("square", "degrees")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,36 +32,21 @@ class Machine:
     Attributes:
         name: of the machine; "" where a site does not give it.
         information: of its readings on its parameters, with base, targets and instrument eliminated and no prior.
-        priors: shape (F,), standard deviations of the priors that its parameters have without a type [their own units].
         labels: what else is known of it, such as its supplier, batch or hall.
     """
 
     name: str
     information: RobotInformation
-    priors: np.ndarray
     labels: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, fit: ModelFit, name: str = "", *, labels: Mapping[str, str] | None = None) -> Machine:
         """Return the machine that a fit is of; whatever prior the fit had is not in it."""
-        information, problem = RobotInformation.of(fit), fit.problem
-        sizes = np.array([p.size for p in problem.parameters]) / problem.largest_basis[0]
-        known = dict(zip((p.name for p in problem.parameters), sizes, strict=True))
-        return cls(name, information, np.array([known[n] for n in information.form.names]), dict(labels or {}))
-
-    @classmethod
-    def of_information(cls, information: RobotInformation, name: str = "") -> Machine:
-        """Return the machine of an information file, which does not hold the priors of compliances: these are taken wide."""
-        return cls(name, information, np.array([p.size for p in information.parameters]))
+        return cls(name, RobotInformation.of(fit), dict(labels or {}))
 
     def __add__(self, other: Machine) -> Machine:
         """Return the same machine with the readings of both."""
-        both = self.information + other.information
-        priors = {
-            name: size for one in (other, self) for name, size in zip(one.information.form.names, one.priors, strict=True)
-        }
-        found = np.array([priors[name] for name in both.form.names])
-        return replace(self, information=both, priors=found, labels={**other.labels, **self.labels})
+        return replace(self, information=self.information + other.information, labels={**other.labels, **self.labels})
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +97,7 @@ def gathered(machines: Iterable[Machine], *, like: Sequence[Parameter] = ()) -> 
                 f"{_called(machine)} ({own.robot}) and {_called(found[0])} ({first.robot}) are of different nominal "
                 "geometries, so they are not of one type; calibrate all with the same URDF, base and tip"
             )
-        for parameter, size in zip(own.parameters, machine.priors, strict=True):
+        for parameter, size in own.known.values():
             known = parameters.setdefault(parameter.name, parameter)
             if known.unit != parameter.unit:
                 raise BadInputError(f"{_called(machine)}: {parameter.name} is in {parameter.unit}; expected {known.unit}")
@@ -144,38 +124,16 @@ def machines_frame(machines: Iterable[Machine]) -> pl.DataFrame:
     """Return machines as a table of one row each."""
     import polars as pl
 
-    rows, found = list[dict[str, Any]](), list(machines)
-    for machine in found:
-        own, form = machine.information, machine.information.form
-        row: dict[str, Any] = {
-            "schema": SCHEMA_VERSION,
-            "machine": machine.name,
-            "arm": own.robot,
-            "geometry": own.geometry,
-            "names": list(form.names),
-            "units": [p.unit for p in own.parameters],
-            "effects": [p.effect for p in own.parameters],
-            "nominals": [p.nominal for p in own.parameters],
-            "sizes": [p.size for p in own.parameters],
-            "priors": machine.priors.tolist(),
-            "H": form.H[np.tril_indices(len(form.H))].tolist(),
-            "g": form.g.tolist(),
-            "whole": form.whole.tolist(),
-            "square": form.square,
-            "degrees": form.degrees,
+    found = list(machines)
+    return pl.DataFrame(
+        {
+            "schema": pl.Series([SCHEMA_VERSION] * len(found), dtype=pl.Int32),
+            "machine": pl.Series([machine.name for machine in found], dtype=pl.String),
+            "arm": pl.Series([machine.information.robot for machine in found], dtype=pl.String),
+            "information": pl.Series([machine.information.text() for machine in found], dtype=pl.String),
+            "labels": labelled([machine.labels for machine in found]),
         }
-        rows.append(row)
-    numbers, texts = pl.List(pl.Float64), pl.List(pl.String)
-    schema: dict[str, Any] = {
-        "schema": pl.Int32,
-        "machine": pl.String,
-        "arm": pl.String,
-        "geometry": pl.Int64,
-        **dict.fromkeys(("names", "units", "effects"), texts),
-        **dict.fromkeys(("nominals", "sizes", "priors", *_ARRAYS), numbers),
-        **dict.fromkeys(_NUMBERS, pl.Float64),
-    }
-    return pl.DataFrame(rows, schema=schema).with_columns(labelled([machine.labels for machine in found]))
+    )
 
 
 def labelled(labels: Sequence[Mapping[str, str]]) -> pl.Series:
@@ -192,44 +150,15 @@ def machines_of(frame: pl.DataFrame, source: str) -> list[Machine]:
     Raises:
         ModelFileError: for another schema, or arrays that do not fit together.
     """
-    wanted = (*_COLUMNS, *_ARRAYS, *_NUMBERS, "labels")
-    missing = [name for name in wanted if name not in frame.columns]
+    missing = [name for name in ("schema", "machine", "information", "labels") if name not in frame.columns]
     if missing:
         raise ModelFileError(f"{source}: no column {missing[0]!r}; expected information on machines as pincal writes it")
     found = list[Machine]()
-    lists = {name: frame[name].to_list() for name in wanted if name not in _ARRAYS}
-    arrays = {name: [row.to_numpy() for row in frame[name]] for name in _ARRAYS}
-    # Parameters are the same in most rows.
-    known = dict[tuple[object, ...], tuple[Parameter, ...]]()
-    for k in range(len(frame)):
-        if lists["schema"][k] != SCHEMA_VERSION:
-            raise ModelFileError(f"{source}: row {k} has schema {lists['schema'][k]}; expected {SCHEMA_VERSION}")
-        names = tuple(lists["names"][k])
-        n = len(names)
-        H, (lower, upper) = np.empty((n, n)), np.tril_indices(n)
-        sizes = [len(lists[name][k]) for name in ("units", "effects", "nominals", "sizes", "priors")]
-        sizes += [len(arrays["g"][k]), len(arrays["whole"][k])]
-        numbers = np.concatenate([arrays[name][k] for name in _ARRAYS])
-        if {n} != set(sizes) or len(arrays["H"][k]) != len(lower) or not np.isfinite(numbers).all() or len(set(names)) < n:
-            raise ModelFileError(f"{source}: row {k} is damaged; expected {n} parameters and finite numbers")
-        H[lower, upper] = H[upper, lower] = arrays["H"][k]
-        facts = tuple(tuple(lists[name][k]) for name in ("names", "units", "effects", "nominals", "sizes"))
-        if facts not in known:
-            known[facts] = tuple(
-                Parameter(name, unit, effect, nominal, size)
-                for name, unit, effect, nominal, size in zip(*facts, strict=True)
-            )
-        form = Quadratic(
-            H,
-            np.array(arrays["g"][k]),
-            np.array(arrays["whole"][k]),
-            names=names,
-            square=lists["square"][k],
-            degrees=lists["degrees"][k],
-        )
-        information = RobotInformation(lists["arm"][k], lists["geometry"][k], known[facts], form)
-        labels = {entry["key"]: entry["value"] for entry in lists["labels"][k]}
-        found.append(Machine(lists["machine"][k], information, np.array(lists["priors"][k]), labels))
+    for k, (schema, name, text, labels) in enumerate(frame.select("schema", "machine", "information", "labels").rows()):
+        if schema != SCHEMA_VERSION:
+            raise ModelFileError(f"{source}: row {k} has schema {schema}; expected {SCHEMA_VERSION}")
+        information = information_of(text, f"{source}: row {k}")
+        found.append(Machine(name, information, {entry["key"]: entry["value"] for entry in labels}))
     return found
 
 
@@ -261,7 +190,7 @@ def load_machines(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str
     found = list[Machine]()
     for path in [paths] if isinstance(paths, str | os.PathLike) else paths:
         if Path(path).suffix.lower() != ".parquet":
-            found.append(Machine.of_information(load_information(path), Path(path).stem))
+            found.append(Machine(Path(path).stem, load_information(path)))
             continue
         try:
             frame = pl.read_parquet(Path(path), glob=False)

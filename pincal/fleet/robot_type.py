@@ -7,9 +7,10 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 
-from pincal.calibration.calibrated_fit import Fit, calibrate
+from pincal.calibration.calibrated_robot import Fit, calibrate
 from pincal.errors import BadInputError, MeasurementError, ModelFileError
 from pincal.fleet.evidence import Forms, in_prior_units, least_chance, log_ratios, regular, scores
 from pincal.fleet.machines import Gathered, Machine, gathered, kinds_of
@@ -56,16 +57,17 @@ class Membership:
     off: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class RobotType:
-    """The machines of a type as a normal distribution of their parameters.
+class RobotType(Record, frozen=True, kw_only=True):
+    """The machines of a type as a normal distribution of their parameters, and its file, in which no single one is.
 
     Attributes:
+        format: what the file is.
+        format_version: 1.
         robot: name of the arm.
-        geometry: checksum of its nominal geometry.
-        parameters: the P parameters; values are deviations from their nominals.
-        priors: shape (P,), standard deviations of their priors without a type.
-        mean: shape (P,).
+        geometry: checksum of its nominal geometry (CRC-32 of its link frames, rounded to 1e-9).
+        entries: the P parameters; values are deviations from their nominals.
+        priors: shape (P,), standard deviations of their priors without a type [their own units].
+        mean: shape (P,), of the mean machine.
         covariance: shape (P, P), of machines about the mean.
         mean_covariance: shape (P, P), of the mean.
         spread_variance: shape (P,), variance of the logarithm of each variance: how well the spread is known.
@@ -73,24 +75,43 @@ class RobotType:
             all others, such as a joint offset that is a turn of the base, the priors hold.
         machines: number of machines.
         hit: part of them that were hit or are of another kind.
+        provenance: version of pincal, time, command, input files with their SHA-256.
     """
 
+    format: Literal["pincal-type"]
+    format_version: Literal[1]
     robot: str
     geometry: int
-    parameters: tuple[Parameter, ...]
-    priors: np.ndarray
-    mean: np.ndarray
-    covariance: np.ndarray
-    mean_covariance: np.ndarray
-    spread_variance: np.ndarray
-    seen: np.ndarray
+    entries: Annotated[tuple[ParameterEntry, ...], ArrayShape("parameters")]
+    priors: Annotated[Numbers, ArrayShape("parameters")]
+    mean: Annotated[Numbers, ArrayShape("parameters")]
+    covariance: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_matrix)]
+    mean_covariance: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_matrix)]
+    spread_variance: Annotated[Numbers, ArrayShape("parameters")]
+    seen: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_matrix)]
     machines: int
     hit: float
+    provenance: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if np.any(self.priors <= 0.0) or not 0.0 <= self.hit < 1.0:
+            raise Fault("holds numbers that can't be meant", "standard deviations above 0 and a part below 1")
+        for name in ("covariance", "mean_covariance", "seen"):
+            matrix = getattr(self, name)
+            size = np.sqrt(np.abs(np.diag(matrix)))
+            if np.any(np.diag(matrix) < -1e-12) or np.any(np.abs(matrix - matrix.T) > 1e-9 * np.outer(size, size) + 1e-30):
+                raise Fault("is no covariance", "a symmetric matrix with a positive diagonal", key=f".{name}")
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its parameters."""
+        return tuple(entry.parameter() for entry in self.entries)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
-        return tuple(parameter.name for parameter in self.parameters)
+        return tuple(entry.name for entry in self.entries)
 
     @property
     def degrees(self) -> float:
@@ -154,60 +175,8 @@ class RobotType:
         Raises:
             OutputError: if the place can't be written to.
         """
-        file = TypeFile.like(
-            self,
-            format="pincal-type",
-            format_version=1,
-            parameters=tuple(map(ParameterEntry.of_parameter, self.parameters)),
-            provenance=provenance or {},
-        )
-        write_json(path, plain(file), indent=None)
-
-
-class TypeFile(Record, frozen=True, kw_only=True):
-    """A type of robot, see :class:`RobotType`: nothing of single machines is in it.
-
-    Attributes:
-        format: what the file is.
-        format_version: 1.
-        provenance: versions, time, command, in JSON types.
-        robot: name of the arm.
-        geometry: checksum of its nominal geometry (CRC-32 of its link frames, rounded to 1e-9).
-        parameters: the P parameters.
-        priors: shape (P,), standard deviations of their priors without a type [their own units].
-        mean: shape (P,), deviation of the mean machine from the nominal.
-        covariance: shape (P, P), of machines about the mean.
-        mean_covariance: shape (P, P), of the mean.
-        spread_variance: shape (P,), variance of the logarithm of each variance.
-        seen: shape (P, P), projector on what machines determine, parameters in units of their priors.
-        machines: number of machines.
-        hit: part of them that were hit or are of another kind.
-    """
-
-    format: Literal["pincal-type"]
-    format_version: Literal[1]
-    provenance: dict[str, Any]
-    robot: str
-    geometry: int
-    parameters: Annotated[tuple[ParameterEntry, ...], ArrayShape("parameters")]
-    priors: Annotated[Numbers, ArrayShape("parameters")]
-    mean: Annotated[Numbers, ArrayShape("parameters")]
-    covariance: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_matrix)]
-    mean_covariance: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_matrix)]
-    spread_variance: Annotated[Numbers, ArrayShape("parameters")]
-    seen: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_matrix)]
-    machines: int
-    hit: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if np.any(self.priors <= 0.0) or not 0.0 <= self.hit < 1.0:
-            raise Fault("holds numbers that can't be meant", "standard deviations above 0 and a part below 1")
-        for name in ("covariance", "mean_covariance", "seen"):
-            matrix = getattr(self, name)
-            size = np.sqrt(np.abs(np.diag(matrix)))
-            if np.any(np.diag(matrix) < -1e-12) or np.any(np.abs(matrix - matrix.T) > 1e-9 * np.outer(size, size) + 1e-30):
-                raise Fault("is no covariance", "a symmetric matrix with a positive diagonal", key=f".{name}")
+        found = self if provenance is None else msgspec.structs.replace(self, provenance=provenance)
+        write_json(path, plain(found), indent=None)
 
 
 def load_type(path: str | os.PathLike[str]) -> RobotType:
@@ -216,10 +185,7 @@ def load_type(path: str | os.PathLike[str]) -> RobotType:
     Raises:
         ModelFileError: if the file can't be read, or a value is missing or invalid.
     """
-    file = read_json(path, TypeFile, _FILE, hook=restoring())
-    kept = [name for name in TypeFile.__struct_fields__ if name not in ("format", "format_version", "provenance")]
-    found = {name: getattr(file, name) for name in kept}
-    return RobotType(**found | {"parameters": tuple(entry.parameter() for entry in file.parameters)})
+    return read_json(path, RobotType, _FILE, hook=restoring())
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,17 +222,20 @@ def learn_type(machines: Iterable[Machine]) -> Learned:
     population = population_of(found.forms, kinds)
     scale = np.outer(found.priors, found.priors)
     learned = RobotType(
-        found.robot,
-        found.geometry,
-        found.parameters,
-        found.priors,
-        population.mean * found.priors,
-        population.covariance * scale,
-        population.mean_covariance * scale,
-        population.spread_variance,
-        population.seen,
-        len(found.machines),
-        population.hit,
+        format="pincal-type",
+        format_version=1,
+        robot=found.robot,
+        geometry=found.geometry,
+        entries=tuple(map(ParameterEntry.of_parameter, found.parameters)),
+        priors=found.priors,
+        mean=population.mean * found.priors,
+        covariance=population.covariance * scale,
+        mean_covariance=population.mean_covariance * scale,
+        spread_variance=population.spread_variance,
+        seen=population.seen,
+        machines=len(found.machines),
+        hit=population.hit,
+        provenance={},
     )
     mean, covariance = learned._further()
     root = root_of(covariance)

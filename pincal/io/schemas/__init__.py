@@ -14,7 +14,7 @@ import msgspec
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.model_file import ModelFile, StationsFile
 from pincal.calibration.result import ResultFile
-from pincal.fleet.robot_type import TypeFile
+from pincal.fleet.robot_type import RobotType
 from pincal.io.camera_file import CameraFile
 from pincal.io.diagnosis_file import DiagnosisFile
 from pincal.io.discovery_file import Findings
@@ -29,7 +29,7 @@ FILES: dict[str, type] = {
     "diagnosis": DiagnosisFile,
     "camera": CameraFile,
     "information": RobotInformation,
-    "type": TypeFile,
+    "type": RobotType,
 }
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
