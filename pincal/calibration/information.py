@@ -20,14 +20,13 @@ from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, packed_matrix
 from pincal.io.entries import ParameterEntry, plain, restoring
 from pincal.io.strict_json import Fault, FileKind, built, read_json, write_json
 from pincal.parameters import Estimate, Parameter, estimate_of
+from pincal.robot.robot import Robot
 
 # Link frames that count as the same [m or 1]: what files of the same robot differ by.
 _DIGITS = 9
 # Asymmetry of a matrix, in parts of its largest entry, that rounding explains.
 _ROUNDING = 1e-9
-_FILE = FileKind(
-    "an information file", ModelFileError, mark="pincal-information", whole="what save() of pincal's RobotInformation writes"
-)
+_FILE = FileKind("an information file", ModelFileError, whole="what save() of pincal's RobotInformation writes")
 
 
 class RobotInformation(Record, frozen=True, kw_only=True):
@@ -83,12 +82,9 @@ class RobotInformation(Record, frozen=True, kw_only=True):
         form = reduce(add, (information_at(fit, k).form for k in range(len(problem.stations))))
         known = {p.name: (p, value) for p, value in zip(problem.parameters, fit.values, strict=True)}
         nominal = form.at(-np.array([known[name][1] for name in form.names]))
-        # Robots of the same joints and link frames share this number.
-        frames = np.round(np.concatenate([robot.frames.T_base_link, robot.frames.T_last_tip[None]]), _DIGITS) + 0.0
-        geometry = zlib.crc32(" ".join(robot.joint_names).encode() + frames.tobytes())
         sizes = np.array([p.size for p in problem.parameters]) / problem.largest_basis[0]
-        priors = dict(zip(known, sizes, strict=True))
-        return cls.of_form(nominal, robot.name, geometry, {name: (p, priors[name]) for name, (p, _) in known.items()})
+        priors = {p.name: (p, float(size)) for p, size in zip(problem.parameters, sizes, strict=True)}
+        return cls.of_form(nominal, robot.name, geometry_of(robot), priors)
 
     @classmethod
     def of_form(
@@ -149,6 +145,12 @@ class RobotInformation(Record, frozen=True, kw_only=True):
     def text(self) -> str:
         """Return its JSON, as :func:`information_of` takes it."""
         return json.dumps(plain(self), allow_nan=False)
+
+
+def geometry_of(robot: Robot) -> int:
+    """Return the checksum of a robot's nominal geometry, the same for the same joints and link frames."""
+    frames = np.round(np.concatenate([robot.frames.T_base_link, robot.frames.T_last_tip[None]]), _DIGITS) + 0.0
+    return zlib.crc32(" ".join(robot.joint_names).encode() + frames.tobytes())
 
 
 def information_of(text: str, source: str) -> RobotInformation:

@@ -170,7 +170,8 @@ class FleetWatch:
     def history(self) -> FleetHistory:
         """Return what was found so far."""
         last = tuple(sorted(self._last.values(), key=lambda one: -one.log_e))
-        return FleetHistory(tuple(self._changes), last, len(self._epochs), self._checks)
+        changed = frozenset(name for name, epoch in self._epochs.items() if epoch.is_changed)
+        return FleetHistory(tuple(self._changes), last, len(self._epochs), self._checks, changed)
 
     def take(self, number: int, visits: Iterable[Visit]) -> tuple[FleetChange, ...]:
         """Go on by one round and return what it shows to have changed.
@@ -216,11 +217,7 @@ class FleetWatch:
     def _form(self, machine: Machine) -> tuple[np.ndarray, np.ndarray]:
         """Return information in units of the type's priors; what the type does not have stays as it was calibrated."""
         found, P = gathered([machine], like=self.type.parameters), len(self.type.priors)
-        if found.geometry != self.type.geometry:
-            raise BadInputError(
-                f"machine {machine.name!r} ({found.robot}) has another nominal geometry than the type, which is of "
-                f"{self.type.robot}; expected the same URDF, base and tip"
-            )
+        self.type.require(f"machine {machine.name!r} ({found.robot})", found.geometry)
         scale = self.type.priors / found.priors[:P]
         return found.forms.H[0, :P, :P] * np.outer(scale, scale), found.forms.g[0, :P] * scale
 

@@ -88,12 +88,14 @@ class FleetHistory:
         last: the last check of each robot, those to look at first in front.
         robots: number of robots.
         checks: number of checks.
+        open: robots that changed and were not calibrated since.
     """
 
     changes: tuple[FleetChange, ...]
     last: tuple[LastCheck, ...]
     robots: int
     checks: int
+    open: frozenset[str]
 
 
 def benjamini_hochberg(p: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,11 +19,12 @@ from typing import TYPE_CHECKING, Any, final
 import msgspec
 import numpy as np
 
-from pincal.calibration.calibrated_robot import CalibratedRobot, calibrate, load_stations
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.calibrated_robot import calibrate, load_stations
 from pincal.calibration.information import RobotInformation
 from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, diagnose
 from pincal.discover.run import run_discovery
-from pincal.errors import BadInputError, PincalError
+from pincal.errors import BadInputError, ModelFileError, PincalError
 from pincal.fleet.history import Visit
 from pincal.fleet.machines import Machine
 from pincal.fleet.robot_type import RobotType, calibrate_of_type
@@ -31,6 +32,8 @@ from pincal.fleet.store import DIAGNOSES, DISCOVERIES, INFORMATION, MODELS, TABL
 from pincal.fleet.stored_rows import CALIBRATION, CHECK, information_frame, measurements_of
 from pincal.identify.options import Options
 from pincal.identify.quadratic import Quadratic
+from pincal.io.diagnosis_file import DiagnosisFile
+from pincal.io.strict_json import FileKind, read_json
 from pincal.measure.admit import check_table
 from pincal.measure.measurements import Measurements
 from pincal.robot.robot import Robot
@@ -38,6 +41,8 @@ from pincal.spread import spread
 
 if TYPE_CHECKING:
     import polars as pl
+
+_DIAGNOSIS = FileKind("a diagnosis", ModelFileError, whole="what pincal diagnose writes")
 
 
 class Job(ABC):
@@ -141,7 +146,10 @@ class DiagnoseTables(Job):
 
     def row(self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]) -> pl.DataFrame:
         """Return the diagnosis."""
-        found = diagnose(_model(store, key), table, alpha=self.alpha, sigma=self.sigma)
+        model = last_model(store, key.machine, key.day)
+        if model is None:
+            raise BadInputError(f"machine {key.machine!r} has no model of {key.day} or before; add its model.json")
+        found = diagnose(model, table, alpha=self.alpha, sigma=self.sigma)
         return _texts(msgspec.json.encode(found.found).decode(), changed=found.changed, p_value=found.found.p_value)
 
     def nothing(self, key: Key, labels: Mapping[str, str]) -> pl.DataFrame:
@@ -195,19 +203,28 @@ class Done:
     failed: dict[str, str]
 
 
-def run_job(store: Store, job: Job, *, executor: Executor | None = None) -> Done:
+def without_information(store: Store) -> list[Key]:
+    """Return the tables of which there is no information yet, by whatever job, nor any added for that machine and day."""
+    known = [(key, key.id.partition("-")[0]) for key in store.keys(INFORMATION)]
+    tables = {table for key, table in known if table != key.id}
+    added = {(key.machine, key.day) for key, table in known if table == key.id}
+    return [key for key in store.keys(TABLES) if key.id not in tables and (key.machine, key.day) not in added]
+
+
+def run_job(store: Store, job: Job, *, tables: Sequence[Key] | None = None, executor: Executor | None = None) -> Done:
     """Do a job for every table of a store that has no result of it yet.
 
     Args:
         store: the store.
         job: what to do.
+        tables: of these alone.
         executor: does the work, see :mod:`pincal.spread`; default: here, one after the other.
 
     Raises:
         OutputError: if the store can't be written to.
         WorkersLostError: if workers died and nobody could go on with their work; what is done is there.
     """
-    tables, there = store.keys(TABLES), set(store.keys(job.kind))
+    tables, there = store.keys(TABLES) if tables is None else tables, set(store.keys(job.kind))
     left = [key for key in tables if job.result(key) not in there]
     failed, done = dict[str, str](), 0
     for key, reason in zip(left, spread(partial(_work, store, job), left, label="table", executor=executor), strict=True):
@@ -255,27 +272,50 @@ def visits_of(store: Store, *, job: str | None = None) -> Iterator[Visit]:
                 yield Visit(key.machine, key.day, p_value=p)
 
 
-def add_model(store: Store, machine: str, day: str, path: Path) -> Key:
-    """Add a ``model.json`` of a machine.
+def add_model(store: Store, machine: str, day: str, path: Path, *, labels: Mapping[str, str] | None = None) -> bool:
+    """Add a ``model.json`` of a machine and the information in it; return whether it has any.
 
     Raises:
         ModelFileError: if it can't be read.
         OutputError: if the store can't be written to.
     """
-    load_stations(path)
-    return store.add_text(MODELS, machine, day, path.read_text(encoding="utf-8"))
+    information = load_stations(path).robot_model().information
+    store.add_text(MODELS, machine, day, path.read_text(encoding="utf-8"))
+    if information is not None:
+        store.add_information(day, Machine(machine, information, dict(labels or {})))
+    return information is not None
 
 
-def _model(store: Store, key: Key) -> CalibratedRobot:
-    """Return the last model of a machine that is not younger than a table."""
-    known = [one for one in store.keys(MODELS) if one.machine == key.machine and one.day <= key.day]
+def load_diagnosis(path: Path) -> DiagnosisFile:
+    """Read a ``diagnosis.json``.
+
+    Raises:
+        ModelFileError: if it can't be read.
+    """
+    return read_json(path, DiagnosisFile, _DIAGNOSIS)
+
+
+def add_diagnosis(store: Store, machine: str, day: str, path: Path) -> None:
+    """Add a ``diagnosis.json`` of a machine.
+
+    Raises:
+        ModelFileError: if it can't be read.
+        OutputError: if the store can't be written to.
+    """
+    found = load_diagnosis(path)
+    facts = {"changed": found.changed, "p_value": found.p_value, "role": CHECK, "job": "", "table": "", "failure": ""}
+    store.add_text(DIAGNOSES, machine, day, path.read_text(encoding="utf-8"), **facts)
+
+
+def last_model(store: Store, machine: str | None = None, day: str = "9999") -> CalibratedModel | None:
+    """Return the last model of a machine, default any, that is of some day or before; None without any."""
+    known = [one for one in store.keys(MODELS) if machine in (None, one.machine) and one.day <= day]
     if not known:
-        raise BadInputError(f"machine {key.machine!r} has no model of {key.day} or before; add its model.json")
-    last = max(known, key=lambda one: one.day)
+        return None
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.json"
-        path.write_text(store.frame(last)["text"][0], encoding="utf-8")
-        return load_stations(path)
+        path.write_text(store.frame(max(known, key=lambda one: one.day))["text"][0], encoding="utf-8")
+        return load_stations(path).robot_model()
 
 
 def _check(robot: Robot, table: Measurements) -> None:

@@ -11,7 +11,8 @@ import msgspec
 import numpy as np
 
 from pincal.calibration.calibrated_robot import Fit, calibrate
-from pincal.errors import BadInputError, MeasurementError, ModelFileError
+from pincal.calibration.information import geometry_of
+from pincal.errors import BadInputError, ModelFileError
 from pincal.fleet.evidence import Forms, in_prior_units, least_chance, log_ratios, regular, scores
 from pincal.fleet.machines import Gathered, Machine, gathered, kinds_of
 from pincal.fleet.population import population_of
@@ -22,6 +23,7 @@ from pincal.io.entries import ParameterEntry, plain, restoring
 from pincal.io.strict_json import Fault, FileKind, read_json, write_json
 from pincal.model.catalogue.masses import with_masses
 from pincal.model.chain import Chain
+from pincal.model.effect import Effect
 from pincal.model.model import Model
 from pincal.parameters import Covariance, Estimate, Parameter, root_of
 from pincal.robot.robot import Robot
@@ -37,7 +39,7 @@ _LOOSEST = 2.0
 EVERYTHING = "all"
 """A machine that differs in more than one element."""
 
-_FILE = FileKind("a type", ModelFileError, mark="pincal-type", whole="what save() of pincal's RobotType writes")
+_FILE = FileKind("a type", ModelFileError, whole="what pincal fleet learn writes")
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,26 +121,60 @@ class RobotType(Record, frozen=True, kw_only=True):
         share = np.diag(self.seen)
         return float(2.0 / max(share @ self.spread_variance / max(share.sum(), 1e-9), 1e-6))
 
+    @property
+    def determined(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mean, covariance of the mean and covariance of machines along what readings determine."""
+        known = self.seen * np.outer(self.priors, 1.0 / self.priors)
+        return known @ self.mean, known @ self.mean_covariance @ known.T, known @ self.covariance @ known.T
+
+    def drawn(self, robot: Robot, rng: np.random.Generator) -> np.ndarray:
+        """Return the parameters of a further machine, shape (P,), drawn along what readings determine.
+
+        Raises:
+            BadInputError: if the arm is of another nominal geometry.
+        """
+        self.require(robot.name, geometry_of(robot))
+        mean, of_mean, spread = self.determined
+        return mean + root_of(of_mean + spread) @ rng.standard_normal(len(mean))
+
+    def require(self, robot: str, geometry: int) -> None:
+        """Refuse an arm of another nominal geometry.
+
+        Raises:
+            BadInputError: naming both.
+        """
+        if geometry != self.geometry:
+            raise BadInputError(
+                f"the type is of {self.robot}, and {robot} has another nominal geometry; expected the same URDF, base "
+                "and tip"
+            )
+
     def prior(self, *, names: Collection[str] | None = None, off: Collection[str] = ()) -> Estimate:
         """Return what is known of a further machine: ``Options.earlier`` of its calibration.
 
         Args:
-            names: parameters that its model has; default: all. What is known of the others is left out.
+            names: parameters that its model has; default: all. What is known of the others does not depend on these, so that
+                a model without them is no model in which they are zero.
             off: elements in which it differs from its type, :data:`EVERYTHING` for all: what they may be without a type is
                 added to the spread.
         """
         mean, covariance = self._further()
+        if names is not None:
+            here = np.array([name in names for name in self.names])
+            covariance *= here[:, None] == here
         wide = np.array([EVERYTHING in off or p.element in off for p in self.parameters], float)
-        covariance = covariance + np.diag(wide)
         scale = self.priors
-        estimate = Estimate(
-            self.parameters,
-            mean * scale,
-            np.ones(len(scale), bool),
-            Covariance.of(covariance * np.outer(scale, scale)),
-            scale,
-        )
-        return estimate if names is None else estimate.take(name for name in self.names if name in set(names))
+        covariance = (covariance + np.diag(wide)) * np.outer(scale, scale)
+        return Estimate(self.parameters, mean * scale, np.ones(len(scale), bool), Covariance.of(covariance), scale)
+
+    def prior_of(self, robot: Robot, effects: tuple[Effect, ...], *, off: Collection[str] = ()) -> Estimate:
+        """Return the same for a model of an arm with these effects.
+
+        Raises:
+            BadInputError: if the arm is of another nominal geometry.
+        """
+        self.require(robot.name, geometry_of(robot))
+        return self.prior(names=Model(Chain.of(robot), with_masses(robot, effects)).names, off=off)
 
     def _further(self) -> tuple[np.ndarray, np.ndarray]:
         """Return mean and covariance of a further machine in units of the priors: what is unsure of both is part of it."""
@@ -154,11 +190,7 @@ class RobotType(Record, frozen=True, kw_only=True):
         Raises:
             BadInputError: if it is of another nominal geometry.
         """
-        if machine.information.geometry != self.geometry:
-            raise BadInputError(
-                f"the type is of {self.robot}, and machine {machine.name!r} ({machine.information.robot}) has another "
-                "nominal geometry; expected the same URDF, base and tip"
-            )
+        self.require(f"machine {machine.name!r} ({machine.information.robot})", machine.information.geometry)
         found = gathered([machine], like=self.parameters)
         mean, covariance = self._further()
         P, own = len(mean), len(found.parameters)
@@ -303,11 +335,8 @@ def calibrate_of_type(
         MeasurementError: as :func:`pincal.calibrate`.
     """
     options = Options() if options is None else options
-    names = Model(Chain.of(robot), with_masses(robot, options.effects)).names
-    try:
-        # A narrow prior would take sound rows of another kind of machine for outliers.
-        alone = calibrate(robot, measurements, options)
-    except MeasurementError:
-        alone = calibrate(robot, measurements, replace(options, earlier=of.prior(names=names)))
-    member = of.judge(Machine.of(alone, name))
-    return calibrate(robot, measurements, replace(options, earlier=of.prior(names=names, off=member.off))), member
+    fit = calibrate(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects)))
+    member = of.judge(Machine.of(fit, name))
+    if member.off:
+        fit = calibrate(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects, off=member.off)))
+    return fit, member
