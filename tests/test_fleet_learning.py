@@ -17,7 +17,7 @@ from pincal import BadInputError, calibrate
 from pincal.calibration.information import RobotInformation
 from pincal.errors import ModelFileError
 from pincal.fleet.machines import Machine, load_machines, save_machines
-from pincal.fleet.robot_type import EVERYTHING, Learned, RobotType, calibrate_of_type, learn_type, load_type
+from pincal.fleet.robot_type import EVERYTHING, Learned, Membership, RobotType, calibrate_of_type, learn_type, load_type
 from pincal.io.schemas import schema_of
 
 
@@ -235,7 +235,7 @@ def test_a_machine_of_another_kind_gets_its_wide_prior_back() -> None:
     assert not of.judge(family.measured(x, rng)).off
     assert of.judge(family.measured(bent, rng)).off == ("joint_2",)
     assert of.judge(family.measured(strange, rng)).off == (EVERYTHING,)
-    narrow, wide = of.prior().sigma, of.prior(off=["joint_2"]).sigma
+    narrow, wide = of.prior().sigma, of.prior(member=Membership("", 0.0, 0.0, ("joint_2",))).sigma
     np.testing.assert_allclose(wide[6:12] ** 2, narrow[6:12] ** 2 + PRIOR**2)
     np.testing.assert_allclose(wide[12:], narrow[12:])
     assert isinstance(of, RobotType)

@@ -215,11 +215,13 @@ def _of_type(path: Path | None, prepared: Prepared) -> tuple[Options, tuple[str,
     judging = replace(prepared.options, effects=(*effects, *(effect for effect in whole if effect not in effects)))
     _, member = calibrate_of_type(prepared.robot, prepared.tables, of, judging)
     told = f"compared with {of.machines} robots of its type, p = {member.p_value:.2g}"
+    if not member.is_usual:
+        prepared = replace(prepared, options=replace(prepared.options, earlier=of.prior_of(prepared.robot, effects, member)))
     if not member.off:
         return prepared.options, (f"the robot is as others of its type are ({told})",)
     where = "in more than one joint" if member.off == (EVERYTHING,) else f"in {' or '.join(member.off)}"
     note = f"the robot is not like others of its type: it differs {where} ({told}); its prior is wider there"
-    return replace(prepared.options, earlier=of.prior_of(prepared.robot, effects, off=member.off)), (note,)
+    return prepared.options, (note,)
 
 
 def write_results(

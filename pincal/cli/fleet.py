@@ -82,7 +82,7 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
     from pincal.fleet import summary
     from pincal.fleet.machines import save_machines
     from pincal.fleet.robot_type import learn_type
-    from pincal.model.effects import GEOMETRIC
+    from pincal.model.effects import ELASTIC, GEOMETRIC
     from pincal.robot.robot import Robot
 
     machines, model = _machines(arguments.machines)
@@ -91,6 +91,7 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
     robot, effects = (None, GEOMETRIC) if model is None else (model.model.chain.robot, _own_effects(model))
     if arguments.robot is not None:
         robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
+        effects = ELASTIC if any(parameter.is_compliance for parameter in of.parameters) else GEOMETRIC
     at = None if robot is None else summary.at_tool(of, robot, effects, noise=arguments.noise)
     origin = provenance([Path(text) for text in arguments.machines])
     of.save(arguments.out, provenance=origin)
@@ -197,7 +198,8 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
             click.echo(line)
         if found.changes:
             console().print(summary.change_summary(found))
-        console().print(summary.look_first(found))
+        if found.checks:
+            console().print(summary.look_first(found))
         if left := len(without_information(store)):
             click.echo(
                 f"note: {left} tables of the store are not calibrated: pincal fleet calibrate ROBOT.urdf "

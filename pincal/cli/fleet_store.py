@@ -251,14 +251,16 @@ def _run(store: Store, job: Job, tables: Sequence[Key], dask: str | None, genera
         BadInputError: if there was something to do and all of it failed.
     """
     from pincal.fleet.jobs import run_job
+    from pincal.fleet.store import TABLES
 
+    before = len(store.keys(TABLES)) - len(tables)
     with workers(dask, repeats=True) as executor:
         found = run_job(store, job, tables=tables, executor=executor)
     good = found.done - len(found.failed)
     if general.as_json:
-        print_json({"job": job.name, "done": good, "before": found.before, "failed": found.failed})
+        print_json({"job": job.name, "done": good, "before": before + found.before, "failed": found.failed})
     else:
-        click.echo(f"{good} tables {done}" + (f", {found.before} were before" if found.before else ""))
+        click.echo(f"{good} tables {done}" + (f"; {before} were before" if (before := before + found.before) else ""))
         for path, reason in list(found.failed.items())[:_FAILURES]:
             click.echo(f"failed: {path}: {reason}")
         if len(found.failed) > _FAILURES:

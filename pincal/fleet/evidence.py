@@ -28,6 +28,8 @@ from scipy.special import fdtrc
 _PIECE = 500
 # Log odds beyond which nothing changes any more.
 _SURE = 500.0
+# Degrees of freedom of machines about their mean, and logarithms of factors on variances that are tried.
+_TAIL, _FACTORS = 4.0, (-3.0, 6.0, 181)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,3 +160,28 @@ def least_chance(
     single = [chance(own[:, at], Own[:, at[:, None], at], degrees) for at in elements]
     # Two tests, one of them of as many elements (Bonferroni).
     return np.asarray(np.minimum(1.0, 2.0 * np.minimum(whole, len(single) * np.min(single, axis=0))))
+
+
+def times_farther(q: np.ndarray, Q: np.ndarray) -> float:
+    r"""Return by which factor on the variances of its population a machine is farther from the mean than others.
+
+    With variances s times as large the readings have the log likelihood
+
+    .. math:: \tfrac12 \sum_i \Big( \frac{s\, b_i^2}{1 + s a_i} - \ln(1 + s a_i) \Big)
+
+    along the axes of their information a in units of the spread, b its gradient at the mean. The inverse of s has a
+    chi-square prior of few degrees of freedom, so that machines are Student's (Lange, Little and Taylor 1989); of its
+    logarithm the mean is taken.
+
+    Args:
+        q: shape (P,), score of one machine in units of the spread.
+        Q: shape (P, P), its covariance.
+    """
+    left, axes = np.linalg.eigh(np.eye(len(q)) - Q)
+    left = np.clip(left, 1e-12, 1.0)
+    a, b = 1.0 / left - 1.0, axes.T @ q / left
+    logs = np.linspace(*_FACTORS)
+    s = np.exp(logs)[:, None]
+    found = 0.5 * np.sum(s * b**2 / (1.0 + s * a) - np.log1p(s * a), axis=1) - 0.5 * _TAIL * (logs + np.exp(-logs))
+    weights = np.exp(found - found.max())
+    return float(np.exp(weights @ logs / weights.sum()))

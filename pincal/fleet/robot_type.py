@@ -13,7 +13,7 @@ import numpy as np
 from pincal.calibration.calibrated_robot import Fit, calibrate
 from pincal.calibration.information import geometry_of
 from pincal.errors import BadInputError, ModelFileError
-from pincal.fleet.evidence import Forms, in_prior_units, least_chance, log_ratios, regular, scores
+from pincal.fleet.evidence import Forms, in_prior_units, least_chance, log_ratios, regular, scores, times_farther
 from pincal.fleet.machines import Gathered, Machine, gathered, kinds_of
 from pincal.fleet.population import population_of
 from pincal.identify.calibrate import Tables
@@ -34,6 +34,8 @@ _LEAST_HIT = 0.02
 _UNLIKELY, _SHARE = 0.5, 0.1
 # Chance of a machine of the type to be thought off, where few machines leave its spread unsure.
 _ALPHA = 0.05
+# Factor on variances from which on the prior of a machine is wider than that of others.
+_FARTHER = 1.25
 # Log variances are known at least by this [variance], however few the machines.
 _LOOSEST = 2.0
 EVERYTHING = "all"
@@ -51,12 +53,20 @@ class Membership:
         p_value: chance that a machine of the type is as far off, in any element or in all.
         probability: that it is like the others.
         off: elements (joints) in which it differs, :data:`EVERYTHING` for more than one; empty if it is like the others.
+        times: factor on the variances of its prior, wider where it differs: some machines are farther from the mean than
+            others, and 8 poses show it.
     """
 
     machine: str
     p_value: float
     probability: float
     off: tuple[str, ...]
+    times: float = 1.0
+
+    @property
+    def is_usual(self) -> bool:
+        """Whether its prior is that of any machine of the type."""
+        return not self.off and self.times == 1.0
 
 
 class RobotType(Record, frozen=True, kw_only=True):
@@ -149,38 +159,40 @@ class RobotType(Record, frozen=True, kw_only=True):
                 "and tip"
             )
 
-    def prior(self, *, names: Collection[str] | None = None, off: Collection[str] = ()) -> Estimate:
+    def prior(self, *, names: Collection[str] | None = None, member: Membership | None = None) -> Estimate:
         """Return what is known of a further machine: ``Options.earlier`` of its calibration.
 
         Args:
             names: parameters that its model has; default: all. What is known of the others does not depend on these, so that
                 a model without them is no model in which they are zero.
-            off: elements in which it differs from its type, :data:`EVERYTHING` for all: what they may be without a type is
-                added to the spread.
+            member: how the machine compares with the type: the prior of one that is farther from the mean than others is
+                wider, and where it differs has what it may be without a type beside that.
         """
-        mean, covariance = self._further()
+        mean, covariance = self._further(member)
         if names is not None:
             here = np.array([name in names for name in self.names])
             covariance *= here[:, None] == here
-        wide = np.array([EVERYTHING in off or p.element in off for p in self.parameters], float)
         scale = self.priors
-        covariance = (covariance + np.diag(wide)) * np.outer(scale, scale)
-        return Estimate(self.parameters, mean * scale, np.ones(len(scale), bool), Covariance.of(covariance), scale)
+        found = Covariance.of(covariance * np.outer(scale, scale))
+        return Estimate(self.parameters, mean * scale, np.ones(len(scale), bool), found, scale)
 
-    def prior_of(self, robot: Robot, effects: tuple[Effect, ...], *, off: Collection[str] = ()) -> Estimate:
+    def prior_of(self, robot: Robot, effects: tuple[Effect, ...], member: Membership | None = None) -> Estimate:
         """Return the same for a model of an arm with these effects.
 
         Raises:
             BadInputError: if the arm is of another nominal geometry.
         """
         self.require(robot.name, geometry_of(robot))
-        return self.prior(names=Model(Chain.of(robot), with_masses(robot, effects)).names, off=off)
+        return self.prior(names=Model(Chain.of(robot), with_masses(robot, effects)).names, member=member)
 
-    def _further(self) -> tuple[np.ndarray, np.ndarray]:
+    def _further(self, member: Membership | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return mean and covariance of a further machine in units of the priors: what is unsure of both is part of it."""
         scale = np.outer(self.priors, self.priors)
         wider = np.exp(0.25 * np.minimum(self.spread_variance, _LOOSEST))
         covariance = (self.covariance * np.outer(wider, wider) + self.mean_covariance) / scale
+        if member is not None:
+            wide = np.array([EVERYTHING in member.off or p.element in member.off for p in self.parameters], float)
+            covariance = member.times * covariance + np.diag(wide)
         covariance = self.seen @ covariance @ self.seen + np.eye(len(scale)) - self.seen
         return self.seen @ (self.mean / self.priors), 0.5 * (covariance + covariance.T)
 
@@ -192,14 +204,20 @@ class RobotType(Record, frozen=True, kw_only=True):
         """
         self.require(f"machine {machine.name!r} ({machine.information.robot})", machine.information.geometry)
         found = gathered([machine], like=self.parameters)
-        mean, covariance = self._further()
+        (membership,) = _memberships(found, found.forms, *self._with_own(found), self)
+        wider = self._with_own(found, membership)
+        q, Q = scores(found.forms, *wider)
+        times = times_farther(q[0], Q[0])
+        return replace(membership, times=times if times > _FARTHER else 1.0)
+
+    def _with_own(self, found: Gathered, member: Membership | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean and root of the covariance of a machine, whose effects that the type lacks keep their priors."""
+        mean, covariance = self._further(member)
         P, own = len(mean), len(found.parameters)
-        # Effects that the type does not have keep their priors.
         whole_mean, whole = np.zeros(own), np.eye(own)
         scale = self.priors / found.priors[:P]
         whole_mean[:P], whole[:P, :P] = mean * scale, covariance * np.outer(scale, scale)
-        (membership,) = _memberships(found, found.forms, whole_mean, root_of(whole), self)
-        return membership
+        return whole_mean, root_of(whole)
 
     def save(self, path: str | os.PathLike[str], *, provenance: dict[str, Any] | None = None) -> None:
         """Write it to a file, see :func:`load_type`.
@@ -337,6 +355,6 @@ def calibrate_of_type(
     options = Options() if options is None else options
     fit = calibrate(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects)))
     member = of.judge(Machine.of(fit, name))
-    if member.off:
-        fit = calibrate(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects, off=member.off)))
+    if not member.is_usual:
+        fit = calibrate(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects, member)))
     return fit, member

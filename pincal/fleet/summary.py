@@ -46,7 +46,7 @@ class AtTool:
         spread: root mean square distance of a machine from the mean one.
         by_effect: the same by each effect alone.
         by_parameter: shape (P,), the same by each parameter of the type alone; nan for those that the model lacks.
-        sheet: root mean square distance of the mean machine from the nominal one.
+        sheet: root mean square distance of the mean machine from the nominal one, by its lengths and angles.
         exchangeability: largest distance between any two of five machines at the same joint positions, mean over poses and
             draws (exchangeability of ISO 9283, at random poses).
         needed: number of poses -> foreseen root mean square error of a further machine with this type, and without.
@@ -110,7 +110,9 @@ def at_tool(
         sets = [Conditions.at(robot.random_configurations(poses, rng)) for _ in range(_SETS)]
         with_type, without = np.median([[_foreseen(design, one, cared) for design in designs] for one in sets], axis=0)
         needed[poses] = float(with_type), float(without)
-    sheet = placed @ mean[places]
+    # A data sheet has lengths and angles, and no compliances.
+    is_sheet = np.array([of.parameters[k].unit in ("m", "rad") for k in places])
+    sheet = placed @ (mean[places] * is_sheet)
     return AtTool(_rms(moved), by_effect, by_parameter, _rms(sheet[:, None]), float(apart.mean()), needed)
 
 
@@ -226,8 +228,8 @@ def type_lines(learned: Learned, at: AtTool | None, *, error: float | None = Non
 def _off_sheet(of: RobotType) -> str:
     """Return by how many parameters the data sheet is surely off (Holm 1979)."""
     mean, C, _ = of.determined
-    sigma = np.sqrt(np.diag(C))
-    p = np.sort(2.0 * ndtr(-np.abs(mean) / np.maximum(sigma, 1e-300))[np.diag(of.seen) > _DETERMINED])
+    known = (np.diag(of.seen) > _DETERMINED) & np.array([p.unit in ("m", "rad") for p in of.parameters])
+    p = np.sort(2.0 * ndtr(-np.abs(mean) / np.sqrt(np.maximum(np.diag(C), 1e-300)))[known])
     sure = np.minimum.accumulate(p * np.arange(len(p), 0, -1) < _ALPHA)
     return f"surely in {int(sure.sum())} of {len(p)} parameters"
 

@@ -19,8 +19,8 @@ from pincal.units import readable_unit
 
 # Parameters and robots that are drawn, height of a row, width of a letter [in], and part of a parameter that readings tell.
 _MOST, _PER_ROW, _LETTER, _TOLD = 14, 0.27, 0.085, 0.3
-# Machines that are drawn as points.
-_POINTS = 300
+# Machines that are drawn as points, and evidence beyond which more makes no difference [log10].
+_POINTS, _SURE = 300, 10.0
 
 
 def type_page(learned: Learned, at: summary.AtTool | None, *, version: str) -> str:
@@ -158,12 +158,13 @@ def _evidence(found: FleetHistory, alpha: float) -> Drawing:
     figure, axes = panel(1.1 + _PER_ROW * max(len(ranked), 1), left=0.3 + _LETTER * max(map(len, names), default=1))
     for i, one in enumerate(ranked):
         colour = BEFORE if one.machine in found.open else THIRD
-        axes.plot([0.0, one.log_e / np.log(10.0)], [i, i], "-", color=colour, linewidth=2.2)
-        axes.plot(one.log_e / np.log(10.0), i, "o", color=colour, markersize=5.0)
+        size = min(one.log_e / np.log(10.0), _SURE)
+        axes.plot([0.0, size], [i, i], "-", color=colour, linewidth=2.2)
+        axes.plot(size, i, "o", color=colour, markersize=5.0)
     axes.axvline(0.0, color=MUTED, linewidth=0.9)
     axes.axvline(np.log10(max(found.robots, 1) / alpha), color=MUTED, linewidth=0.9, linestyle="--")
     axes.set_ylim(-0.7, max(len(ranked), 1) - 0.3)
-    dress(axes, x="log10 of the e-value that it has changed", title="Evidence by robot")
+    dress(axes, x=f"log10 of the e-value, up to {_SURE:g}", title="Evidence by robot")
     axes.set_yticks(range(len(ranked)), names, fontsize=SMALL, color=INK)
     caption = (
         "How much likelier the readings since its calibration are if the robot has changed than if not. The dashed line is "
