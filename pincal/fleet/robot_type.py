@@ -36,6 +36,8 @@ _UNLIKELY, _SHARE = 0.5, 0.1
 _ALPHA = 0.05
 # Factor on variances from which on the prior of a machine is wider than that of others.
 _FARTHER = 1.25
+# Mean square of residuals in units of the declared noise up to which a fit is as it should be.
+_FITS = 2.0
 # Log variances are known at least by this [variance], however few the machines.
 _LOOSEST = 2.0
 EVERYTHING = "all"
@@ -354,7 +356,9 @@ def calibrate_of_type(
     """
     options = Options() if options is None else options
     fit = calibrate(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects)))
-    member = of.judge(Machine.of(fit, name))
+    # What a prior does not let a machine be becomes noise, by which nothing is strange: it is then judged without one.
+    is_fair = fit.is_declared and fit.solution.cost < _FITS
+    member = of.judge(Machine.of(fit if is_fair else calibrate(robot, measurements, options), name))
     if not member.is_usual:
         fit = calibrate(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects, member)))
     return fit, member
