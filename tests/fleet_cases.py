@@ -16,6 +16,7 @@ import numpy as np
 
 from pincal import GEOMETRIC, Fit, Measurements, Options, Robot, calibrate, measurements_from_arrays
 from pincal import simulate as sim
+from pincal.builtin import kuka_urdf_path
 from pincal.calibration.information import RobotInformation
 from pincal.fleet.checks import FALSE_DISCOVERIES, FleetWatch
 from pincal.fleet.history import FleetChange, Visit
@@ -131,6 +132,21 @@ def table_of(robot: Robot, machine: sim.TrueMachine, poses: int, seed: int, *, n
     tip = machine.tip(q)
     position = tip[:, :3, :3] @ TOOL + tip[:, :3, 3] + INSTRUMENT
     return measurements_from_arrays(robot.joint_names, q, position=position + noise * rng.normal(size=position.shape))
+
+
+def siblings(count: int) -> list[sim.TrueMachine]:
+    """Return machines of the KUKA that differ by a quarter of a millimetre and of a milliradian."""
+    nominal, rng = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0"), np.random.default_rng(1)
+    return [nominal.draw_errors(rng, sigma_length=2.5e-4, sigma_angle=2.5e-4) for _ in range(count)]
+
+
+def rows_of(robot: Robot, machine: sim.TrueMachine, poses: int, seed: int) -> Measurements:
+    """Return what a tracker reads of a reflector."""
+    rng = np.random.default_rng(seed)
+    q = robot.random_configurations(poses, rng)
+    tip = machine.tip(q)
+    position = tip[:, :3, :3] @ [0.1, 0.0, 0.2] + tip[:, :3, 3] + 5e-5 * rng.normal(size=(poses, 3))
+    return measurements_from_arrays(robot.joint_names, q, position=position, temperature=np.full(poses, 21.0))
 
 
 def error_of(fit: Fit, truth: Measurements) -> float:

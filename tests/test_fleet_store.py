@@ -14,11 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fleet_cases import OPTIONS, Family
+from fleet_cases import OPTIONS, Family, rows_of, siblings
 
 import pincal
-from pincal import BadInputError, Measurements, Robot, measurements_from_arrays
-from pincal import simulate as sim
+from pincal import BadInputError, Robot, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.fleet.checks import fleet_changes
 from pincal.fleet.jobs import CalibrateTables, DiagnoseTables, DiscoverTables, add_model, run_job, visits_of
@@ -26,21 +25,6 @@ from pincal.fleet.robot_type import learn_type
 from pincal.fleet.store import Store, open_store
 
 DAY = "2026-11-03"
-
-
-def siblings(count: int) -> list[sim.TrueMachine]:
-    """Return machines of the KUKA that differ by a quarter of a millimetre and of a milliradian."""
-    nominal, rng = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0"), np.random.default_rng(1)
-    return [nominal.draw_errors(rng, sigma_length=2.5e-4, sigma_angle=2.5e-4) for _ in range(count)]
-
-
-def rows_of(robot: Robot, machine: sim.TrueMachine, poses: int, seed: int) -> Measurements:
-    """Return what a tracker reads of a reflector."""
-    rng = np.random.default_rng(seed)
-    q = robot.random_configurations(poses, rng)
-    tip = machine.tip(q)
-    position = tip[:, :3, :3] @ [0.1, 0.0, 0.2] + tip[:, :3, 3] + 5e-5 * rng.normal(size=(poses, 3))
-    return measurements_from_arrays(robot.joint_names, q, position=position, temperature=np.full(poses, 21.0))
 
 
 @pytest.fixture(scope="module")

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 # Failures of tables that are listed.
 _FAILURES = 5
+# Tables from which on it is worth starting processes, which takes seconds.
+_SEVERAL = 12
 # Names of files that say nothing of the machine: the folder's does.
 _GENERIC = ("model", "information", "diagnosis")
 _ADD_EXAMPLES = """
@@ -85,18 +87,18 @@ def fleet_add(arguments: AddArguments) -> Exit:
 
     from pincal.cli.inputs import load_table
     from pincal.fleet.jobs import add_diagnosis, add_model, last_model
-    from pincal.fleet.store import Store, open_store
+    from pincal.fleet.store import Store, iso_day, named_machine, open_store
     from pincal.fleet.stored_rows import CALIBRATION, CHECK
     from pincal.robot.robot import Robot
 
-    day = arguments.day or datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    day = iso_day(arguments.day or datetime.datetime.now(tz=datetime.UTC).date().isoformat())
     labels = dict(pair(text, "KEY=VALUE, such as hall=north") for text in arguments.label)
     names = machine_names([str(path) for path in arguments.files])
     # Everything is read before anything is written.
     adding, robot = list[Callable[[Store], object]](), None
     kinds = list[str]()
     for path in arguments.files:
-        machine = arguments.machine or names[str(path)]
+        machine = named_machine(names[str(path)] if arguments.machine is None else arguments.machine)
         if path.suffix.lower() == ".json":
             kinds.append(_kind(path))
             if kinds[-1] == "diagnosis":
@@ -254,7 +256,7 @@ def _run(store: Store, job: Job, tables: Sequence[Key], dask: str | None, genera
     from pincal.fleet.store import TABLES
 
     before = len(store.keys(TABLES)) - len(tables)
-    with workers(dask, repeats=True) as executor:
+    with workers(dask, repeats=dask is not None or len(tables) >= _SEVERAL) as executor:
         found = run_job(store, job, tables=tables, executor=executor)
     good = found.done - len(found.failed)
     if general.as_json:

@@ -212,7 +212,7 @@ class Store:
         if role not in ROLES:
             raise BadInputError(f"role {role!r}; expected {' or '.join(ROLES)}")
         frame = table_frame(table, role, labels or {})
-        key = Key(TABLES, _named(machine), _dated(day), _digest(parquet_bytes(frame)))
+        key = Key(TABLES, named_machine(machine), iso_day(day), _digest(parquet_bytes(frame)))
         self.add(key, frame)
         return key
 
@@ -233,7 +233,7 @@ class Store:
             raise BadInputError(f"role {role!r}; expected {' or '.join(ROLES)}")
         frame = information_frame(machine, role)
         frame = frame.with_columns(pl.lit("").alias(name) for name in ("job", "table", "failure"))
-        key = Key(INFORMATION, _named(machine.name), _dated(day), _digest(parquet_bytes(frame)))
+        key = Key(INFORMATION, named_machine(machine.name), iso_day(day), _digest(parquet_bytes(frame)))
         self.add(key, frame)
         return key
 
@@ -242,7 +242,7 @@ class Store:
         import polars as pl
 
         frame = pl.DataFrame({"text": [content], **{name: [value] for name, value in facts.items()}})
-        key = Key(kind, _named(machine), _dated(day), _digest(parquet_bytes(frame)))
+        key = Key(kind, named_machine(machine), iso_day(day), _digest(parquet_bytes(frame)))
         self.add(key, frame)
         return key
 
@@ -350,13 +350,23 @@ def open_store(place: str | os.PathLike[str], *, create: bool = False) -> Store:
     return store
 
 
-def _named(machine: str) -> str:
+def named_machine(machine: str) -> str:
+    """Return the name of a machine if it can be one.
+
+    Raises:
+        BadInputError: if not.
+    """
     if not machine or machine in (".", "..") or len(machine) > 200:
         raise BadInputError(f"machine {machine!r}; expected a name, such as its serial number")
     return machine
 
 
-def _dated(day: str) -> str:
+def iso_day(day: str) -> str:
+    """Return a day as an ISO date.
+
+    Raises:
+        BadInputError: if it is none.
+    """
     try:
         return str(np.datetime64(day, "D"))
     except ValueError:

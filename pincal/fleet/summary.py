@@ -22,7 +22,7 @@ from pincal.model.effects import GEOMETRIC, Conditions, Effect
 from pincal.parameters import root_of
 from pincal.result_table import Cell, Column, Kind, Table
 from pincal.robot.robot import Robot
-from pincal.units import Quantity, fixed, format_readable, show_percent, show_sigma, show_unit, show_value
+from pincal.units import Quantity, fixed, format_readable, readable_unit, show_percent, show_sigma, show_unit, show_value
 
 # Poses at which the tool is compared, and machines drawn for exchangeability, of which ISO 9283 compares five.
 _POSES, _DRAWN, _COMPARED = 200, 200, 5
@@ -36,6 +36,8 @@ _DETERMINED = 0.05
 _INTERVAL = 1.96
 # Robots that are listed.
 _FIRST = 10
+# Parameters in which the data sheet is off that are named.
+_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -168,7 +170,7 @@ def effect_summary(found: AtTool) -> Table:
     """Return how far machines differ at the tool, by effect."""
     columns = (Column("effect", kind=Kind.LABEL), Column("at the tool", "mm", Kind.NUMBER, fixed(3)))
     rows = [(effect, 1e3 * size) for effect, size in sorted(found.by_effect.items(), key=lambda one: -one[1])]
-    return Table("How far machines differ, by effect alone", columns, tuple(rows))
+    return Table("By each effect alone", columns, tuple(rows))
 
 
 def poses_summary(found: AtTool) -> Table:
@@ -179,7 +181,7 @@ def poses_summary(found: AtTool) -> Table:
         Column("without", "mm", Kind.NUMBER, fixed(3)),
     )
     rows = tuple((poses, *(1e3 * error for error in both)) for poses, both in found.needed.items())
-    return Table("Error of a further machine by random poses", columns, rows)
+    return Table("Random poses of a further one", columns, rows)
 
 
 def strangers(members: Sequence[Membership]) -> list[tuple[Membership, float]]:
@@ -226,12 +228,18 @@ def type_lines(learned: Learned, at: AtTool | None, *, error: float | None = Non
 
 
 def _off_sheet(of: RobotType) -> str:
-    """Return by how many parameters the data sheet is surely off (Holm 1979)."""
+    """Return in which parameters the data sheet is surely off (Holm 1979), and by how much the largest are."""
     mean, C, _ = of.determined
-    known = (np.diag(of.seen) > _DETERMINED) & np.array([p.unit in ("m", "rad") for p in of.parameters])
-    p = np.sort(2.0 * ndtr(-np.abs(mean) / np.sqrt(np.maximum(np.diag(C), 1e-300)))[known])
-    sure = np.minimum.accumulate(p * np.arange(len(p), 0, -1) < _ALPHA)
-    return f"surely in {int(sure.sum())} of {len(p)} parameters"
+    half = _INTERVAL * np.sqrt(np.maximum(np.diag(C), 1e-300))
+    places = [k for k, p in enumerate(of.parameters) if p.unit in ("m", "rad") and of.seen[k, k] > _DETERMINED]
+    p = 2.0 * ndtr(-_INTERVAL * np.abs(mean) / half)
+    ranked = sorted(places, key=lambda k: p[k])
+    count = next((i for i, k in enumerate(ranked) if p[k] * (len(ranked) - i) >= _ALPHA), len(ranked))
+    words = []
+    for k in ranked[:_NAMED][:count]:
+        factor, unit = readable_unit(of.parameters[k].unit)
+        words.append(f"{of.names[k]} {factor * mean[k]:+.3f} +- {factor * half[k]:.3f} {unit}")
+    return f"surely in {count} of {len(ranked)} parameters" + (f": {', '.join(words)}" if words else "")
 
 
 def plain_type(learned: Learned, at: AtTool | None, *, error: float | None = None) -> dict[str, Any]:
