@@ -92,12 +92,19 @@ def commands() -> Iterator[str]:
     settings = command.context_settings | {"max_content_width": None, "terminal_width": 100}
     with click.Context(command, info_name="pincal", **settings) as context:
         yield _block(command.get_help(context))
-        for name in command.list_commands(context):
-            verb = command.get_command(context, name)
-            assert verb is not None
-            with click.Context(verb, info_name=name, parent=context, terminal_width=100) as own:
-                yield f"## {name}"
-                yield _block(verb.get_help(own))
+        yield from _verbs(command, context)
+
+
+def _verbs(group: click.Group, context: click.Context, before: str = "") -> Iterator[str]:
+    """Yield the help text of each command of a group, and of those of groups in it."""
+    for name in group.list_commands(context):
+        verb = group.get_command(context, name)
+        assert verb is not None
+        with click.Context(verb, info_name=name, parent=context, terminal_width=100) as own:
+            yield f"## {before}{name}"
+            yield _block(verb.get_help(own))
+            if isinstance(verb, click.Group):
+                yield from _verbs(verb, own, f"{name} ")
 
 
 def files() -> Iterator[str]:

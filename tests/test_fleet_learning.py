@@ -11,9 +11,22 @@ import jsonschema
 import msgspec
 import numpy as np
 import pytest
-from fleet_cases import OPTIONS, PRIOR, Family, machine_of, nominal_arm, real_machines, sibling_of, table_of
+from fleet_cases import (
+    OPTIONS,
+    PRIOR,
+    Family,
+    machine_of,
+    nominal_arm,
+    real_machines,
+    rows_of,
+    sibling_of,
+    siblings,
+    table_of,
+)
 
-from pincal import BadInputError, calibrate
+from pincal import BadInputError, Robot, calibrate
+from pincal import simulate as sim
+from pincal.builtin import kuka_urdf_path
 from pincal.calibration.information import RobotInformation
 from pincal.errors import ModelFileError
 from pincal.fleet.machines import Machine, load_machines, save_machines
@@ -32,26 +45,26 @@ def learned(family: Family, count: int, seed: int = 1, **measured: float) -> tup
 def test_machines_that_are_known_exactly_give_their_mean_and_covariance() -> None:
     """The closed form: with nothing but the machines' own spread, these are the sample's."""
     family = Family.drawn(np.random.default_rng(2), parameters=12, correlated=True)
-    found, x, _ = learned(family, 2000, least=1e7, most=1e8)
+    found, x, _ = learned(family, 1000, least=1e7, most=1e8)
 
     np.testing.assert_allclose(found.type.mean / PRIOR, x.mean(axis=0), atol=0.01 * x.std(axis=0).max())
     scale = np.outer(x.std(axis=0), x.std(axis=0))
-    np.testing.assert_allclose(found.type.covariance / PRIOR**2 / scale, np.cov(x.T) / scale, atol=0.03)
+    np.testing.assert_allclose(found.type.covariance / PRIOR**2 / scale, np.cov(x.T) / scale, atol=0.04)
     np.testing.assert_allclose(found.values / PRIOR, x, atol=0.01)
 
 
 def test_mean_and_spread_are_right_where_half_of_the_directions_is_never_seen() -> None:
     """Within three standard errors, and what no machine shows stays at the prior."""
-    family = Family.drawn(np.random.default_rng(3), unseen=15)
-    found, _, _ = learned(family, 600)
+    family = Family.drawn(np.random.default_rng(3), parameters=30, unseen=12)
+    found, _, _ = learned(family, 400)
     K, of = family.seen, found.type
     spread = np.sqrt(np.diag(K.T @ family.covariance @ K))
 
     off = K.T @ (of.mean / PRIOR - family.mean) / np.sqrt(np.diag(K.T @ of.mean_covariance @ K) / PRIOR**2)
     assert np.sqrt(np.mean(off**2)) < 1.4 and np.abs(off).max() < 4.0
     ratio = np.diag(K.T @ of.covariance @ K) / PRIOR**2 / spread**2
-    assert np.abs(ratio - 1.0).max() < 3.5 * np.sqrt(2.0 / 600)
-    unseen = np.eye(40) - K @ K.T
+    assert np.abs(ratio - 1.0).max() < 3.5 * np.sqrt(2.0 / 400)
+    unseen = np.eye(30) - K @ K.T
     np.testing.assert_allclose(of.seen, K @ K.T, atol=1e-6)
     prior = of.prior().dense_covariance() / PRIOR**2
     np.testing.assert_allclose(unseen @ prior @ unseen, unseen, atol=1e-6)
@@ -129,8 +142,8 @@ def test_machines_that_were_hit_do_not_spoil_the_type_and_are_named() -> None:
     """One in twenty has a joint off by half a millimetre or half a milliradian and more: spread and mean stay."""
     family = Family.drawn(np.random.default_rng(9))
     rng = np.random.default_rng(10)
-    x, element = family.draw(400, rng), np.arange(40) // 6
-    hit = np.arange(0, 400, 20)
+    x, element = family.draw(240, rng), np.arange(40) // 6
+    hit = np.arange(0, 240, 20)
     joints = rng.integers(0, 6, len(hit))
     for k, joint in zip(hit, joints, strict=True):
         x[k, element == joint] += np.array([-1.0, 1.0])[rng.integers(0, 2, 6)] * rng.uniform(0.2, 1.0, 6)
@@ -146,27 +159,27 @@ def test_machines_that_were_hit_do_not_spoil_the_type_and_are_named() -> None:
 
 
 def test_p_values_of_machines_of_the_type_are_uniform_or_larger() -> None:
-    """Of 500 further machines."""
-    family = Family.drawn(np.random.default_rng(11), parameters=24, unseen=6)
-    of, rng = learned(family, 200)[0].type, np.random.default_rng(12)
-    p = np.array([of.judge(family.measured(x, rng)).p_value for x in family.draw(500, rng)])
+    """Of 250 further machines."""
+    family = Family.drawn(np.random.default_rng(11), parameters=18, unseen=6)
+    of, rng = learned(family, 100)[0].type, np.random.default_rng(12)
+    p = np.array([of.judge(family.measured(x, rng)).p_value for x in family.draw(250, rng)])
 
     for alpha in (0.01, 0.05, 0.2):
-        assert np.mean(p < alpha) < alpha + 3.0 * np.sqrt(alpha * (1.0 - alpha) / 500)
+        assert np.mean(p < alpha) < alpha + 3.0 * np.sqrt(alpha * (1.0 - alpha) / 250)
 
 
 @pytest.mark.parametrize("count", [1, 3, 10])
 def test_few_machines_give_a_prior_that_covers(count: int) -> None:
-    """Over families: intervals of 95 % hold 93 to 99 % of further machines, along what is seen."""
+    """Over families: intervals of 95 % hold 92 to 99 % of further machines, along what is seen."""
     rng, inside = np.random.default_rng(13), []
-    for seed in range(30):
+    for seed in range(24):
         family = Family.drawn(np.random.default_rng(seed), parameters=18, unseen=6)
         prior = learned(family, count, seed)[0].type.prior()
         K, covariance = family.seen, prior.dense_covariance() / PRIOR**2
-        off = (family.draw(20, rng) - prior.values / PRIOR) @ K / np.sqrt(np.diag(K.T @ covariance @ K))
+        off = (family.draw(50, rng) - prior.values / PRIOR) @ K / np.sqrt(np.diag(K.T @ covariance @ K))
         inside.append(np.mean(np.abs(off) < 1.96))
 
-    assert 0.93 < np.mean(inside) < 0.99
+    assert 0.92 < np.mean(inside) < 0.99
 
 
 def test_a_file_holds_a_type_to_the_last_digit(tmp_path: Path) -> None:
@@ -203,6 +216,7 @@ def test_what_is_not_of_one_type_is_refused(tmp_path: Path) -> None:
         load_machines(tmp_path / "bad.parquet")
 
 
+@pytest.mark.long
 def test_real_siblings_save_poses(shared_data: Path) -> None:
     """Three UR3e as their maker measured them: a fourth needs fewer poses, and no more at 25."""
     robot = nominal_arm("ur3e")
@@ -222,6 +236,21 @@ def test_real_siblings_save_poses(shared_data: Path) -> None:
     assert alone > 0.4 and with_type < 0.45 * alone
     alone, with_type = np.mean(ratios[25], axis=0)
     assert with_type < 1.02 * alone
+
+
+def test_a_machine_far_from_its_type_is_no_noise() -> None:
+    """Twelve poses of one that is twenty times as far off: found out, and calibrated as well as without a type."""
+    robot = Robot.from_urdf(kuka_urdf_path(), tip="tool0")
+    of = learn_type(
+        Machine.of(calibrate(robot, rows_of(robot, m, 30, k), OPTIONS), str(k)) for k, m in enumerate(siblings(3))
+    )
+    nominal = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
+    machine = nominal.draw_errors(np.random.default_rng(2), sigma_length=5e-3, sigma_angle=5e-3)
+    table, truth = rows_of(robot, machine, 12, 7), rows_of(robot, machine, 100, 8)
+    alone, (fit, member) = calibrate(robot, table, OPTIONS), calibrate_of_type(robot, table, of.type, OPTIONS)
+
+    assert member.off and member.p_value < 1e-3
+    assert cases.error_of(fit, truth) < 1.5 * cases.error_of(alone, truth)
 
 
 def test_a_machine_of_another_kind_gets_its_wide_prior_back() -> None:

@@ -49,7 +49,7 @@ class Job(ABC):
     """What is to be done with each table of a store."""
 
     kind: str
-    """Of its results, one of :data:`pincal.fleet.store.KINDS`."""
+    """Of its results, one of :data:`pincal.fleet.store.STORED`."""
     role: str | None = None
     """Of the tables, one of :data:`pincal.fleet.store.ROLES`; None for all."""
 

@@ -38,8 +38,9 @@ _ALPHA = 0.05
 _FARTHER = 1.25
 # Mean square of residuals in units of the declared noise up to which a fit is as it should be.
 _FITS = 2.0
-# Log variances are known at least by this [variance], however few the machines.
-_LOOSEST = 2.0
+# Log variances are known at least by this [variance], however few the machines; logarithm of how much wider standard
+# deviations are by each unit of it, so that 95 % of further machines are within 1.96 of them.
+_LOOSEST, _WIDER = 2.0, 0.35
 EVERYTHING = "all"
 """A machine that differs in more than one element."""
 
@@ -190,7 +191,7 @@ class RobotType(Record, frozen=True, kw_only=True):
     def _further(self, member: Membership | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return mean and covariance of a further machine in units of the priors: what is unsure of both is part of it."""
         scale = np.outer(self.priors, self.priors)
-        wider = np.exp(0.25 * np.minimum(self.spread_variance, _LOOSEST))
+        wider = np.exp(_WIDER * np.minimum(self.spread_variance, _LOOSEST))
         covariance = (self.covariance * np.outer(wider, wider) + self.mean_covariance) / scale
         if member is not None:
             wide = np.array([EVERYTHING in member.off or p.element in member.off for p in self.parameters], float)

@@ -29,7 +29,7 @@ from pincal.measure.measurements import Measurements
 if TYPE_CHECKING:
     import polars as pl
 
-TABLES, INFORMATION, DIAGNOSES, DISCOVERIES, MODELS = KINDS = (
+TABLES, INFORMATION, DIAGNOSES, DISCOVERIES, MODELS = STORED = (
     "tables",
     "information",
     "diagnoses",
@@ -48,7 +48,7 @@ class Key:
     """A file of a store.
 
     Attributes:
-        kind: one of :data:`KINDS`.
+        kind: one of :data:`STORED`.
         machine: name of the machine.
         day: ISO date.
         id: of the file within these.
@@ -293,7 +293,7 @@ class Store:
                 connection.register_filesystem(files)
                 protocol = files.protocol if isinstance(files.protocol, str) else files.protocol[0]
                 place = f"{protocol}://{root.lstrip('/')}"
-            for kind in KINDS:
+            for kind in STORED:
                 if any(True for _ in self.keys(kind)):
                     pattern = f"{place}/{kind}/machine=*/day=*/*.parquet".replace("'", "''")
                     source = f"read_parquet('{pattern}', union_by_name=true, hive_partitioning=false)"
