@@ -11,7 +11,7 @@ from fleet_cases import PRIOR, Family, Year
 
 from pincal import BadInputError
 from pincal.fleet.checks import FleetWatch, fleet_changes
-from pincal.fleet.history import Visit, benjamini_hochberg
+from pincal.fleet.history import DIAGNOSED, Visit, benjamini_hochberg
 from pincal.fleet.robot_type import RobotType, learn_type
 
 LAMBDA = 80.0
@@ -109,7 +109,7 @@ def test_diagnoses_count_by_their_p_values(family: Family, of: RobotType) -> Non
     usual[3], usual[5] = replace(usual[3], p_value=1e-3), replace(usual[5], p_value=1e-12)
     found = fleet_changes(of, [*usual, *begin])
 
-    assert [change.subject for change in found.changes] == ["r5"]
+    assert [(change.subject, change.what) for change in found.changes] == [("r5", DIAGNOSED)]
     assert found.robots == 40 and found.checks == 40
 
 

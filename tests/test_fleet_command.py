@@ -126,8 +126,8 @@ def test_tables_models_and_diagnoses_go_into_a_store(
     store, day = folder / "store", "2026-01-05"
     assert run("fleet", "add", store, *folder.glob("r?/model.json"), "--day", day, "--label", "hall=north") == Exit.DONE
     assert "5 models" in capsys.readouterr().out
-    for machine, table in (("r0", "bent.csv"), ("r1", "r1.csv")):
-        if table == "r1.csv":
+    for machine, table in (("r0", "bent.csv"), ("r1", "r1.csv"), ("r9", "r1.csv")):
+        if machine == "r1":
             write(folder / table, rows_of(arm, siblings(6)[1], 14, 13))
         assert (
             run("fleet", "add", store, folder / table, "--check", "--machine", machine, "--day", "2026-01-12") == Exit.DONE
@@ -138,11 +138,12 @@ def test_tables_models_and_diagnoses_go_into_a_store(
     capsys.readouterr()
     work = ("fleet", "calibrate", folder / "robot.urdf", store, "--type", of, *GEOMETRIC, "--quiet")
     assert run(*work) == Exit.DONE and run(*work) == Exit.DONE
-    assert capsys.readouterr().out == "2 tables calibrated\n0 tables calibrated; 2 were before\n"
+    assert capsys.readouterr().out == "3 tables calibrated\n0 tables calibrated; 3 were before\n"
     assert run("fleet", "check", of, store, "--report", folder / "fleet.html", "--quiet") == Exit.CHANGED
     printed = capsys.readouterr().out
 
-    assert "5 robots, 3 checks: 2 changed" in printed and "joint_3.theta" in printed
+    assert "5 robots, 3 checks: 2 changed" in printed and "joint_3.theta" in printed and "see its diagnosis" in printed
+    assert "left out: checks of r9, of which there is no calibration" in printed
     page = (folder / "fleet.html").read_text(encoding="utf-8")
     assert 0 < page.find(">r0<") < page.find(">r1<")
     assert {key.machine for key in open_store(store).keys("models")} == {f"r{k}" for k in range(5)}

@@ -183,7 +183,10 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
     from pincal.fleet.store import open_store
 
     of, store = load_type(arguments.type), open_store(arguments.store)
-    found = fleet_changes(of, visits_of(store), alpha=arguments.alpha, every=arguments.every)
+    visits = sorted(visits_of(store), key=lambda visit: visit.day)
+    begun = {visit.machine: visit.day for visit in reversed(visits) if visit.is_calibration}
+    known = [visit for visit in visits if begun.get(visit.machine, "9999") <= visit.day]
+    found = fleet_changes(of, known, alpha=arguments.alpha, every=arguments.every)
     if arguments.report is not None:
         from pincal.report.fleet_pages import fleet_page
 
@@ -200,6 +203,9 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
             console().print(summary.change_summary(found))
         if found.checks:
             console().print(summary.look_first(found))
+        if strangers := sorted({visit.machine for visit in visits} - begun.keys()):
+            names = ", ".join(strangers[:_PARAMETERS]) + (" and others" if len(strangers) > _PARAMETERS else "")
+            click.echo(f"note: left out: checks of {names}, of which there is no calibration")
         if left := len(without_information(store)):
             click.echo(
                 f"note: {left} tables of the store are not calibrated: pincal fleet calibrate ROBOT.urdf "

@@ -27,7 +27,16 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.fleet.evidence import least_chance, log_evidence
-from pincal.fleet.history import WHOLE_FLEET, FleetChange, FleetHistory, LastCheck, Visit, benjamini_hochberg, e_value
+from pincal.fleet.history import (
+    DIAGNOSED,
+    WHOLE_FLEET,
+    FleetChange,
+    FleetHistory,
+    LastCheck,
+    Visit,
+    benjamini_hochberg,
+    e_value,
+)
 from pincal.fleet.machines import Machine, gathered
 from pincal.fleet.robot_type import EVERYTHING, RobotType
 
@@ -343,6 +352,8 @@ class FleetWatch:
 
     def _described(self, subject: str, step: _Step, day: str, log_e: float, *, is_group: bool) -> FleetChange:
         """Return a change in words and numbers."""
+        if step.extra > step.total:
+            return FleetChange(subject, is_group, day, step.day, DIAGNOSED, (), None, None, "", log_e)
         best = int(np.argmax(step.logs))
         equals = [self._names[k] for k in np.argsort(-step.logs) if k != best and step.logs[k] > step.logs[best] - _EQUAL]
         change, sigma, unit = None, None, ""

@@ -8,8 +8,8 @@ import numpy as np
 
 from pincal.fleet.machines import Machine
 
-WHOLE_FLEET = "fleet"
-"""The group of all robots."""
+WHOLE_FLEET, DIAGNOSED = "fleet", "see its diagnosis"
+"""The group of all robots, and what has changed where there is nothing but the p-value of a diagnosis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,8 @@ class FleetChange:
         is_group: whether it is a group.
         found: day by which it was found.
         since: day of the first readings after it.
-        what: the parameter or element that explains it best; :data:`EVERYTHING` for more than one element.
+        what: the parameter or element that explains it best, :data:`EVERYTHING` for more than one element, or
+            :data:`DIAGNOSED`.
         equals: what explains it as well.
         change: by how much, of a single parameter [``unit``]; None for others.
         sigma: its standard deviation.
