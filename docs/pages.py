@@ -39,8 +39,8 @@ _FILES = {
     ),
     "type": (
         "TYPE.json",
-        "A type of robot, as `pincal fleet learn` writes it: what machines have in common and how far they differ. Nothing of "
-        "single machines is in it.",
+        "A type of robot, as `pincal fleet learn` writes it: what machines have in common and how far they differ. Nothing "
+        "of single machines is in it.",
     ),
     "camera": ("CAMERA.json", "A camera's parameters, as `--camera` takes and `simulate --camera-out` writes them."),
 }

@@ -300,16 +300,19 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
     columns = (
         Column("robot", kind=Kind.NAME),
         Column("state", kind=Kind.LABEL),
+        Column("what", kind=Kind.NAME),
         Column("last check", kind=Kind.LABEL),
         Column("log10 e", kind=Kind.NUMBER, show=fixed(1)),
-        Column("p of the last check", kind=Kind.NUMBER, show="{:.2g}".format),
+        Column("p of it", kind=Kind.NUMBER, show="{:.2g}".format),
         Column("adjusted", kind=Kind.NUMBER, show="{:.2g}".format),
     )
+    what = {one.subject: f"{one.what} {_by(one)}".removesuffix(" -") for one in found.changes}
     ranked = sorted(found.last, key=lambda one: (one.machine not in found.open, -one.log_e))
     rows = [
         (
             one.machine,
             "changed" if one.machine in found.open else "watch" if one.q_value < _ALPHA else "as it was",
+            what.get(one.machine, "-") if one.machine in found.open else "-",
             one.day,
             one.log_e / np.log(10.0),
             one.p_value,
@@ -317,7 +320,10 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
         )
         for one in ranked[:most]
     ]
-    note = "adjusted: p for the false discovery rate among all checks of that round (Benjamini and Hochberg 1995)"
+    note = (
+        "p of it: chance of the last check if nothing changed; adjusted: for the false discovery rate among all checks of "
+        "that round (Benjamini and Hochberg 1995)"
+    )
     return Table("Look at these first", columns, tuple(rows), (note,))
 
 
@@ -327,7 +333,7 @@ def history_lines(found: FleetHistory) -> Iterator[str]:
     robots = len(found.changes) - len(groups)
     yield f"{found.robots} robots, {found.checks} checks: {robots} changed, {len(found.open)} of them not calibrated since"
     for change in groups:
-        yield f"drift: {change.subject} since {change.since}: {change.what} {_by(change)}".rstrip(" -")
+        yield f"drift: {change.subject} since {change.since}: {change.what} {_by(change)}".removesuffix(" -")
 
 
 def plain_history(found: FleetHistory) -> dict[str, Any]:

@@ -82,14 +82,14 @@ def population_figure(learned: Learned, places: np.ndarray, unit: str) -> Figure
     of, (factor, word) = learned.type, readable_unit(unit)
     names = [drawable(of.names[k], 26) for k in places]
     figure, axes = panel(1.1 + _PER_ROW * len(places), left=0.3 + _LETTER * max(map(len, names)))
+    centre, *spreads = of.determined
+    sigmas, sizes = (np.sqrt(np.diag(C)) for C in spreads)
     axes.axvline(0.0, color=MUTED, linewidth=0.9)
     is_off = np.array([bool(member.off) for member in learned.members])
     shown = np.unique(np.concatenate([np.linspace(0, len(is_off) - 1, _POINTS).astype(int), np.flatnonzero(is_off)]))
     jitter = np.random.default_rng(0).uniform(-0.22, 0.22, len(is_off))
     for i, k in enumerate(places):
-        mean, spread, sigma = (
-            factor * float(x) for x in (of.mean[k], np.sqrt(of.covariance[k, k]), np.sqrt(of.determined[1][k, k]))
-        )
+        mean, spread, sigma = (factor * float(x[k]) for x in (centre, sizes, sigmas))
         axes.barh(i, 3.92 * spread, left=mean - 1.96 * spread, height=0.62, color=AFTER, alpha=0.16, linewidth=0.0)
         values = factor * learned.values[shown, k]
         for mask, colour in ((~is_off[shown], MUTED), (is_off[shown], BEFORE)):
@@ -133,7 +133,7 @@ def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str
     answer = rich('<p><span class="tag {}">{}</span> {}</p>', tone, words, lines[0])
     blocks = [answer, *(paragraph(line, "care") for line in lines[1:])]
     first = arranged("split", arranged("plain", *blocks), arranged("plain", heading("How to read this"), _reading(alpha)))
-    made = [Section("first", "Look at these first", (first, summary.look_first(found, 20)), style="panel")]
+    made = [Section("first", "Look at these first", (first, summary.look_first(found)), style="panel")]
     made.append(Section("evidence", "Evidence", (figures("fleet", [_evidence(found, alpha)]),), "Evidence"))
     for is_group, title in ((True, "Drifts of groups"), (False, "Changes of robots")):
         table = summary.change_summary(found, groups=is_group)
