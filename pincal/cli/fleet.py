@@ -88,7 +88,9 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
     machines, model = _machines(arguments.machines)
     learned = learn_type(machines)
     of = learned.type
-    robot, effects = (None, GEOMETRIC) if model is None else (model.model.chain.robot, _own_effects(model))
+    robot, effects = None, GEOMETRIC
+    if model is not None:
+        robot, effects = model.model.chain.robot, tuple(effect for effect in model.model.effects if effect.scope == "robot")
     if arguments.robot is not None:
         robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
         effects = ELASTIC if any(parameter.is_compliance for parameter in of.parameters) else GEOMETRIC
@@ -101,9 +103,8 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
         from pincal.report.fleet_pages import type_page
 
         write_atomic(arguments.report, type_page(learned, at, version=origin["pincal"]))
-    found = summary.plain_type(learned, at, error=arguments.error)
     if arguments.general.as_json:
-        print_json(found)
+        print_json(summary.plain_type(learned, at, error=arguments.error))
         return Exit.DONE
     from pincal.cli.progress import console
 
@@ -122,10 +123,6 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
     written = [str(path) for path in (arguments.out, arguments.share, arguments.report) if path is not None]
     click.echo(f"written to {' '.join(written)}")
     return Exit.DONE
-
-
-def _own_effects(model: CalibratedModel) -> tuple:  # type: ignore[type-arg]
-    return tuple(effect for effect in model.model.effects if effect.scope == "robot")
 
 
 def _machines(texts: Sequence[str]) -> tuple[list[Machine], CalibratedModel | None]:

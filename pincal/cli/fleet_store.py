@@ -15,7 +15,7 @@ import click
 from pincal.cli.arguments import argument, group, option, pair, verb
 from pincal.cli.common import GeneralOptions, ModelOptions, TableArguments, base_option, robot_argument, tip_option
 from pincal.cli.fitting import workers
-from pincal.cli.outputs import print_json
+from pincal.cli.outputs import echo_notes, print_json
 from pincal.cli.quantities import ANGLE, LENGTH
 from pincal.errors import BadInputError, Exit
 
@@ -122,13 +122,15 @@ def fleet_add(arguments: AddArguments) -> Exit:
         role = CHECK if arguments.check else CALIBRATION
         adding.append(partial(Store.add_table, machine=machine, day=day, table=table, role=role, labels=labels))
     store = open_store(arguments.store, create=True)
-    for add in adding:
-        add(store)
+    without = [add(store) for add in adding].count(False)
     if arguments.general.as_json:
         print_json({"store": arguments.store, "day": day, "added": dict(Counter(kinds))})
     else:
         counted = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in Counter(kinds).items())
         click.echo(f"added to {arguments.store}: {counted} of {day}")
+    if without:
+        words = f"{without} models are of a version that kept no information of the rows; calibrate these machines again"
+        echo_notes([words], quiet=arguments.general.quiet)
     return Exit.DONE
 
 
