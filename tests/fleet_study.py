@@ -72,7 +72,7 @@ def tasks(parts: Sequence[str], count: int, seed: int) -> Iterator[tuple[Any, ..
             if sum(other == kind for other, *_ in real_machines()) > 1
         )
     if "store" in parts:
-        yield ("store", seed, 10_000 if count >= 20 else 200)
+        yield ("store", seed, 10_000 if count >= 20 else 1000)
 
 
 def case(task: tuple[Any, ...]) -> dict[str, Any]:
