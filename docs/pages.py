@@ -37,6 +37,11 @@ _FILES = {
         "INFORMATION.json",
         "Information on a robot, as `fit.information().save(PATH)` writes it and `pincal.load_information` adds it up.",
     ),
+    "type": (
+        "TYPE.json",
+        "A type of robot, as `pincal fleet learn` writes it: what machines have in common and how far they differ. Nothing "
+        "of single machines is in it.",
+    ),
     "camera": ("CAMERA.json", "A camera's parameters, as `--camera` takes and `simulate --camera-out` writes them."),
 }
 # What the sources of effects are called in full.
@@ -89,12 +94,19 @@ def commands() -> Iterator[str]:
     settings = command.context_settings | {"max_content_width": None, "terminal_width": 100}
     with click.Context(command, info_name="pincal", **settings) as context:
         yield _block(command.get_help(context))
-        for name in command.list_commands(context):
-            verb = command.get_command(context, name)
-            assert verb is not None
-            with click.Context(verb, info_name=name, parent=context, terminal_width=100) as own:
-                yield f"## {name}"
-                yield _block(verb.get_help(own))
+        yield from _verbs(command, context)
+
+
+def _verbs(group: click.Group, context: click.Context, before: str = "") -> Iterator[str]:
+    """Yield the help text of each command of a group, and of those of groups in it."""
+    for name in group.list_commands(context):
+        verb = group.get_command(context, name)
+        assert verb is not None
+        with click.Context(verb, info_name=name, parent=context, terminal_width=100) as own:
+            yield f"## {before}{name}"
+            yield _block(verb.get_help(own))
+            if isinstance(verb, click.Group):
+                yield from _verbs(verb, own, f"{name} ")
 
 
 def files() -> Iterator[str]:

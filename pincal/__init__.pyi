@@ -35,6 +35,12 @@ from pincal.errors import IdentificationError as IdentificationError
 from pincal.errors import PincalError as PincalError
 from pincal.errors import PincalWarning as PincalWarning
 from pincal.export import export_model as export_model
+from pincal.fleet.machines import Machine as Machine
+from pincal.fleet.robot_type import RobotType as RobotType
+from pincal.fleet.robot_type import calibrate_of_type as calibrate_of_type
+from pincal.fleet.robot_type import learn_type as learn_type
+from pincal.fleet.robot_type import load_type as load_type
+from pincal.fleet.store import open_store as open_store
 from pincal.identify.explain import explain as explain
 from pincal.identify.options import Options as Options
 from pincal.identify.options import PriorScale as PriorScale

@@ -144,6 +144,8 @@ def test_commands_and_places_in_the_text_are_there(page: Path) -> None:
     for line in re.findall(r"(?:^|^\$ |&& )pincal +(?![ -]|\w+ +\d)(.*(?:\\\n.*)*)", "\n".join(code_of(text)), re.MULTILINE):
         verb, *words = line.split("  #")[0].split()
         command = pincal.get_command(context, verb)
+        if isinstance(command, click.Group) and words:
+            command = command.get_command(context, words[0])
         assert command is not None, line
         known = {name for parameter in command.params for name in parameter.opts}
         assert {word.split("=")[0] for word in words if word.startswith("--")} <= {*known, "--help"}, line

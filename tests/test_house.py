@@ -16,8 +16,8 @@ from pincal.identify.problem import Problem
 
 # What there was when this was written, with 4 400 for programs in five languages of controllers, in the page, too, and 200
 # for tables that come back as they went in; 44 000 is the aim. 100 are for errors that persist in the target's frame and for
-# few poses, which no older code looked for.
-MOST_LINES = 66_200
+# few poses, which no older code looked for; 3 500 for sessions in motion and 3 500 for fleets, which take nothing's place.
+MOST_LINES = 70_400
 TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [

@@ -36,6 +36,7 @@ LAYERS = (
     "discover",
     "diagnosis",
     "design",
+    "fleet",
     "compensate",
     "programs",
     "export",
@@ -50,7 +51,7 @@ SIBLINGS = {"model", "measure"}
 ASIDE = {
     "builtin": {"errors"},
     "simulate": {"errors", "builtin", "measure"},
-    "schemas": {"atomic", "model", "io", "calibration"},
+    "schemas": {"atomic", "model", "io", "calibration", "fleet"},
 }
 HEAVY = (
     "pinocchio",

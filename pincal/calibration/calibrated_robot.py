@@ -63,7 +63,7 @@ class CalibratedRobot(Calibrated):
         """Return what a fit found."""
         names = [station.name for station in fit.problem.stations]
         models = {name: CalibratedModel.of(fit, provenance, station=name) for name in names}
-        models[names[0]] = replace(models[names[0]], left_by=left_by)
+        models[names[0]] = replace(models[names[0]], left_by=left_by, information_by=partial(RobotInformation.of, fit))
         prior = np.array([parameter.size for parameter in fit.problem.parameters])
         return cls(models, replace(fit.estimate, prior=prior), fit.nominal.values, dict(provenance or {}))
 
@@ -143,7 +143,9 @@ def _read(
     """Return the calibrated model of a station of a file; the others as they stand in :class:`CalibratedModel`."""
     measured = {name: getattr(entry, name) for name in MeasuredEntry.__struct_fields__ if name != "sensor_module"}
     found = measured | {"setup": entry.setup.setup(), "nominal_values": nominal_values, "provenance": provenance}
-    return CalibratedModel(model=model, estimate=estimate, left_by=found.pop("left"), **found)
+    return CalibratedModel(
+        model=model, estimate=estimate, left_by=found.pop("left"), information_by=found.pop("information"), **found
+    )
 
 
 log = logging.getLogger(__name__)

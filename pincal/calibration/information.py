@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import reduce
 from operator import add
 from typing import Annotated, Literal
@@ -17,16 +18,15 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.quadratic import ROUNDING, Quadratic
 from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, packed_matrix
 from pincal.io.entries import ParameterEntry, plain, restoring
-from pincal.io.strict_json import Fault, FileKind, read_json, write_json
-from pincal.parameters import Estimate, estimate_of
+from pincal.io.strict_json import Fault, FileKind, built, read_json, write_json
+from pincal.parameters import Estimate, Parameter, estimate_of
+from pincal.robot.robot import Robot
 
 # Link frames that count as the same [m or 1]: what files of the same robot differ by.
 _DIGITS = 9
 # Asymmetry of a matrix, in parts of its largest entry, that rounding explains.
 _ROUNDING = 1e-9
-_FILE = FileKind(
-    "an information file", ModelFileError, mark="pincal-information", whole="what save() of pincal's RobotInformation writes"
-)
+_FILE = FileKind("an information file", ModelFileError, whole="what save() of pincal's RobotInformation writes")
 
 
 class RobotInformation(Record, frozen=True, kw_only=True):
@@ -47,6 +47,8 @@ class RobotInformation(Record, frozen=True, kw_only=True):
         whole: shape (F,), the diagonal of H before base, targets and instrument were eliminated.
         square: the sum of squares at the nominal.
         degrees: number of readings minus number of eliminated parameters.
+        priors: shape (F,), standard deviations of the priors that they had [their own units]: of a compliance by the moments
+            of these poses; not in files of earlier versions.
     """
 
     format: Literal["pincal-information"]
@@ -59,6 +61,7 @@ class RobotInformation(Record, frozen=True, kw_only=True):
     whole: Annotated[Numbers, ArrayShape("parameters")]
     square: float
     degrees: float
+    priors: Annotated[Numbers | None, ArrayShape("parameters")] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -69,6 +72,8 @@ class RobotInformation(Record, frozen=True, kw_only=True):
             raise Fault("is not symmetric", "an information matrix", key=".H")
         if np.any(self.whole < 0.0) or np.any(np.diag(self.H) < -_ROUNDING * self.whole):
             raise Fault("has a negative entry on its diagonal", "an information matrix", key=".H")
+        if self.priors is not None and np.any(self.priors <= 0.0):
+            raise Fault("holds a size that can't be meant", "standard deviations above 0", key=".priors")
 
     @classmethod
     def of(cls, fit: ModelFit) -> RobotInformation:
@@ -77,22 +82,31 @@ class RobotInformation(Record, frozen=True, kw_only=True):
         form = reduce(add, (information_at(fit, k).form for k in range(len(problem.stations))))
         known = {p.name: (p, value) for p, value in zip(problem.parameters, fit.values, strict=True)}
         nominal = form.at(-np.array([known[name][1] for name in form.names]))
-        # Robots of the same joints and link frames share this number.
-        frames = np.round(np.concatenate([robot.frames.T_base_link, robot.frames.T_last_tip[None]]), _DIGITS) + 0.0
-        geometry = zlib.crc32(" ".join(robot.joint_names).encode() + frames.tobytes())
-        parameters = {name: ParameterEntry.of_parameter(p) for name, (p, _) in known.items()}
-        return cls._with(nominal, robot.name, geometry, parameters)
+        sizes = np.array([p.size for p in problem.parameters]) / problem.largest_basis[0]
+        priors = {p.name: (p, float(size)) for p, size in zip(problem.parameters, sizes, strict=True)}
+        return cls.of_form(nominal, robot.name, geometry_of(robot), priors)
 
     @classmethod
-    def _with(cls, form: Quadratic, robot: str, geometry: int, parameters: dict[str, ParameterEntry]) -> RobotInformation:
+    def of_form(
+        cls, form: Quadratic, robot: str, geometry: int, known: Mapping[str, tuple[Parameter, float]]
+    ) -> RobotInformation:
+        """Return information given as a form about the nominal, with each parameter of it and its prior by name."""
         return cls.like(
             form,
             format="pincal-information",
             format_version=1,
             robot=robot,
             geometry=geometry,
-            parameters=tuple(parameters[name] for name in form.names),
+            parameters=tuple(ParameterEntry.of_parameter(known[name][0]) for name in form.names),
+            priors=np.array([known[name][1] for name in form.names]),
         )
+
+    @property
+    def known(self) -> dict[str, tuple[Parameter, float]]:
+        """Its parameters by name, each with the standard deviation of its prior."""
+        own = [entry.parameter() for entry in self.parameters]
+        sizes = [p.size for p in own] if self.priors is None else self.priors
+        return {p.name: (p, float(size)) for p, size in zip(own, sizes, strict=True)}
 
     @property
     def form(self) -> Quadratic:
@@ -111,12 +125,11 @@ class RobotInformation(Record, frozen=True, kw_only=True):
                 f"information on {self.robot!r} and on {other.robot!r} can't be added: their nominal geometries differ; "
                 "calibrate both with the same URDF, base and tip"
             )
-        known = {p.name: p for p in (*self.parameters, *other.parameters)}
-        return self._with(self.form + other.form, self.robot, self.geometry, known)
+        return self.of_form(self.form + other.form, self.robot, self.geometry, {**other.known, **self.known})
 
     def estimate(self) -> Estimate:
         """Return the most probable parameters and their covariance, the priors of the model counted once."""
-        parameters = [entry.parameter() for entry in self.parameters]
+        parameters = [p for p, _ in self.known.values()]
         form = self.form + Quadratic.of_prior(self.form.names, np.array([p.size for p in parameters]))
         values, covariance = form.estimate(np.arange(len(form.names)), ROUNDING)
         return estimate_of(parameters, values, covariance)
@@ -128,6 +141,25 @@ class RobotInformation(Record, frozen=True, kw_only=True):
             OutputError: if the place can't be written to, or a number is not finite.
         """
         write_json(path, plain(self), indent=None)
+
+    def text(self) -> str:
+        """Return its JSON, as :func:`information_of` takes it."""
+        return json.dumps(plain(self), allow_nan=False)
+
+
+def geometry_of(robot: Robot) -> int:
+    """Return the checksum of a robot's nominal geometry, the same for the same joints and link frames."""
+    frames = np.round(np.concatenate([robot.frames.T_base_link, robot.frames.T_last_tip[None]]), _DIGITS) + 0.0
+    return zlib.crc32(" ".join(robot.joint_names).encode() + frames.tobytes())
+
+
+def information_of(text: str, source: str) -> RobotInformation:
+    """Return the information that a JSON text holds.
+
+    Raises:
+        ModelFileError: if a value is missing or invalid, naming ``source``.
+    """
+    return built(text.encode(), RobotInformation, _FILE, file=source, hook=restoring())
 
 
 def load_information(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> RobotInformation:

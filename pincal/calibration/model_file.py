@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from pincal.calibration.covered import Covered
+from pincal.calibration.information import RobotInformation
 from pincal.calibration.station_model import StationModel
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import OutputError
@@ -52,6 +53,8 @@ class MeasuredEntry(Record, frozen=True, kw_only=True):
         rows: fingerprints of the training rows, by which they are recognised; not in files of version 0.1.0.
         is_noise_declared: whether the noise was declared, not estimated.
         left: effects present in the rows but not in the model; none if not tested.
+        information: what the rows say of the robot, without any prior, by which types of robots are learned; of several
+            stations with the first, and not in files of earlier versions.
     """
 
     sensor_kind: str
@@ -63,6 +66,7 @@ class MeasuredEntry(Record, frozen=True, kw_only=True):
     rows: str = ""
     is_noise_declared: bool = False
     left: Unmodelled | None = None
+    information: RobotInformation | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.calibration.covered import Covered, Outside, OutsideCurve, Turned, curves_at, of_the_day
+from pincal.calibration.information import RobotInformation
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.options import Options
@@ -44,6 +45,7 @@ class StationModel:
         is_noise_declared: whether the noise was declared, not estimated.
         table_names: names of its parameters among those of all stations, where it shares some besides the robot's.
         left_by: :attr:`left`, or what returns it: to look for it takes as long as a fit.
+        information_by: :attr:`information`, or what returns it.
     """
 
     model: Model
@@ -59,11 +61,17 @@ class StationModel:
     is_noise_declared: bool = False
     table_names: tuple[str, ...] = ()
     left_by: Unmodelled | Callable[[], Unmodelled | None] | None = None
+    information_by: RobotInformation | Callable[[], RobotInformation] | None = None
 
     @property
     def left(self) -> Unmodelled | None:
         """Effects that the rows showed and the model does not have; None where there were none, or nobody looked."""
         return self.left_by() if callable(self.left_by) else self.left_by
+
+    @property
+    def information(self) -> RobotInformation | None:
+        """What the rows of all stations say of the robot, without any prior; None where another station has it."""
+        return self.information_by() if callable(self.information_by) else self.information_by
 
     @property
     def values(self) -> np.ndarray:

@@ -38,6 +38,7 @@ _COMMANDS = {
     "compensate": "pincal.cli.compensate",
     "diagnose": "pincal.cli.new_rows",
     "update": "pincal.cli.new_rows",
+    "fleet": "pincal.cli.fleet",
     "simulate": "pincal.cli.simulate",
     "export": "pincal.cli.export",
     "view": "pincal.cli.export",

@@ -24,7 +24,7 @@ from pincal.units import LARGEST, plain_number
 A = TypeVar("A")
 _HEADING, _WORDS = "heading", "pincal.words"
 # The verbs of the modules that have been imported, by their names on the command line.
-VERBS: dict[str, Verb] = {}
+VERBS: dict[str, click.Command] = {}
 
 
 def option(help: str, default: Any = None, *, words: str | None = None, name: str | None = None, **attributes: Any) -> Any:
@@ -211,7 +211,7 @@ def verb(
 
         parameters = list(_parameters(arguments, defaults or {}, heading="Options"))
         name = function.__name__.removesuffix("_verb")
-        VERBS[name] = Verb(
+        VERBS[name] = found = Verb(
             name=name,
             callback=run,
             params=[parameter for _, parameter in parameters],
@@ -221,7 +221,7 @@ def verb(
             help=inspect.getdoc(function),
             epilog=f"\b\n{examples.strip()}\n\nExit codes: {meanings}.",
         )
-        return VERBS[name]
+        return found
 
     return decorate
 

@@ -68,6 +68,9 @@ coupling_option = partial(
 )
 sign_option = partial(option, "Joint whose sign is opposite to that of the URDF.", (), metavar="JOINT", name="--sign")
 model_argument = partial(argument, "MODEL.json", "Calibrated model, as written by calibrate or discover.")
+type_option = partial(
+    option, "What is known of robots of this type, as fleet learn finds it: few poses are enough then.", metavar="TYPE.json"
+)
 station_option = partial(option, "Use the placement of instrument and targets of this station of the model.", metavar="NAME")
 
 
@@ -290,6 +293,7 @@ class FitOptions:
         words="within a few mrad of the URDF's, unless the data show otherwise",
     )
     length_bound: float = option("Largest allowed deviation of a length from nominal.", 0.01, type=LENGTH, words="10mm")
+    type: Path | None = type_option()
 
     @property
     def priors(self) -> dict[str, float | str]:

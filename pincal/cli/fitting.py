@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from pincal.calibration.calibration import Calibration
+    from pincal.cli.inputs import Prepared
     from pincal.discover.run import Discovery
+    from pincal.identify.options import Options
 
 # The view in three dimensions that accompanies the report.
 VIEW = "view3d.html"
@@ -111,7 +113,7 @@ def calibrate_verb(arguments: FitArguments) -> Exit:
     """
     from pincal.calibration.calibration import run_calibration
 
-    with _workers(arguments.dask, repeats=arguments.split.split == "station", processes=False) as executor:
+    with workers(arguments.dask, repeats=arguments.split.split == "station", processes=False) as executor:
         return _run_fit(arguments, partial(run_calibration, executor=executor))
 
 
@@ -125,7 +127,7 @@ def discover(arguments: DiscoverArguments) -> Exit:
     from pincal.discover.run import run_discovery
 
     repeats = arguments.stability > 0 or arguments.split.split == "station"
-    with _workers(arguments.dask, repeats=repeats) as executor:
+    with workers(arguments.dask, repeats=repeats) as executor:
 
         def run(robot: Any, tables: Any, options: Any, **choice: Any) -> Any:
             extra = named_effects(arguments.tried, options, robot=robot, tables=tables)
@@ -146,6 +148,7 @@ def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery
     from pincal.calibration.calibration import Calibration
     from pincal.cli.inputs import load_tables, prepare
     from pincal.cli.progress import log_step
+    from pincal.notes import doubts_first
     from pincal.report import plots  # noqa: F401  Refused here, not after the fit, where matplotlib is missing.
 
     split, source = arguments.split, arguments.source
@@ -155,10 +158,15 @@ def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery
         shared = replace(source.table.options, shares_log=True)
         holdout = None if held is None else load_tables(prepared.robot, [held], options=shared)
         choice = {"test_fraction": split.test_fraction, "split": split.split, "seed": split.seed, "holdout": holdout}
-        found = run(prepared.robot, prepared.tables, prepared.options, **choice)
+        options, members = _of_type(arguments.chosen.fit.type, prepared)
+        found = run(prepared.robot, prepared.tables, options, **choice)
         calibration, discovery = (found, None) if isinstance(found, Calibration) else (found.calibration, found)
         log_step("writing the model")
         origin = provenance([*prepared.files, *filter(None, [held])], seed=split.seed)
+        if members:
+            result = replace(calibration.result, warnings=doubts_first([*members, *calibration.result.warnings]))
+            calibration = replace(calibration, result=result)
+            discovery = None if discovery is None else replace(discovery, calibration=calibration)
         notes = write_results(draft, calibration, origin, discovery, view=arguments.view)
         written = " ".join(sorted(file.name for file in draft.iterdir()))
     result = calibration.result
@@ -189,6 +197,31 @@ def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery
     rows = {"test": "held-out", "train": "fitted"}[part]
     require_accuracy(result.error["calibrated"][part].get("mean_mm"), arguments.max_error, rows=rows)
     return Exit.DONE
+
+
+def _of_type(path: Path | None, prepared: Prepared) -> tuple[Options, tuple[str, ...]]:
+    """Return the options with what is known of a robot of its type, and a note on how it compares with the others.
+
+    Of one that differs the prior is wider where it does.
+    """
+    if path is None:
+        return prepared.options, ()
+    from pincal.fleet.robot_type import EVERYTHING, calibrate_of_type, load_type
+    from pincal.model.effects import ELASTIC
+
+    of, effects = load_type(path), prepared.options.effects
+    # A model that lacks what the type has would make its robots look strange.
+    whole = ELASTIC if any(parameter.is_compliance for parameter in of.parameters) else ()
+    judging = replace(prepared.options, effects=(*effects, *(effect for effect in whole if effect not in effects)))
+    _, member = calibrate_of_type(prepared.robot, prepared.tables, of, judging)
+    told = f"compared with {of.machines} robots of its type, p = {member.p_value:.2g}"
+    if not member.is_usual:
+        prepared = replace(prepared, options=replace(prepared.options, earlier=of.prior_of(prepared.robot, effects, member)))
+    if not member.off:
+        return prepared.options, (f"the robot is as others of its type are ({told})",)
+    where = "in more than one joint" if member.off == (EVERYTHING,) else f"in {' or '.join(member.off)}"
+    note = f"the robot is not like others of its type: it differs {where} ({told}); its prior is wider there"
+    return prepared.options, (note,)
 
 
 def write_results(
@@ -268,7 +301,7 @@ def _residuals(calibration: Calibration, k: int) -> Iterator[dict[str, np.ndarra
 
 
 @contextmanager
-def _workers(dask: str | None, *, repeats: bool, processes: bool = True) -> Iterator[Executor | None]:
+def workers(dask: str | None, *, repeats: bool, processes: bool = True) -> Iterator[Executor | None]:
     """Yield what does the work that a command repeats, None for the command itself; what is not begun ends with the context.
 
     Args:
@@ -313,7 +346,7 @@ def _connected(address: str, stack: ExitStack) -> Any:
         ) from error
     client = stack.enter_context(Client(address, timeout=_ANSWER, set_as_default=False))
     try:
-        client.wait_for_workers(1, timeout=_WORKER)
+        client.wait_forworkers(1, timeout=_WORKER)
     except TimeoutError as error:
         raise BadInputError(f"--dask {address}: the cluster has no workers; start some: dask worker {address}") from error
     try:

@@ -24,6 +24,7 @@ from pincal.cli.common import (
 from pincal.cli.motion_options import MotionOptions, input_files, load_sessions
 from pincal.cli.progress import log_step
 from pincal.errors import BadInputError
+from pincal.fleet.robot_type import load_type
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.station import conditions_of
 from pincal.io.camera_file import read_camera
@@ -94,6 +95,9 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     options = options_of(chosen, tables)
     effects = named_effects(chosen.fit.add, options, robot=robot, tables=tables)
     options = replace(options, effects=(*options.effects, *effects))
+    if chosen.fit.type is not None:
+        options = replace(options, earlier=load_type(chosen.fit.type).prior_of(robot, options.effects))
+        given.append(chosen.fit.type)
     return Prepared(robot, tables, options, (*input_files(source.data), *given, Path(robot.source)))
 
 

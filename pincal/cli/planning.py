@@ -6,7 +6,7 @@ import os
 import platform
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -26,6 +26,7 @@ from pincal.cli.common import (
     coupling_option,
     sign_option,
     tip_option,
+    type_option,
     verbose_option,
     xacro_option,
 )
@@ -226,6 +227,7 @@ class DesignArguments:
     )
     task: Path | None = option("Joint positions where accuracy matters.", words="anywhere within reach")
     measured: Path | None = option("Poses that have been measured already; N poses are added to them.")
+    type: Path | None = type_option()
     tell_apart: tuple[str, str] | None = option(
         "Choose poses that distinguish these two effects instead.", metavar="EFFECT EFFECT"
     )
@@ -278,7 +280,7 @@ def design(arguments: DesignArguments) -> Exit:
         candidates=arguments.candidates,
         seed=arguments.seed,
     )
-    found = design_poses(robot, request, _options(arguments), rig=_rig(arguments), limits=_limits(robot, arguments))
+    found = design_poses(robot, request, _options(arguments, robot), rig=_rig(arguments), limits=_limits(robot, arguments))
     _write(arguments, robot, found, sensor=found.rig.sensor)
     return Exit.DONE
 
@@ -295,7 +297,7 @@ def _check(arguments: DesignArguments) -> Exit:
     given = {name: value for name, value in vars(wanted).items() if name != "check"}
     request = CheckRequest(**given, payloads=payloads, candidates=arguments.candidates, seed=arguments.seed)
     robot = known if isinstance(known, Robot) else known.model.chain.robot
-    options, limits = _options(arguments), _limits(robot, arguments)
+    options, limits = _options(arguments, robot), _limits(robot, arguments)
     found = design_check(known, request, options=options, rig=_rig(arguments), limits=limits)
     _write(arguments, robot, found, sensor=found.sensor)
     return Exit.DONE if found.is_met else Exit.INACCURATE
@@ -332,12 +334,12 @@ def _robot(arguments: DesignArguments) -> Robot:
     return as_stated(robot, signs=arguments.signs, couplings=arguments.couplings)
 
 
-def _options(arguments: DesignArguments) -> Options:
+def _options(arguments: DesignArguments, robot: Robot) -> Options:
     from pincal.cli.inputs import EFFECTS_OF
     from pincal.identify.options import Options
 
     model, instrument = arguments.model, arguments.instrument
-    return Options(
+    options = Options(
         effects=EFFECTS_OF[model.model],
         sigma=instrument.noise,
         sigma_orientation=instrument.noise_angle,
@@ -345,6 +347,11 @@ def _options(arguments: DesignArguments) -> Options:
         gravity=model.gravity,
         payload_centre=model.payload_com,
     )
+    if arguments.type is None:
+        return options
+    from pincal.fleet.robot_type import load_type
+
+    return replace(options, earlier=load_type(arguments.type).prior_of(robot, options.effects))
 
 
 def _rig(arguments: DesignArguments) -> SensorSetup:

@@ -179,9 +179,10 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
     from pincal.simulate.request import draw_machine
 
     given = arguments.machine
+    urdf = robot.urdf if given.type is None else _of_type(robot, given.type, arguments.campaign.seed)
     made = partial(
         TrueMachine.from_urdf,
-        arm_text(robot.urdf, robot.joint_names, robot.source, loops=True),
+        arm_text(urdf, robot.joint_names, robot.source, loops=True),
         base=robot.base,
         joints=_in_one_order(robot),
         passive=robot.passive,
@@ -194,13 +195,27 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
     machine = draw_machine(
         made(tip=min(ends)),
         seed=arguments.campaign.seed,
-        errors=given.errors,
+        errors=given.errors if given.type is None else 0.0,
         elastic=given.elastic,
         masses_off=given.masses_off,
         effects=[parse_effect(text, robot.joint_names) for text in given.effects],
         unweighed=robot.unweighed,
     )
     return replace(machine, nominal=replace(measured, masses=machine.nominal.masses, centres=machine.nominal.centres))
+
+
+def _of_type(robot: Robot, path: Path, seed: int) -> bytes:
+    """Return the URDF of a machine of a type, drawn by a seed, as far as geometry goes."""
+    from pincal.fleet.robot_type import load_type
+    from pincal.io.urdf_export import calibrated_urdf
+    from pincal.model.chain import Chain
+    from pincal.model.effects import GEOMETRIC
+    from pincal.model.model import Model
+    from pincal.simulate.request import Stream
+
+    of, model = load_type(path), Model(Chain.of(robot), GEOMETRIC)
+    drawn = dict(zip(of.names, of.drawn(robot, Stream.ERRORS.generator(seed)), strict=True))
+    return calibrated_urdf(model, np.array([drawn.get(name, 0.0) for name in model.names])).text
 
 
 def _in_one_order(robot: Robot) -> tuple[str, ...]:

@@ -97,6 +97,9 @@ class MachineArguments:
     )
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     errors: float = option("Size of the geometric errors: 1 is typical, 0 none.", 1.0, metavar="SCALE", type=_SCALE)
+    type: Path | None = option(
+        "Draw the geometry from this type of robots, as fleet learn finds it, by --seed.", metavar="TYPE.json"
+    )
     elastic: float = option(
         "Compliance of drives and bearings: 1 is typical, 0 rigid. Masses that the URDF lacks are drawn.",
         1.0,

@@ -9,7 +9,7 @@ fit leaves without a prior, get one so wide that it carries no information: it k
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from pincal.design.reach import SensorSetup
 from pincal.errors import BadInputError
 from pincal.identify.beliefs import declared_noise, priors_of
+from pincal.identify.believed import Earlier
 from pincal.identify.options import Options
 from pincal.identify.posterior import Posterior, posterior
 from pincal.identify.problem import Problem
@@ -51,6 +52,7 @@ class DesignModel:
         rig: with what and from where poses are measured.
         rivals: for each of the effects to be distinguished, its places among the F parameters.
         core: shape (F,), the parameters of the model as it is fitted, without rivals that were added to it.
+        known: shape (F, F), information in units of the priors: theirs, and that of ``Options.earlier``.
     """
 
     model: Model
@@ -61,6 +63,7 @@ class DesignModel:
     rig: SensorSetup
     rivals: tuple[np.ndarray, ...]
     core: np.ndarray
+    known: np.ndarray
 
     @classmethod
     def of(
@@ -98,12 +101,18 @@ class DesignModel:
         values = nominal_values(model, rig, rig.target(robot))
         problem = predicted_station(model, values, rig, conditions)
         free = np.append(largest_basis(model, conditions)[1], ~problem.sensor.fixed)
-        sizes = priors_of(Problem((problem,)), options).sizes[free]
+        whole = Problem((problem,), None if options.earlier is None else Earlier.of(options.earlier))
+        whole_sizes = priors_of(whole, options).sizes
+        sizes = whole_sizes[free]
         places = _places(model, free, rivals)
         for columns in places:
             sizes[columns] *= RIVAL
         core = ((place := np.flatnonzero(free)) < n_core) | (place >= model.n_parameters)
-        return cls(model, values, free, sizes, _sigma(problem, options), rig, places, core)
+        found = cls(model, values, free, sizes, _sigma(problem, options), rig, places, core, np.eye(len(sizes)))
+        if options.earlier is None:
+            return found
+        beyond = whole.beliefs.beyond_priors(np.flatnonzero(free), np.zeros(len(free)), whole_sizes)
+        return replace(found, known=found.known + beyond.H * np.outer(found.units, found.units))
 
     @cached_property
     def units(self) -> np.ndarray:

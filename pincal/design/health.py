@@ -284,7 +284,7 @@ def _as_if_calibrated(reach: Reach, options: Options, request: CheckRequest, *, 
     centre = np.array(options.payload_centre, float)
     conditions = Conditions(q, np.zeros(len(q), int), loads, centre)
     design = DesignModel.of(reach.robot, conditions, options, reach.rig)
-    C = covariance(np.eye(design.n_free) + total(design.readings(conditions)))
+    C = covariance(design.known + total(design.readings(conditions)))
     whole = np.zeros((len(design.values),) * 2)
     whole[np.ix_(design.free, design.free)] = C * np.outer(design.units, design.units)
     n = design.model.n_parameters

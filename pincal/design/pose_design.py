@@ -287,7 +287,7 @@ def _indices(
     study: Study, n: int, H: np.ndarray, at_random: Sequence[np.ndarray]
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return the indices of the design, and their medians over random ones, what was measured before included."""
-    directions, prior = observed_directions(study.design_model, study.mean, n), np.eye(len(H))
+    directions, prior = observed_directions(study.design_model, study.mean, n), study.design_model.known
     found, *random = (
         observability(study.design_model, directions, X - prior, n + study.n_measured) for X in (H, *at_random)
     )

@@ -118,7 +118,7 @@ class Study:
         known = None if request.measured is None else poses.of(request.measured)
         rows = candidates if known is None else _together(candidates, known)
         design_model = DesignModel.of(reach.robot, rows, options, reach.rig, rivals=rivals, targets=poses.targets)
-        H = np.eye(design_model.n_free)
+        H = design_model.known.copy()
         if known is not None:
             H += total(design_model.readings(known))
         if request.task is None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.calibration.information import RobotInformation
 from pincal.calibration.placing import Placed
 from pincal.diagnosis.lineup import belief_of
 from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, changes_since, doubts_about, relocated
@@ -62,7 +63,8 @@ def update(
             "EFFECT:JOINT the rows are added nevertheless, and that effect is re-estimated"
         )
     kept = np.delete(np.arange(len(measurements)), verdict.wrong_rows)
-    return _taken_in(model, measurements.select(kept), sigma=sigma, earlier=model.robot_estimate)
+    known = model.robot_estimate
+    return _taken_in(model, measurements.select(kept), sigma=sigma, earlier=known, before=model.information)
 
 
 def _named(text: str, model: CalibratedModel) -> list[Effect]:
@@ -94,9 +96,17 @@ def _released(model: CalibratedModel, placed: Placed, effects: Sequence[Effect])
 
 
 def _taken_in(
-    model: CalibratedModel, measurements: Measurements, *, sigma: float | None, earlier: Estimate
+    model: CalibratedModel,
+    measurements: Measurements,
+    *,
+    sigma: float | None,
+    earlier: Estimate,
+    before: RobotInformation | None = None,
 ) -> CalibratedModel:
-    """Return the robot at the station of new rows, found from them and from what is known of it as it was."""
+    """Return the robot at the station of new rows, found from them and from what is known of it as it was.
+
+    Without the information of the rows ``before``, as of a robot that has changed, its own is that of the new rows.
+    """
     arm = model.model
     gx, gy, gz = map(float, arm.chain.gravity)
     declared = model.sigma if model.is_noise_declared and model.sensor_kind == measurements.kind else ()
@@ -112,6 +122,9 @@ def _taken_in(
         setup=replace(model.setup, points={}),
         earlier=earlier,
     )
-    found = CalibratedModel.of(fit_tables(arm.chain.robot, model.of_its_day(measurements), options))
+    fit = fit_tables(arm.chain.robot, model.of_its_day(measurements), options)
+    found, information = CalibratedModel.of(fit), RobotInformation.of(fit)
+    if before is not None:
+        information = before + information
     covered, marks = model.covered.over(found.covered), together(model.rows, found.rows)
-    return replace(found, covered=covered, rows=marks, provenance=model.provenance)
+    return replace(found, covered=covered, rows=marks, provenance=model.provenance, information_by=information)

@@ -14,6 +14,7 @@ import msgspec
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.model_file import ModelFile, StationsFile
 from pincal.calibration.result import ResultFile
+from pincal.fleet.robot_type import RobotType
 from pincal.io.camera_file import CameraFile
 from pincal.io.diagnosis_file import DiagnosisFile
 from pincal.io.discovery_file import Findings
@@ -28,6 +29,7 @@ FILES: dict[str, type] = {
     "diagnosis": DiagnosisFile,
     "camera": CameraFile,
     "information": RobotInformation,
+    "type": RobotType,
 }
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -36,8 +38,8 @@ def schema_of(name: str) -> dict[str, Any]:
     """Return the JSON Schema of a file.
 
     Args:
-        name: "model", "stations" (a model.json with several), "result", "discovery", "diagnosis", "camera" or
-            "information".
+        name: "model", "stations" (a model.json with several), "result", "discovery", "diagnosis", "camera",
+            "information" or "type".
 
     Example:
         >>> schema_of("camera")["$defs"]["CameraFile"]["required"]

@@ -1,0 +1,274 @@
+"""``pincal fleet add``, ``calibrate``, ``discover`` and ``diagnose``: a store of what is measured, and work on all of it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+
+from pincal.cli.arguments import argument, group, option, pair, verb
+from pincal.cli.common import GeneralOptions, ModelOptions, TableArguments, base_option, robot_argument, tip_option
+from pincal.cli.fitting import workers
+from pincal.cli.outputs import echo_notes, print_json
+from pincal.cli.quantities import ANGLE, LENGTH
+from pincal.errors import BadInputError, Exit
+
+if TYPE_CHECKING:
+    from pincal.fleet.jobs import Job
+    from pincal.fleet.store import Key, Store
+    from pincal.identify.options import Options
+    from pincal.robot.robot import Robot
+
+# Failures of tables that are listed.
+_FAILURES = 5
+# Tables from which on it is worth starting processes, which takes seconds.
+_SEVERAL = 12
+# Names of files that say nothing of the machine: the folder's does.
+_GENERIC = ("model", "information", "diagnosis")
+_ADD_EXAMPLES = """
+Examples:
+  pincal fleet add fleet-store r1/model.json r2/model.json --label hall=north
+  pincal fleet add fleet-store tracker.csv --machine R17 --day 2026-11-03 --robot robot.urdf
+  pincal fleet add fleet-store check.csv --check --machine R17
+  pincal fleet add fleet-store diagnosis/diagnosis.json --machine R17
+
+A store is a folder, or a URL that fsspec knows, such as s3://bucket/fleet; the first file begins it. Many may add at
+the same time, and what is added twice is there once.
+"""
+_JOB_EXAMPLES = """
+Examples:
+  pincal fleet {0} fleet-store --noise 0.05mm
+  pincal fleet {0} fleet-store --dask tcp://10.0.0.5:8786
+
+What is done is not done again: a run that was stopped goes on with what is left. Delete a folder of the store, such
+as {1}, to have all of it done anew.
+"""
+_dask = "Work on this Dask cluster, which has to reach the store."
+store_argument = partial(argument, "STORE", "Folder or URL of the store.")
+
+
+def machine_names(texts: Iterable[str]) -> dict[str, str]:
+    """Return names of machines by their files: the stem, or that of the folder; the whole path where they are alike."""
+    paths = {text: Path(text) for text in texts}
+    own = {text: path.absolute().parent.name if path.stem in _GENERIC else path.stem for text, path in paths.items()}
+    count = Counter(own.values())
+    return {text: name if count[name] == 1 else paths[text].as_posix() for text, name in own.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddArguments:
+    """Arguments of fleet add."""
+
+    store: str = store_argument()
+    files: tuple[Path, ...] = argument("FILE...", "Calibrated models, diagnoses (.json), or tables of measurements.")
+    machine: str | None = option("Name of the machine.", metavar="NAME", words="of the file, or its folder")
+    day: str | None = option("Day of the measurement.", metavar="YYYY-MM-DD", words="today")
+    check: bool = option("Tables are checks: has the machine changed since it was calibrated?", False)
+    label: tuple[str, ...] = option(
+        "What machines have in common that may drift together: a supplier, a batch, a hall.", (), metavar="KEY=VALUE"
+    )
+    robot: str | None = option("URDF of the arm, for tables.", metavar="URDF", words="that of a model in the store")
+    tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
+    base: str | None = base_option()
+    table: TableArguments = group("Tables")
+    general: GeneralOptions = group("General")
+
+
+@verb(AddArguments, examples=_ADD_EXAMPLES)
+def fleet_add(arguments: AddArguments) -> Exit:
+    """Add models, diagnoses or tables of measurements to a store."""
+    import datetime
+
+    from pincal.cli.inputs import load_table
+    from pincal.fleet.jobs import add_diagnosis, add_model, last_model
+    from pincal.fleet.store import Store, iso_day, named_machine, open_store
+    from pincal.fleet.stored_rows import CALIBRATION, CHECK
+    from pincal.robot.robot import Robot
+
+    day = iso_day(arguments.day or datetime.datetime.now(tz=datetime.UTC).date().isoformat())
+    labels = dict(pair(text, "KEY=VALUE, such as hall=north") for text in arguments.label)
+    names = machine_names([str(path) for path in arguments.files])
+    # Everything is read before anything is written.
+    adding, robot = list[Callable[[Store], object]](), None
+    kinds = list[str]()
+    for path in arguments.files:
+        machine = named_machine(names[str(path)] if arguments.machine is None else arguments.machine)
+        if path.suffix.lower() == ".json":
+            kinds.append(_kind(path))
+            if kinds[-1] == "diagnosis":
+                adding.append(partial(add_diagnosis, machine=machine, day=day, path=path))
+            else:
+                adding.append(partial(add_model, machine=machine, day=day, path=path, labels=labels))
+            continue
+        if robot is None and arguments.robot is not None:
+            robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
+        elif robot is None:
+            known = None
+            with suppress(BadInputError):
+                known = last_model(open_store(arguments.store))
+            if known is None:
+                raise BadInputError(
+                    f"{path}: the store has no model, so nobody knows which columns are joints; give --robot URDF"
+                )
+            robot = known.model.chain.robot
+        table = load_table(robot, path, options=arguments.table.options)
+        kinds.append(CHECK if arguments.check else "table")
+        role = CHECK if arguments.check else CALIBRATION
+        adding.append(partial(Store.add_table, machine=machine, day=day, table=table, role=role, labels=labels))
+    store = open_store(arguments.store, create=True)
+    without = [add(store) for add in adding].count(False)
+    if arguments.general.as_json:
+        print_json({"store": arguments.store, "day": day, "added": dict(Counter(kinds))})
+    else:
+        counted = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in Counter(kinds).items())
+        click.echo(f"added to {arguments.store}: {counted} of {day}")
+    if without:
+        words = f"{without} models are of a version that kept no information of the rows; calibrate these machines again"
+        echo_notes([words], quiet=arguments.general.quiet)
+    return Exit.DONE
+
+
+def _kind(path: Path) -> Literal["model", "diagnosis"]:
+    """Return what a JSON file is, which is read as a whole.
+
+    Raises:
+        BadInputError: if it is neither.
+    """
+    from pincal.calibration.calibrated_robot import load_stations
+    from pincal.fleet.jobs import load_diagnosis
+    from pincal.io.strict_json import MODEL_FILE, read_bounded
+
+    if b'"excluded"' in read_bounded(path, MODEL_FILE):
+        load_diagnosis(path)
+        return "diagnosis"
+    load_stations(path)
+    return "model"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _TablesArguments:
+    """What work on all tables of a store takes."""
+
+    robot: str = robot_argument()
+    store: str = store_argument()
+    noise: float | None = option("Noise of one position coordinate.", type=LENGTH, words="estimated for each table")
+    noise_angle: float | None = option("Noise of one orientation component.", type=ANGLE, words="estimated for each table")
+    tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
+    base: str | None = base_option()
+    dask: str | None = option(_dask, metavar="ADDRESS", words="this machine, all its cores")
+    model: ModelOptions = group("Model")
+    general: GeneralOptions = group("General")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitTablesArguments(_TablesArguments):
+    """Arguments of fleet calibrate."""
+
+    type: Path | None = option(
+        "What is known of machines of this type; checks are then calibrated, too.", metavar="TYPE.json"
+    )
+
+
+def _fitted_with(arguments: _TablesArguments) -> tuple[Robot, Options]:
+    from pincal.cli.inputs import EFFECTS_OF
+    from pincal.identify.options import Options
+    from pincal.robot.robot import Robot
+
+    model = arguments.model
+    options = Options(
+        effects=EFFECTS_OF[model.model],
+        sigma=arguments.noise,
+        sigma_orientation=arguments.noise_angle,
+        moment_frame=model.moment_frame,
+        gravity=model.gravity,
+        payload_centre=model.payload_com,
+    )
+    return Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base), options
+
+
+@verb(FitTablesArguments, examples=_JOB_EXAMPLES.format("calibrate robot.urdf", "information"))
+def fleet_calibrate(arguments: FitTablesArguments) -> Exit:
+    """Calibrate every machine of a store whose tables were not calibrated yet.
+
+    The store then has the information of each table, from which fleet learn and fleet check work.
+    """
+    from pincal.fleet.jobs import CalibrateTables, without_information
+    from pincal.fleet.robot_type import load_type
+    from pincal.fleet.store import open_store
+    from pincal.fleet.stored_rows import CALIBRATION
+
+    store = open_store(arguments.store)
+    of = None if arguments.type is None else load_type(arguments.type)
+    robot, options = _fitted_with(arguments)
+    if of is not None:
+        of.prior_of(robot, options.effects)
+    job = CalibrateTables(robot, options, of, role=CALIBRATION if of is None else None)
+    return _run(store, job, without_information(store), arguments.dask, arguments.general, done="calibrated")
+
+
+@verb(_TablesArguments, examples=_JOB_EXAMPLES.format("discover robot.urdf", "discoveries"))
+def fleet_discover(arguments: _TablesArguments) -> Exit:
+    """Identify the effects that the model of each machine of a store lacks."""
+    from pincal.fleet.jobs import DiscoverTables
+    from pincal.fleet.store import TABLES, open_store
+
+    store = open_store(arguments.store)
+    job = DiscoverTables(*_fitted_with(arguments))
+    return _run(store, job, store.keys(TABLES), arguments.dask, arguments.general, done="searched for missing effects")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseTablesArguments:
+    """Arguments of fleet diagnose."""
+
+    store: str = store_argument()
+    noise: float | None = option("Noise of one coordinate.", type=LENGTH, words="that of the calibration")
+    alpha: float = option("Probability of a false alarm, for each table by itself.", 0.01)
+    dask: str | None = option(_dask, metavar="ADDRESS", words="this machine, all its cores")
+    general: GeneralOptions = group("General")
+
+
+@verb(DiagnoseTablesArguments, examples=_JOB_EXAMPLES.format("diagnose", "diagnoses"))
+def fleet_diagnose(arguments: DiagnoseTablesArguments) -> Exit:
+    """Diagnose every check of a store by the last model.json of its machine.
+
+    Each check by itself; fleet check weighs all of them against each other.
+    """
+    from pincal.fleet.jobs import DiagnoseTables
+    from pincal.fleet.store import TABLES, open_store
+
+    store = open_store(arguments.store)
+    job = DiagnoseTables(arguments.alpha, arguments.noise)
+    return _run(store, job, store.keys(TABLES), arguments.dask, arguments.general, done="diagnosed")
+
+
+def _run(store: Store, job: Job, tables: Sequence[Key], dask: str | None, general: GeneralOptions, *, done: str) -> Exit:
+    """Do a job for tables of a store and print what became of it.
+
+    Raises:
+        BadInputError: if there was something to do and all of it failed.
+    """
+    from pincal.fleet.jobs import run_job
+    from pincal.fleet.store import TABLES
+
+    before = len(store.keys(TABLES)) - len(tables)
+    with workers(dask, repeats=dask is not None or len(tables) >= _SEVERAL) as executor:
+        found = run_job(store, job, tables=tables, executor=executor)
+    good = found.done - len(found.failed)
+    if general.as_json:
+        print_json({"job": job.name, "done": good, "before": before + found.before, "failed": found.failed})
+    else:
+        click.echo(f"{good} tables {done}" + (f"; {before} were before" if (before := before + found.before) else ""))
+        for path, reason in list(found.failed.items())[:_FAILURES]:
+            click.echo(f"failed: {path}: {reason}")
+        if len(found.failed) > _FAILURES:
+            click.echo(f"failed: {len(found.failed) - _FAILURES} more, see the column failure of {job.kind} in the store")
+    if found.failed and not good:
+        raise BadInputError(f"{store.place}: none of {found.done} tables could be worked on; the reasons are in the store")
+    return Exit.DONE

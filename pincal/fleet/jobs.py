@@ -1,0 +1,332 @@
+"""Work on every table of a store, wherever there are workers; what is done is not done again.
+
+A result is a file whose name follows from the rows and from the job. So a job that was killed goes on with what is left, two
+at once do no harm, and results are the same to the last byte.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+import msgspec
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.calibrated_robot import calibrate, load_stations
+from pincal.calibration.information import RobotInformation
+from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, diagnose
+from pincal.discover.run import run_discovery
+from pincal.errors import BadInputError, ModelFileError, PincalError
+from pincal.fleet.history import Visit
+from pincal.fleet.machines import Machine
+from pincal.fleet.robot_type import RobotType, calibrate_of_type
+from pincal.fleet.store import DIAGNOSES, DISCOVERIES, INFORMATION, MODELS, TABLES, Key, Store
+from pincal.fleet.stored_rows import CALIBRATION, CHECK, information_frame, measurements_of
+from pincal.identify.options import Options
+from pincal.identify.quadratic import Quadratic
+from pincal.io.diagnosis_file import DiagnosisFile
+from pincal.io.strict_json import FileKind, read_json
+from pincal.measure.admit import check_table
+from pincal.measure.measurements import Measurements
+from pincal.robot.robot import Robot
+from pincal.spread import spread
+
+if TYPE_CHECKING:
+    import polars as pl
+
+_DIAGNOSIS = FileKind("a diagnosis", ModelFileError, whole="what pincal diagnose writes")
+
+
+class Job(ABC):
+    """What is to be done with each table of a store."""
+
+    kind: str
+    """Of its results, one of :data:`pincal.fleet.store.STORED`."""
+    role: str | None = None
+    """Of the tables, one of :data:`pincal.fleet.store.ROLES`; None for all."""
+
+    @property
+    @abstractmethod
+    def facts(self) -> str:
+        """All that results depend on beside the rows, as text."""
+
+    @abstractmethod
+    def row(self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]) -> pl.DataFrame:
+        """Return the result of a table as one row.
+
+        Raises:
+            PincalError: for rows that can't be worked on.
+        """
+
+    @abstractmethod
+    def nothing(self, key: Key, labels: Mapping[str, str]) -> pl.DataFrame:
+        """Return the row of a table that can't be worked on."""
+
+    @final
+    @property
+    def name(self) -> str:
+        """The same for what gives the same results."""
+        return f"{self.kind}-{hashlib.sha256(self.facts.encode()).hexdigest()[:8]}"
+
+    @final
+    def result(self, key: Key) -> Key:
+        """Return where the result of a table stands."""
+        return replace(key, kind=self.kind, id=f"{key.id}-{self.name}")
+
+
+@dataclass(frozen=True)
+class CalibrateTables(Job):
+    """Information on machines, from each table alone.
+
+    Attributes:
+        robot: the arm.
+        options: how to calibrate.
+        type: what is known of its machines.
+        role: of the tables.
+    """
+
+    robot: Robot
+    options: Options
+    type: RobotType | None = None
+    role: str | None = None
+    kind = INFORMATION
+
+    @property
+    def facts(self) -> str:
+        """Robot, options and type."""
+        of = "" if self.type is None else f"{self.type.mean.tolist()} {self.type.covariance.tolist()}"
+        return f"{self.robot.frames!r} {self.robot.joint_names} {self.options!r} {of}"
+
+    def row(self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]) -> pl.DataFrame:
+        """Return the information, and how well the rows fit."""
+        _check(self.robot, table)
+        off: tuple[str, ...] = ()
+        if self.type is None:
+            fit = calibrate(self.robot, table, self.options)
+        else:
+            fit, member = calibrate_of_type(self.robot, table, self.type, self.options, name=key.machine)
+            off = member.off
+        machine = Machine.of(fit, key.machine, labels=labels)
+        how = {"rows": len(table), "converged": fit.solution.converged, "noise": fit.solution.sigma.tolist(), "off": off}
+        return information_frame(machine, "", **how)
+
+    def nothing(self, key: Key, labels: Mapping[str, str]) -> pl.DataFrame:
+        """Return a machine of which nothing is known."""
+        empty = Quadratic(np.zeros((0, 0)), np.zeros(0), np.zeros(0), names=(), square=0.0, degrees=0.0)
+        machine = Machine(key.machine, RobotInformation.of_form(empty, self.robot.name, 0, {}), labels)
+        return information_frame(machine, "", converged=False)
+
+
+@dataclass(frozen=True)
+class DiagnoseTables(Job):
+    """Whether machines have changed, from each table and the last model of the machine that is not younger.
+
+    Attributes:
+        alpha: chance of an alarm on a robot that has not changed.
+        sigma: noise of one component of the readings [m]; default: the column ``sigma``.
+    """
+
+    alpha: float = FALSE_ALARM
+    sigma: float | None = None
+    kind = DIAGNOSES
+    role: str | None = CHECK
+
+    @property
+    def facts(self) -> str:
+        """Chance of a false alarm and noise."""
+        return f"{self.alpha} {self.sigma}"
+
+    def row(self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]) -> pl.DataFrame:
+        """Return the diagnosis."""
+        model = last_model(store, key.machine, key.day)
+        if model is None:
+            raise BadInputError(f"machine {key.machine!r} has no model of {key.day} or before; add its model.json")
+        found = diagnose(model, table, alpha=self.alpha, sigma=self.sigma)
+        return _texts(msgspec.json.encode(found.found).decode(), changed=found.changed, p_value=found.found.p_value)
+
+    def nothing(self, key: Key, labels: Mapping[str, str]) -> pl.DataFrame:
+        """Return no diagnosis."""
+        return _texts("", changed=False, p_value=1.0)
+
+
+@dataclass(frozen=True)
+class DiscoverTables(Job):
+    """What the model of machines lacks, from each table alone.
+
+    Attributes:
+        robot: the arm.
+        options: how to calibrate.
+        role: of the tables.
+    """
+
+    robot: Robot
+    options: Options
+    role: str | None = CALIBRATION
+    kind = DISCOVERIES
+
+    @property
+    def facts(self) -> str:
+        """Robot and options."""
+        return f"{self.robot.frames!r} {self.robot.joint_names} {self.options!r}"
+
+    def row(self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]) -> pl.DataFrame:
+        """Return the discovery."""
+        _check(self.robot, table)
+        found = run_discovery(self.robot, table, self.options).findings
+        return _texts(msgspec.json.encode(found).decode(), verdict=str(found.verdict))
+
+    def nothing(self, key: Key, labels: Mapping[str, str]) -> pl.DataFrame:
+        """Return no discovery."""
+        return _texts("", verdict="")
+
+
+@dataclass(frozen=True)
+class Done:
+    """What became of a job.
+
+    Attributes:
+        done: number of tables whose results were added.
+        before: number of those that had results before.
+        failed: reasons of tables that can't be worked on, by their path; those of earlier runs are in the store.
+    """
+
+    done: int
+    before: int
+    failed: dict[str, str]
+
+
+def without_information(store: Store) -> list[Key]:
+    """Return the tables of which there is no information yet, by whatever job, nor any added for that machine and day."""
+    known = [(key, key.id.partition("-")[0]) for key in store.keys(INFORMATION)]
+    tables = {table for key, table in known if table != key.id}
+    added = {(key.machine, key.day) for key, table in known if table == key.id}
+    return [key for key in store.keys(TABLES) if key.id not in tables and (key.machine, key.day) not in added]
+
+
+def run_job(store: Store, job: Job, *, tables: Sequence[Key] | None = None, executor: Executor | None = None) -> Done:
+    """Do a job for every table of a store that has no result of it yet.
+
+    Args:
+        store: the store.
+        job: what to do.
+        tables: of these alone.
+        executor: does the work, see :mod:`pincal.spread`; default: here, one after the other.
+
+    Raises:
+        OutputError: if the store can't be written to.
+        WorkersLostError: if workers died and nobody could go on with their work; what is done is there.
+    """
+    tables, there = store.keys(TABLES) if tables is None else tables, set(store.keys(job.kind))
+    left = [key for key in tables if job.result(key) not in there]
+    failed, done = dict[str, str](), 0
+    for key, reason in zip(left, spread(partial(_work, store, job), left, label="table", executor=executor), strict=True):
+        done += reason is not None
+        if reason:
+            failed[key.path] = reason
+    return Done(done, len(tables) - len(left), failed)
+
+
+def _work(store: Store, job: Job, key: Key) -> str | None:
+    """Do a job for a table; return why it can't be done, empty if it is; None if the job is not for such tables."""
+    import polars as pl
+
+    frame = store.frame(key)
+    role, reason = frame["role"][0], ""
+    if job.role not in (None, role):
+        return None
+    labels = {entry["key"]: entry["value"] for entry in frame["labels"][0]}
+    try:
+        row = job.row(store, key, measurements_of(frame, f"{store.place}/{key.path}"), labels)
+    except PincalError as error:
+        row, reason = job.nothing(key, labels), str(error)
+    facts = {"role": role, "job": job.name, "table": key.id, "failure": reason}
+    store.add(job.result(key), row.with_columns(**{name: pl.lit(value) for name, value in facts.items()}))
+    return reason
+
+
+def visits_of(store: Store, *, job: str | None = None) -> Iterator[Visit]:
+    """Yield calibrations and checks of a store: information on machines, and p-values of diagnoses where there is none.
+
+    Args:
+        store: the store.
+        job: which computed the information; default: any.
+
+    Raises:
+        BadInputError: if there is information of the same rows by several jobs.
+    """
+    informed = set[tuple[str, str]]()
+    for key, machine, role in store.machines(job=job, role=None):
+        informed.add((key.machine, key.day))
+        yield Visit(key.machine, key.day, machine, role == CALIBRATION)
+    for keys, frame in store.frames(DIAGNOSES):
+        for key, p, failure in zip(keys, frame["p_value"], frame["failure"], strict=True):
+            if not failure and (key.machine, key.day) not in informed:
+                yield Visit(key.machine, key.day, p_value=p)
+
+
+def add_model(store: Store, machine: str, day: str, path: Path, *, labels: Mapping[str, str] | None = None) -> bool:
+    """Add a ``model.json`` of a machine and the information in it; return whether it has any.
+
+    Raises:
+        ModelFileError: if it can't be read.
+        OutputError: if the store can't be written to.
+    """
+    information = load_stations(path).robot_model().information
+    store.add_text(MODELS, machine, day, path.read_text(encoding="utf-8"))
+    if information is not None:
+        store.add_information(day, Machine(machine, information, dict(labels or {})))
+    return information is not None
+
+
+def load_diagnosis(path: Path) -> DiagnosisFile:
+    """Read a ``diagnosis.json``.
+
+    Raises:
+        ModelFileError: if it can't be read.
+    """
+    return read_json(path, DiagnosisFile, _DIAGNOSIS)
+
+
+def add_diagnosis(store: Store, machine: str, day: str, path: Path) -> None:
+    """Add a ``diagnosis.json`` of a machine.
+
+    Raises:
+        ModelFileError: if it can't be read.
+        OutputError: if the store can't be written to.
+    """
+    found = load_diagnosis(path)
+    facts = {"changed": found.changed, "p_value": found.p_value, "role": CHECK, "job": "", "table": "", "failure": ""}
+    store.add_text(DIAGNOSES, machine, day, path.read_text(encoding="utf-8"), **facts)
+
+
+def last_model(store: Store, machine: str | None = None, day: str = "9999") -> CalibratedModel | None:
+    """Return the last model of a machine, default any, that is of some day or before; None without any."""
+    known = [one for one in store.keys(MODELS) if machine in (None, one.machine) and one.day <= day]
+    if not known:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "model.json"
+        path.write_text(store.frame(max(known, key=lambda one: one.day))["text"][0], encoding="utf-8")
+        return load_stations(path).robot_model()
+
+
+def _check(robot: Robot, table: Measurements) -> None:
+    """Refuse rows that can't be of a robot."""
+    if table.joint_names != robot.joint_names:
+        names = ", ".join(table.joint_names), ", ".join(robot.joint_names)
+        raise BadInputError(f"{table.source}: joints {names[0]}; {robot.name} has {names[1]}")
+    check_table(robot, table)
+
+
+def _texts(text: str, **facts: Any) -> pl.DataFrame:
+    import polars as pl
+
+    return pl.DataFrame({"text": [text], **{name: [value] for name, value in facts.items()}})

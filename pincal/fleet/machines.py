@@ -1,0 +1,217 @@
+"""Machines of a type as a site sends them: information on the parameters of each, without poses and times; their file."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pincal.atomic import write_atomic
+from pincal.calibration.information import RobotInformation, information_of, load_information
+from pincal.errors import BadInputError, ModelFileError
+from pincal.fleet.evidence import Forms
+from pincal.identify.fit import ModelFit
+from pincal.parameters import Parameter
+
+if TYPE_CHECKING:
+    import polars as pl
+
+SCHEMA_VERSION = 1
+"""Of the rows that machines are written as."""
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """Information on one machine.
+
+    Attributes:
+        name: of the machine; "" where a site does not give it.
+        information: of its readings on its parameters, with base, targets and instrument eliminated and no prior.
+        labels: what else is known of it, such as its supplier, batch or hall.
+    """
+
+    name: str
+    information: RobotInformation
+    labels: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, fit: ModelFit, name: str = "", *, labels: Mapping[str, str] | None = None) -> Machine:
+        """Return the machine that a fit is of; whatever prior the fit had is not in it."""
+        return cls(name, RobotInformation.of(fit), dict(labels or {}))
+
+    def __add__(self, other: Machine) -> Machine:
+        """Return the same machine with the readings of both."""
+        return replace(self, information=self.information + other.information, labels={**other.labels, **self.labels})
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """Machines of one type, all in the same parameters.
+
+    Attributes:
+        machines: those of one name added up.
+        robot: name of the arm.
+        geometry: checksum of its nominal geometry.
+        parameters: the P parameters that any of them has.
+        priors: shape (P,), standard deviations of their priors without a type.
+        forms: what the machines say, in units of these priors.
+    """
+
+    machines: tuple[Machine, ...]
+    robot: str
+    geometry: int
+    parameters: tuple[Parameter, ...]
+    priors: np.ndarray
+    forms: Forms
+
+
+def gathered(machines: Iterable[Machine], *, like: Sequence[Parameter] = ()) -> Gathered:
+    """Return machines in the same parameters; what one of them lacks its readings do not determine.
+
+    Args:
+        machines: one or more; those of one name are the same machine measured more than once.
+        like: parameters to begin with.
+
+    Raises:
+        BadInputError: for no machine, different nominal geometries, or a parameter with different units.
+    """
+    named = dict[object, Machine]()
+    for k, machine in enumerate(machines):
+        key = machine.name or k
+        named[key] = named[key] + machine if key in named else machine
+    found = tuple(named.values())
+    if not found:
+        raise BadInputError("no machines; expected information on one or more")
+    first = found[0].information
+    parameters = {p.name: p for p in like}
+    sizes = dict[str, list[float]]()
+    for machine in found:
+        own = machine.information
+        if own.geometry != first.geometry:
+            raise BadInputError(
+                f"{_called(machine)} ({own.robot}) and {_called(found[0])} ({first.robot}) are of different nominal "
+                "geometries, so they are not of one type; calibrate all with the same URDF, base and tip"
+            )
+        for parameter, size in own.known.values():
+            known = parameters.setdefault(parameter.name, parameter)
+            if known.unit != parameter.unit:
+                raise BadInputError(f"{_called(machine)}: {parameter.name} is in {parameter.unit}; expected {known.unit}")
+            sizes.setdefault(parameter.name, []).append(size)
+    place = {name: i for i, name in enumerate(parameters)}
+    # That of compliances depends on the poses of each machine.
+    priors = np.array([float(np.median(sizes.get(p.name, [p.size]))) for p in parameters.values()])
+    H, g = np.zeros((len(found), len(place), len(place))), np.zeros((len(found), len(place)))
+    for k, machine in enumerate(found):
+        form = machine.information.form
+        at = np.array([place[name] for name in form.names], int)
+        D = priors[at]
+        H[k, at[:, None], at], g[k, at] = form.H * np.outer(D, D), form.g * D
+    elements = _numbered(p.element for p in parameters.values())
+    return Gathered(found, first.robot, first.geometry, tuple(parameters.values()), priors, Forms(H, g, elements))
+
+
+def kinds_of(parameters: Sequence[Parameter]) -> np.ndarray:
+    """Return numbers of kinds, shape (P,): parameters of one effect and unit, whose spreads are alike."""
+    return _numbered((p.effect, p.unit) for p in parameters)
+
+
+def machines_frame(machines: Iterable[Machine]) -> pl.DataFrame:
+    """Return machines as a table of one row each."""
+    import polars as pl
+
+    found = list(machines)
+    return pl.DataFrame(
+        {
+            "schema": pl.Series([SCHEMA_VERSION] * len(found), dtype=pl.Int32),
+            "machine": pl.Series([machine.name for machine in found], dtype=pl.String),
+            "arm": pl.Series([machine.information.robot for machine in found], dtype=pl.String),
+            "information": pl.Series([machine.information.text() for machine in found], dtype=pl.String),
+            "labels": labelled([machine.labels for machine in found]),
+        }
+    )
+
+
+def labelled(labels: Sequence[Mapping[str, str]]) -> pl.Series:
+    """Return the column of labels of each row."""
+    import polars as pl
+
+    entries = [[{"key": key, "value": value} for key, value in sorted(row.items())] for row in labels]
+    return pl.Series("labels", entries, pl.List(pl.Struct({"key": pl.String, "value": pl.String})))
+
+
+def machines_of(frame: pl.DataFrame, source: str) -> list[Machine]:
+    """Return the machines of a table of :func:`machines_frame`.
+
+    Raises:
+        ModelFileError: for another schema, or arrays that do not fit together.
+    """
+    missing = [name for name in ("schema", "machine", "information", "labels") if name not in frame.columns]
+    if missing:
+        raise ModelFileError(f"{source}: no column {missing[0]!r}; expected information on machines as pincal writes it")
+    found = list[Machine]()
+    for k, (schema, name, text, labels) in enumerate(frame.select("schema", "machine", "information", "labels").rows()):
+        if schema != SCHEMA_VERSION:
+            raise ModelFileError(f"{source}: row {k} has schema {schema}; expected {SCHEMA_VERSION}")
+        information = information_of(text, f"{source}: row {k}")
+        found.append(Machine(name, information, {entry["key"]: entry["value"] for entry in labels}))
+    return found
+
+
+def save_machines(path: str | os.PathLike[str], machines: Iterable[Machine], *, names: bool = False) -> None:
+    """Write what a site sends: information on its machines as one Parquet file, some kilobytes each.
+
+    Args:
+        path: the file.
+        machines: the machines.
+        names: whether their names and labels go with them.
+
+    Raises:
+        OutputError: if the place can't be written to.
+    """
+    sent = [machine if names else replace(machine, name="", labels={}) for machine in machines]
+    write_atomic(path, parquet_bytes(machines_frame(sent)))
+
+
+def load_machines(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Machine]:
+    """Return the machines of files: Parquet of :func:`save_machines`, or information files of single machines (JSON).
+
+    A machine of an information file has the name of the file.
+
+    Raises:
+        ModelFileError: if a file can't be read, or is damaged.
+    """
+    import polars as pl
+
+    found = list[Machine]()
+    for path in [paths] if isinstance(paths, str | os.PathLike) else paths:
+        if Path(path).suffix.lower() != ".parquet":
+            found.append(Machine(Path(path).stem, load_information(path)))
+            continue
+        try:
+            frame = pl.read_parquet(Path(path), glob=False)
+        except (OSError, pl.exceptions.PolarsError) as error:
+            raise ModelFileError(f"{os.fspath(path)}: can't be read ({error}); expected information on machines") from None
+        found += machines_of(frame, os.fspath(path))
+    return found
+
+
+def parquet_bytes(frame: pl.DataFrame) -> bytes:
+    """Return a table as the content of a Parquet file, the same for the same table."""
+    stream = io.BytesIO()
+    frame.write_parquet(stream)
+    return stream.getvalue()
+
+
+def _called(machine: Machine) -> str:
+    return f"machine {machine.name!r}" if machine.name else "a machine without a name"
+
+
+def _numbered(things: Iterable[object]) -> np.ndarray:
+    """Return a number for each thing, the same for equal ones, shape (n,)."""
+    known = dict[object, int]()
+    return np.array([known.setdefault(thing, len(known)) for thing in things], int)

@@ -1,0 +1,277 @@
+r"""The population that machines are drawn from, by the marginal likelihood of all their readings (empirical Bayes).
+
+Machines are x ~ N(mu, Sigma); of each there is a score q and its covariance Q (:mod:`pincal.fleet.evidence`). Sums of q, Q,
+:math:`q q^T` and :math:`Q \circ Q` over machines give
+
+- the mean, :math:`\sum q = 0`, with a normal prior about the data sheet;
+- the variances of single parameters, by Fisher scoring on their logarithms: gradient :math:`(q_k^2 - Q_{kk}) / 2` and
+  information :math:`Q_{kl}^2 / 2` in units of the spread, restricted for the mean that is estimated with them (Patterson
+  and Thompson 1971);
+- all correlations, by the EM algorithm, shrunk towards none as by an inverse Wishart prior. Its degrees of freedom follow
+  from the squared scores of all pairs (the method of moments), so that a few machines have no correlations.
+
+The priors are hierarchical: log variances of parameters of a kind are normal about one of that kind, and those of kinds
+about a common one, which keeps the proportions of the priors without a type. How unlike they are, and how far the mean is
+off the data sheet, is averaged over values as the data make them likely. So the eighteen lengths of three machines are not
+eighteen spreads of two degrees of freedom each, and what remains unsure of a spread widens the prior of the next machine.
+
+Some machines were hit, or are of another type: for these an element, or everything, is off by as much as the priors without
+a type allow. A machine counts by the probability that it is not one of them (a mixture; cf. Lange, Little and Taylor 1989).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pincal.fleet.evidence import Forms, in_prior_units, log_ratios, regular, scores
+
+# Machines by which the first rounds are made.
+_FEW = 400
+# Rounds at most, and the largest change of a log variance in one. They end where all are as near as _SETTLED, and that part
+# of their standard deviations.
+_ROUNDS, _FARTHEST, _SETTLED, _NEGLIGIBLE = 60, 1.5, 0.005, 0.05
+# Standard deviation of log variances: of all alike, off the priors without a type; of kinds and of single parameters: one of
+# several values. A factor of e in a standard deviation is 2.
+_LEVEL, _KINDS, _UNLIKE = 5.0, (0.05, 0.5, 1.2, 2.5), (0.1, 0.3, 0.6, 1.0, 1.5, 2.2)
+# How far the mean is off the data sheet, in units of the spread: one of these.
+_OFF = (0.03, 0.1, 0.3, 0.6, 1.0, 1.8, 3.0, 6.0, 20.0)
+# Part of the machines that were hit, before any was seen, and how many machines this counts for.
+_HIT, _HIT_COUNTS = 0.02, 20.0
+# Rounds by which correlations are found, and the change that ends them.
+_CORRELATING, _CORRELATED = 12, 0.01
+# Standard errors by which mean squared correlations have to differ from zero.
+_BY_CHANCE = 1.0
+# Number of machines that have to determine a direction better than the prior does.
+_SEEN = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """What machines are drawn from, in units of the priors without a type.
+
+    Attributes:
+        mean: shape (P,).
+        covariance: shape (P, P), of machines about the mean.
+        mean_covariance: shape (P, P), of the mean.
+        spread_variance: shape (P,), of the logarithms of the variances.
+        seen: shape (P, P), projector on the directions that machines determine; along all others the priors hold.
+        counts: shape (M,), the probability that a machine was not hit.
+        hit: part of the machines that were hit.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    mean_covariance: np.ndarray
+    spread_variance: np.ndarray
+    seen: np.ndarray
+    counts: np.ndarray
+    hit: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Sums over machines, each as far as it counts, of scores in units of the spread.
+
+    Attributes:
+        count: number of machines.
+        q, Q, qq, QQ: their scores and covariances, and sums of products; ``QQ`` entry by entry.
+        diagonals: of products of diagonals of Q.
+        restricted: of Q C Q, with C the covariance of the mean.
+    """
+
+    count: float
+    q: np.ndarray
+    Q: np.ndarray
+    qq: np.ndarray
+    QQ: np.ndarray
+    diagonals: np.ndarray
+    restricted: np.ndarray
+
+    def __add__(self, other: _Sums) -> _Sums:
+        return _Sums(**{name: value + getattr(other, name) for name, value in vars(self).items()})
+
+    @property
+    def excess(self) -> np.ndarray:
+        """Scatter of the scores beyond their covariance, shape (P, P)."""
+        return np.asarray(self.qq - self.Q + self.restricted)
+
+
+@dataclass(frozen=True, eq=False)
+class _Uncorrelated:
+    """A population without correlations.
+
+    Attributes:
+        theta, variance: shape (P,), logarithms of variances, and how well these are known.
+        mean: shape (P,), in units of the spread.
+        mean_covariance: shape (P, P), likewise.
+        hit: part of the machines that were hit.
+    """
+
+    theta: np.ndarray
+    variance: np.ndarray
+    mean: np.ndarray
+    mean_covariance: np.ndarray
+    hit: float = _HIT
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Standard deviations, shape (P,)."""
+        return np.asarray(np.exp(0.5 * self.theta))
+
+
+def population_of(forms: Forms, kinds: np.ndarray) -> Population:
+    """Return the population of machines.
+
+    Args:
+        forms: the machines, in units of the priors without a type.
+        kinds: shape (P,), numbers of kinds of parameters, such as lengths of links.
+    """
+    few = next(part for _, part in forms.pieces()) if len(forms) > _FEW else forms
+    found, counts = _uncorrelated(few, kinds, _begun(few, kinds))
+    if few is not forms:
+        found, counts = _uncorrelated(forms, kinds, found)
+    root, scale = _correlated(forms, found, counts), np.outer(found.spread, found.spread)
+    return Population(
+        found.spread * found.mean,
+        root @ root.T,
+        found.mean_covariance * scale,
+        found.variance,
+        _seen(forms, counts),
+        counts,
+        found.hit,
+    )
+
+
+def _begun(forms: Forms, kinds: np.ndarray) -> _Uncorrelated:
+    """Return what machines show at first sight, as if the priors without a type were their spread."""
+    P = len(kinds)
+    q, Q = scores(forms, np.zeros(P), np.eye(P))
+    seen = np.mean(np.diagonal(Q, axis1=1, axis2=2), axis=0)
+    square = np.mean(q**2, axis=0) + 1e-12
+    for at in (kinds == kind for kind in np.unique(kinds)):
+        mean = np.sum(square[at]) / max(np.sum(seen[at] ** 2), 1e-12)
+        square[at] = np.where(seen[at] > 0.1, square[at], mean)
+    return _Uncorrelated(np.log(square), np.zeros(P), np.zeros(P), np.zeros((P, P)))
+
+
+def _sums(forms: Forms, at: _Uncorrelated, counts: np.ndarray | None = None, root: np.ndarray | None = None) -> _Sums:
+    """Return sums over machines.
+
+    Args:
+        forms: the machines.
+        at: their population.
+        counts: shape (M,), filled with how far each counts where it is nan.
+        root: shape (P, P), root of its covariance, if there are correlations.
+    """
+    L = np.diag(at.spread) if root is None else root
+    C = at.mean_covariance
+    if root is not None:
+        turn = np.linalg.solve(root, np.diag(at.spread))
+        C = turn @ C @ turn.T
+    counts = np.full(len(forms), np.nan) if counts is None else counts
+    total = None
+    for rows, part in forms.pieces():
+        q, Q = scores(part, at.spread * at.mean, L)
+        if np.isnan(counts[rows]).any():
+            counts[rows] = regular(log_ratios(part, *in_prior_units(q, Q, L)), at.hit)
+        p, d = counts[rows], np.diagonal(Q, axis1=1, axis2=2)
+        pQ = p[:, None, None] * Q
+        one = _Sums(
+            float(p.sum()),
+            p @ q,
+            pQ.sum(axis=0),
+            (p[:, None] * q).T @ q,
+            (pQ * Q).sum(axis=0),
+            (p[:, None] * d).T @ d,
+            np.tensordot(pQ @ C, Q, axes=([0, 2], [0, 1])),
+        )
+        total = one if total is None else total + one
+    assert total is not None
+    return total
+
+
+def _uncorrelated(forms: Forms, kinds: np.ndarray, start: _Uncorrelated) -> tuple[_Uncorrelated, np.ndarray]:
+    """Return the population without correlations, and how far each machine counts, shape (M,)."""
+    P, M, at = len(kinds), len(forms), start
+    alike = (kinds[:, None] == kinds).astype(float)
+    spreads = [_LEVEL**2 + k**2 * alike + u**2 * np.eye(P) for k in _KINDS for u in _UNLIKE]
+    means = [off**2 * np.eye(P) for off in _OFF]
+    step, reach = np.zeros(P), np.full(P, _FARTHEST)
+    for _ in range(_ROUNDS):
+        counts = np.full(M, np.nan)
+        sums = _sums(forms, at, counts)
+        mean, C = _averaged(sums.Q, sums.q + sums.Q @ at.mean, means)
+        information = 0.5 * sums.QQ
+        slope = 0.5 * np.diag(sums.excess) + information @ at.theta
+        theta, V = _averaged(information, slope, spreads)
+        # Where a log variance is hardly determined, full steps would swing about its value.
+        gap = theta - at.theta
+        reach = np.where(step * gap < 0.0, 0.5 * np.abs(step), np.minimum(2.0 * reach, _FARTHEST))
+        step = np.clip(gap, -reach, reach)
+        back = np.exp(-0.5 * step)
+        hit = (M - counts.sum() + _HIT * _HIT_COUNTS) / (M + _HIT_COUNTS)
+        at = _Uncorrelated(at.theta + step, np.diag(V), mean * back, C * np.outer(back, back), float(hit))
+        if np.all(np.abs(gap) < _SETTLED + _NEGLIGIBLE * np.sqrt(at.variance)):
+            break
+    return at, counts
+
+
+def _averaged(information: np.ndarray, slope: np.ndarray, priors: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and covariance of parameters whose prior about zero is one of several, as likely as the data make it.
+
+    Args:
+        information: shape (P, P), of the data.
+        slope: shape (P,), of their log likelihood at zero.
+        priors: covariances, shape (P, P).
+    """
+    found, logs = list[tuple[np.ndarray, np.ndarray]](), list[float]()
+    for prior in priors:
+        root = np.linalg.cholesky(prior)
+        factor = np.linalg.cholesky(np.eye(len(slope)) + root.T @ information @ root)
+        half = np.linalg.solve(factor, root.T)
+        C = half.T @ half
+        found.append((C @ slope, C))
+        logs.append(0.5 * float(slope @ C @ slope) - float(np.log(np.diag(factor)).sum()))
+    weights = np.exp(np.array(logs) - max(logs))
+    weights /= weights.sum()
+    mean = np.einsum("w,wp->p", weights, np.array([m for m, _ in found]))
+    covariance = np.zeros_like(information)
+    for w, (m, C) in zip(weights, found, strict=True):
+        covariance += w * (C + np.outer(m - mean, m - mean))
+    return mean, covariance
+
+
+def _correlated(forms: Forms, at: _Uncorrelated, counts: np.ndarray) -> np.ndarray:
+    """Return the root of the covariance, shape (P, P), with as much correlation as the machines show."""
+    P, root = len(at.theta), np.diag(at.spread)
+    sums = _sums(forms, at, counts)
+    pairs = np.triu_indices(P, 1)
+    slope, information = sums.excess[pairs], (sums.diagonals + sums.QQ)[pairs]
+    total = float(np.sum(information**2))
+    square = float(np.sum(slope**2 - information)) - _BY_CHANCE * np.sqrt(2.0 * total)
+    if square <= 0.0:
+        return root
+    degrees = total / square
+    for _ in range(_CORRELATING):
+        spread = np.linalg.solve(root, np.diag(at.spread))
+        S = (degrees * spread @ spread.T + sums.count * np.eye(P) + sums.excess) / (degrees + sums.count)
+        root = root @ np.linalg.cholesky(0.5 * (S + S.T))
+        if np.abs(S - np.eye(P)).max() < _CORRELATED:
+            break
+        sums = _sums(forms, at, counts, root)
+    return root
+
+
+def _seen(forms: Forms, counts: np.ndarray) -> np.ndarray:
+    """Return the projector on the directions that machines determine better than the priors do, shape (P, P)."""
+    P = forms.g.shape[1]
+    total = np.zeros((P, P))
+    for rows, part in forms.pieces():
+        _, Q = scores(part, np.zeros(P), np.eye(P))
+        total += np.tensordot(counts[rows], Q, axes=1)
+    values, vectors = np.linalg.eigh(total)
+    seen = vectors[:, values > _SEEN]
+    return np.asarray(seen @ seen.T)

@@ -1,0 +1,365 @@
+"""A type of robot: what its machines have in common, how far they differ, and which machine is not one of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+
+from pincal.calibration.calibrated_robot import Fit, calibrate
+from pincal.calibration.information import geometry_of
+from pincal.errors import BadInputError, ModelFileError
+from pincal.fleet.evidence import Forms, in_prior_units, least_chance, log_ratios, regular, scores, times_farther
+from pincal.fleet.machines import Gathered, Machine, gathered, kinds_of
+from pincal.fleet.population import population_of
+from pincal.identify.calibrate import Tables
+from pincal.identify.options import Options
+from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, packed_matrix
+from pincal.io.entries import ParameterEntry, plain, restoring
+from pincal.io.strict_json import Fault, FileKind, read_json, write_json
+from pincal.model.catalogue.masses import with_masses
+from pincal.model.chain import Chain
+from pincal.model.effect import Effect
+from pincal.model.model import Model
+from pincal.parameters import Covariance, Estimate, Parameter, root_of
+from pincal.robot.robot import Robot
+
+# Part of the machines that may be of another kind, whatever the machines of the type were.
+_LEAST_HIT = 0.02
+# Probability of being like the others below which a machine is not, and the share of a way to be off that counts then.
+_UNLIKELY, _SHARE = 0.5, 0.1
+# Chance of a machine of the type to be thought off, where few machines leave its spread unsure.
+_ALPHA = 0.05
+# Factor on variances from which on the prior of a machine is wider than that of others.
+_FARTHER = 1.25
+# Mean square of residuals in units of the declared noise up to which a fit is as it should be.
+_FITS = 2.0
+# Log variances are known at least by this [variance], however few the machines; logarithm of how much wider standard
+# deviations are by each unit of it, so that 95 % of further machines are within 1.96 of them.
+_LOOSEST, _WIDER = 2.0, 0.35
+EVERYTHING = "all"
+"""A machine that differs in more than one element."""
+
+_FILE = FileKind("a type", ModelFileError, whole="what pincal fleet learn writes")
+
+
+@dataclass(frozen=True, eq=False)
+class Membership:
+    """How a machine compares with its type.
+
+    Attributes:
+        machine: its name.
+        p_value: chance that a machine of the type is as far off, in any element or in all.
+        probability: that it is like the others.
+        off: elements (joints) in which it differs, :data:`EVERYTHING` for more than one; empty if it is like the others.
+        times: factor on the variances of its prior, wider where it differs: some machines are farther from the mean than
+            others, and 8 poses show it.
+    """
+
+    machine: str
+    p_value: float
+    probability: float
+    off: tuple[str, ...]
+    times: float = 1.0
+
+    @property
+    def is_usual(self) -> bool:
+        """Whether its prior is that of any machine of the type."""
+        return not self.off and self.times == 1.0
+
+
+class RobotType(Record, frozen=True, kw_only=True):
+    """The machines of a type as a normal distribution of their parameters, and its file, in which no single one is.
+
+    Attributes:
+        format: what the file is.
+        format_version: 1.
+        robot: name of the arm.
+        geometry: checksum of its nominal geometry (CRC-32 of its link frames, rounded to 1e-9).
+        entries: the P parameters; values are deviations from their nominals.
+        priors: shape (P,), standard deviations of their priors without a type [their own units].
+        mean: shape (P,), of the mean machine.
+        covariance: shape (P, P), of machines about the mean.
+        mean_covariance: shape (P, P), of the mean.
+        spread_variance: shape (P,), variance of the logarithm of each variance: how well the spread is known.
+        seen: shape (P, P), projector on directions that the machines determine, parameters in units of their priors; along
+            all others, such as a joint offset that is a turn of the base, the priors hold.
+        machines: number of machines.
+        hit: part of them that were hit or are of another kind.
+        provenance: version of pincal, time, command, input files with their SHA-256.
+    """
+
+    format: Literal["pincal-type"]
+    format_version: Literal[1]
+    robot: str
+    geometry: int
+    entries: Annotated[tuple[ParameterEntry, ...], ArrayShape("parameters")]
+    priors: Annotated[Numbers, ArrayShape("parameters")]
+    mean: Annotated[Numbers, ArrayShape("parameters")]
+    covariance: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_matrix)]
+    mean_covariance: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_matrix)]
+    spread_variance: Annotated[Numbers, ArrayShape("parameters")]
+    seen: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_matrix)]
+    machines: int
+    hit: float
+    provenance: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if np.any(self.priors <= 0.0) or not 0.0 <= self.hit < 1.0:
+            raise Fault("holds numbers that can't be meant", "standard deviations above 0 and a part below 1")
+        for name in ("covariance", "mean_covariance", "seen"):
+            matrix = getattr(self, name)
+            size = np.sqrt(np.abs(np.diag(matrix)))
+            if np.any(np.diag(matrix) < -1e-12) or np.any(np.abs(matrix - matrix.T) > 1e-9 * np.outer(size, size) + 1e-30):
+                raise Fault("is no covariance", "a symmetric matrix with a positive diagonal", key=f".{name}")
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its parameters."""
+        return tuple(entry.parameter() for entry in self.entries)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(entry.name for entry in self.entries)
+
+    @property
+    def degrees(self) -> float:
+        """Degrees of freedom by which spreads are known."""
+        share = np.diag(self.seen)
+        return float(2.0 / max(share @ self.spread_variance / max(share.sum(), 1e-9), 1e-6))
+
+    @property
+    def determined(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mean, covariance of the mean and covariance of machines along what readings determine."""
+        known = self.seen * np.outer(self.priors, 1.0 / self.priors)
+        return known @ self.mean, known @ self.mean_covariance @ known.T, known @ self.covariance @ known.T
+
+    def drawn(self, robot: Robot, rng: np.random.Generator) -> np.ndarray:
+        """Return the parameters of a further machine, shape (P,), drawn along what readings determine.
+
+        Raises:
+            BadInputError: if the arm is of another nominal geometry.
+        """
+        self.require(robot.name, geometry_of(robot))
+        mean, of_mean, spread = self.determined
+        return mean + root_of(of_mean + spread) @ rng.standard_normal(len(mean))
+
+    def require(self, robot: str, geometry: int) -> None:
+        """Refuse an arm of another nominal geometry.
+
+        Raises:
+            BadInputError: naming both.
+        """
+        if geometry != self.geometry:
+            raise BadInputError(
+                f"the type is of {self.robot}, and {robot} has another nominal geometry; expected the same URDF, base "
+                "and tip"
+            )
+
+    def prior(self, *, names: Collection[str] | None = None, member: Membership | None = None) -> Estimate:
+        """Return what is known of a further machine: ``Options.earlier`` of its calibration.
+
+        Args:
+            names: parameters that its model has; default: all. What is known of the others does not depend on these, so that
+                a model without them is no model in which they are zero.
+            member: how the machine compares with the type: the prior of one that is farther from the mean than others is
+                wider, and where it differs has what it may be without a type beside that.
+        """
+        mean, covariance = self._further(member)
+        if names is not None:
+            here = np.array([name in names for name in self.names])
+            covariance *= here[:, None] == here
+        scale = self.priors
+        found = Covariance.of(covariance * np.outer(scale, scale))
+        return Estimate(self.parameters, mean * scale, np.ones(len(scale), bool), found, scale)
+
+    def prior_of(self, robot: Robot, effects: tuple[Effect, ...], member: Membership | None = None) -> Estimate:
+        """Return the same for a model of an arm with these effects.
+
+        Raises:
+            BadInputError: if the arm is of another nominal geometry.
+        """
+        self.require(robot.name, geometry_of(robot))
+        return self.prior(names=Model(Chain.of(robot), with_masses(robot, effects)).names, member=member)
+
+    def _further(self, member: Membership | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean and covariance of a further machine in units of the priors: what is unsure of both is part of it."""
+        scale = np.outer(self.priors, self.priors)
+        wider = np.exp(_WIDER * np.minimum(self.spread_variance, _LOOSEST))
+        covariance = (self.covariance * np.outer(wider, wider) + self.mean_covariance) / scale
+        if member is not None:
+            wide = np.array([EVERYTHING in member.off or p.element in member.off for p in self.parameters], float)
+            covariance = member.times * covariance + np.diag(wide)
+        covariance = self.seen @ covariance @ self.seen + np.eye(len(scale)) - self.seen
+        return self.seen @ (self.mean / self.priors), 0.5 * (covariance + covariance.T)
+
+    def judge(self, machine: Machine) -> Membership:
+        """Return how a machine that was not learned from compares with the type.
+
+        Raises:
+            BadInputError: if it is of another nominal geometry.
+        """
+        self.require(f"machine {machine.name!r} ({machine.information.robot})", machine.information.geometry)
+        found = gathered([machine], like=self.parameters)
+        (membership,) = _memberships(found, found.forms, *self._with_own(found), self)
+        wider = self._with_own(found, membership)
+        q, Q = scores(found.forms, *wider)
+        times = times_farther(q[0], Q[0])
+        return replace(membership, times=times if times > _FARTHER else 1.0)
+
+    def _with_own(self, found: Gathered, member: Membership | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean and root of the covariance of a machine, whose effects that the type lacks keep their priors."""
+        mean, covariance = self._further(member)
+        P, own = len(mean), len(found.parameters)
+        whole_mean, whole = np.zeros(own), np.eye(own)
+        scale = self.priors / found.priors[:P]
+        whole_mean[:P], whole[:P, :P] = mean * scale, covariance * np.outer(scale, scale)
+        return whole_mean, root_of(whole)
+
+    def save(self, path: str | os.PathLike[str], *, provenance: dict[str, Any] | None = None) -> None:
+        """Write it to a file, see :func:`load_type`.
+
+        Raises:
+            OutputError: if the place can't be written to.
+        """
+        found = self if provenance is None else msgspec.structs.replace(self, provenance=provenance)
+        write_json(path, plain(found), indent=None)
+
+
+def load_type(path: str | os.PathLike[str]) -> RobotType:
+    """Read a type.
+
+    Raises:
+        ModelFileError: if the file can't be read, or a value is missing or invalid.
+    """
+    return read_json(path, RobotType, _FILE, hook=restoring())
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """A type and the machines that it was learned from.
+
+    Attributes:
+        type: the type.
+        members: how each machine compares with it, in the order of the machines; those of one name are one machine.
+        values: shape (M, P), the most probable deviations of each machine from the nominal.
+        sigma: shape (M, P), their standard deviations.
+    """
+
+    type: RobotType
+    members: tuple[Membership, ...]
+    values: np.ndarray
+    sigma: np.ndarray
+
+
+def learn_type(machines: Iterable[Machine]) -> Learned:
+    """Learn a type from information on its machines, by empirical Bayes (see :mod:`pincal.fleet.population`).
+
+    Each machine counts by what its readings determine: few poses, other sensors and parameters that others lack are welcome.
+    A single machine is enough to begin with. The result does not depend on the order of the machines, nor on which files
+    they come from.
+
+    Raises:
+        BadInputError: for no machine, or machines of different nominal geometries.
+    """
+    given = tuple(machines)
+    order = sorted(range(len(given)), key=lambda k: given[k].information.form.g.tobytes())
+    found = gathered(given[k] for k in order)
+    kinds = kinds_of(found.parameters)
+    population = population_of(found.forms, kinds)
+    scale = np.outer(found.priors, found.priors)
+    learned = RobotType(
+        format="pincal-type",
+        format_version=1,
+        robot=found.robot,
+        geometry=found.geometry,
+        entries=tuple(map(ParameterEntry.of_parameter, found.parameters)),
+        priors=found.priors,
+        mean=population.mean * found.priors,
+        covariance=population.covariance * scale,
+        mean_covariance=population.mean_covariance * scale,
+        spread_variance=population.spread_variance,
+        seen=population.seen,
+        machines=len(found.machines),
+        hit=population.hit,
+        provenance={},
+    )
+    mean, covariance = learned._further()
+    root = root_of(covariance)
+    members = _memberships(found, found.forms, mean, root, learned)
+    values, sigma = _points(found.forms, mean, root)
+    # In the order in which machines were given.
+    first = dict[object, int]()
+    for k, machine in enumerate(given):
+        first.setdefault(machine.name or id(machine), k)
+    places = np.argsort([first[machine.name or id(machine)] for machine in found.machines])
+    return Learned(
+        learned,
+        tuple(members[k] for k in places),
+        values[places] * found.priors,
+        sigma[places] * found.priors,
+    )
+
+
+def _memberships(found: Gathered, forms: Forms, mean: np.ndarray, root: np.ndarray, of: RobotType) -> list[Membership]:
+    """Return how machines compare with a population of this mean and root of its covariance."""
+    members = list[Membership]()
+    elements = list(dict.fromkeys(p.element for p in found.parameters))
+    labels = [*elements, EVERYTHING] if len(elements) > 1 else elements
+    for rows, part in forms.pieces():
+        q, Q = in_prior_units(*scores(part, mean, root), root)
+        logs = log_ratios(part, q, Q)
+        like = regular(logs, max(of.hit, _LEAST_HIT))
+        p = least_chance(q, Q, root, part.ways[: len(elements)], of.degrees)
+        for k, machine in enumerate(found.machines[rows]):
+            share = np.exp(logs[:, k] - logs[:, k].max())
+            off = tuple(label for label, s in zip(labels, share / share.sum(), strict=True) if s > _SHARE)
+            is_off = like[k] < _UNLIKELY and p[k] < _ALPHA
+            members.append(Membership(machine.name, float(p[k]), float(like[k]), off if is_off else ()))
+    return members
+
+
+def _points(forms: Forms, mean: np.ndarray, root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the most probable deviations of machines and their standard deviations, shape (M, P) each."""
+    values, sigma = np.empty_like(forms.g), np.empty_like(forms.g)
+    for rows, part in forms.pieces():
+        q, Q = scores(part, mean, root)
+        values[rows] = mean + q @ root.T
+        variance = np.sum((root @ (np.eye(len(mean)) - Q)) * root, axis=2)
+        sigma[rows] = np.sqrt(np.maximum(variance, 0.0))
+    return values, sigma
+
+
+def calibrate_of_type(
+    robot: Robot, measurements: Tables, of: RobotType, options: Options | None = None, *, name: str = ""
+) -> tuple[Fit, Membership]:
+    """Calibrate a machine of a known type; where its rows show that it is not like the others, with a wider prior.
+
+    Args:
+        robot: the arm, of the nominal geometry that the type is of.
+        measurements: its rows, as :func:`pincal.calibrate` takes them.
+        of: the type.
+        options: how to calibrate.
+        name: of the machine.
+
+    Returns:
+        The fit, and how the machine compares with its type.
+
+    Raises:
+        BadInputError: if the robot is of another nominal geometry.
+        MeasurementError: as :func:`pincal.calibrate`.
+    """
+    options = Options() if options is None else options
+    fit = calibrate(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects)))
+    # What a prior does not let a machine be becomes noise, by which nothing is strange: it is then judged without one.
+    is_fair = fit.is_declared and fit.solution.cost < _FITS
+    member = of.judge(Machine.of(fit if is_fair else calibrate(robot, measurements, options), name))
+    if not member.is_usual:
+        fit = calibrate(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects, member)))
+    return fit, member

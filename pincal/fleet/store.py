@@ -1,0 +1,377 @@
+"""What is measured and found of a fleet, as Parquet files in a folder or an object store.
+
+A file is written once, as a whole, and never changed: ``KIND/machine=NAME/day=YYYY-MM-DD/ID.parquet``. Its ID is a checksum
+of what it holds, or of what it was computed from, so many writers need no lock, what is added twice is there once, and work
+that is done is known to be done. Every row has the version of its schema. DuckDB, Polars and others read the files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote, unquote
+
+import numpy as np
+
+from pincal.atomic import ELSEWHERE, write_atomic
+from pincal.errors import BadInputError, OutputError, needed
+from pincal.fleet.machines import SCHEMA_VERSION, Machine, machines_of, parquet_bytes
+from pincal.fleet.stored_rows import CALIBRATION, ROLES, information_frame, measurements_of, table_frame
+from pincal.measure.measurements import Measurements
+
+if TYPE_CHECKING:
+    import polars as pl
+
+TABLES, INFORMATION, DIAGNOSES, DISCOVERIES, MODELS = STORED = (
+    "tables",
+    "information",
+    "diagnoses",
+    "discoveries",
+    "models",
+)
+"""What a store holds: rows as measured, information on machines, diagnoses, discoveries and models."""
+
+_MARK, _FORMAT, _VERSION = "store.json", "pincal-store", 1
+# Files read at a time: those of information on 40 parameters take 10 MB.
+_PIECE = 1000
+
+
+@dataclass(frozen=True, order=True)
+class Key:
+    """A file of a store.
+
+    Attributes:
+        kind: one of :data:`STORED`.
+        machine: name of the machine.
+        day: ISO date.
+        id: of the file within these.
+    """
+
+    kind: str
+    machine: str
+    day: str
+    id: str
+
+    @property
+    def path(self) -> str:
+        """Where it stands in the store."""
+        return f"{self.kind}/machine={quote(self.machine, safe='')}/day={self.day}/{self.id}.parquet"
+
+    @classmethod
+    def of(cls, path: str) -> Key:
+        """Return the key of a path that ends as :attr:`path`."""
+        kind, machine, day, name = path.replace("\\", "/").split("/")[-4:]
+        return cls(kind, unquote(machine.removeprefix("machine=")), day.removeprefix("day="), name.removesuffix(".parquet"))
+
+
+@dataclass(frozen=True)
+class Store:
+    """A folder of files, on a disk or wherever fsspec reaches; see :func:`open_store`.
+
+    Attributes:
+        place: the folder, or a URL such as ``s3://bucket/fleet``.
+    """
+
+    place: str
+
+    @property
+    def _is_url(self) -> bool:
+        return "://" in self.place
+
+    @cached_property
+    def _files(self) -> tuple[Any, str]:
+        """File system and path of a URL."""
+        with needed("fsspec", "stores at a URL", install="fsspec and what the URL needs, such as s3fs"):
+            import fsspec  # type: ignore[import-untyped]
+        try:
+            found: tuple[Any, str] = fsspec.core.url_to_fs(self.place)
+        except (ValueError, ImportError) as error:
+            raise BadInputError(
+                f"{self.place}: no such store ({error}); expected a folder or a URL that fsspec knows"
+            ) from None
+        return found
+
+    def __getstate__(self) -> dict[str, str]:
+        """Return the place: connections stay in their process."""
+        return {"place": self.place}
+
+    def read(self, path: str) -> bytes | None:
+        """Return the content of a file; None where there is none."""
+        try:
+            if self._is_url:
+                files, root = self._files
+                content: bytes = files.cat_file(f"{root}/{path}")
+                return content
+            return (Path(self.place) / path).read_bytes()
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise BadInputError(f"{self.place}/{path}: can't be read ({error.strerror or error})") from None
+
+    def write(self, path: str, content: bytes) -> None:
+        """Write a file as a whole or not at all.
+
+        Raises:
+            OutputError: if the place can't be written to.
+        """
+        try:
+            if self._is_url:
+                files, root = self._files
+                target = f"{root}/{path}"
+                files.makedirs(target.rpartition("/")[0], exist_ok=True)
+                files.pipe_file(target, content)
+                return
+            target_path = Path(self.place) / path
+            target_path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{self.place}: can't be written ({error.strerror or error}); {ELSEWHERE}") from None
+        write_atomic(target_path, content)
+
+    def keys(self, kind: str) -> list[Key]:
+        """Return the files of a kind, in order."""
+        if self._is_url:
+            files, root = self._files
+            return sorted(map(Key.of, files.glob(f"{root}/{kind}/machine=*/day=*/*.parquet")))
+        # Drafts of writers at work begin with a dot.
+        found = Path(self.place).glob(f"{kind}/machine=*/day=*/[!.]*.parquet")
+        return sorted(Key.of(path.as_posix()) for path in found)
+
+    def frame(self, key: Key) -> pl.DataFrame:
+        """Return the content of a file.
+
+        Raises:
+            BadInputError: if there is none, or it is damaged.
+        """
+        import polars as pl
+
+        content = self.read(key.path)
+        if content is None:
+            raise BadInputError(f"{self.place}: no file {key.path}")
+        try:
+            return pl.read_parquet(io.BytesIO(content))
+        except pl.exceptions.PolarsError as error:
+            raise BadInputError(f"{self.place}/{key.path}: damaged ({error}); delete it and add it again") from None
+
+    def frames(self, kind: str) -> Iterator[tuple[Sequence[Key], pl.DataFrame]]:
+        """Yield the files of a kind that have one row each, some of them as one table, with their keys."""
+        import polars as pl
+
+        keys = self.keys(kind)
+        for start in range(0, len(keys), _PIECE):
+            some = keys[start : start + _PIECE]
+            if self._is_url:
+                frame = pl.concat([self.frame(key) for key in some])
+            else:
+                try:
+                    frame = pl.read_parquet([Path(self.place) / key.path for key in some], glob=False)
+                except (OSError, pl.exceptions.PolarsError) as error:
+                    raise BadInputError(
+                        f"{self.place}/{kind}: a file is damaged ({error}); delete it and add it again"
+                    ) from None
+            if len(frame) != len(some):
+                raise BadInputError(f"{self.place}/{kind}: {len(frame)} rows in {len(some)} files; expected one in each")
+            yield some, frame
+
+    def add(self, key: Key, frame: pl.DataFrame) -> None:
+        """Write a file, with its key in the columns ``machine``, ``day`` and ``id``."""
+        import polars as pl
+
+        facts = {"schema": pl.lit(SCHEMA_VERSION, pl.Int32)}
+        facts |= {name: pl.lit(getattr(key, name)) for name in ("machine", "day", "id")}
+        self.write(key.path, parquet_bytes(frame.with_columns(**facts)))
+
+    def add_table(
+        self,
+        machine: str,
+        day: str,
+        table: Measurements,
+        *,
+        role: str = CALIBRATION,
+        labels: Mapping[str, str] | None = None,
+    ) -> Key:
+        """Add rows of a machine; the same rows twice are there once.
+
+        Args:
+            machine: its name.
+            day: ISO date.
+            table: the rows.
+            role: one of :data:`ROLES`.
+            labels: what else is known of the machine, such as its supplier, batch or hall.
+
+        Raises:
+            BadInputError: for a name, a day or a role that can't be meant.
+            OutputError: if the store can't be written to.
+        """
+        if role not in ROLES:
+            raise BadInputError(f"role {role!r}; expected {' or '.join(ROLES)}")
+        frame = table_frame(table, role, labels or {})
+        key = Key(TABLES, named_machine(machine), iso_day(day), _digest(parquet_bytes(frame)))
+        self.add(key, frame)
+        return key
+
+    def table(self, key: Key) -> Measurements:
+        """Return rows of a machine."""
+        return measurements_of(self.frame(key), f"{self.place}/{key.path}")
+
+    def add_information(self, day: str, machine: Machine, *, role: str = CALIBRATION) -> Key:
+        """Add information on a machine, by its name.
+
+        Raises:
+            BadInputError: for a machine without a name, a day or a role that can't be meant.
+            OutputError: if the store can't be written to.
+        """
+        import polars as pl
+
+        if role not in ROLES:
+            raise BadInputError(f"role {role!r}; expected {' or '.join(ROLES)}")
+        frame = information_frame(machine, role)
+        frame = frame.with_columns(pl.lit("").alias(name) for name in ("job", "table", "failure"))
+        key = Key(INFORMATION, named_machine(machine.name), iso_day(day), _digest(parquet_bytes(frame)))
+        self.add(key, frame)
+        return key
+
+    def add_text(self, kind: str, machine: str, day: str, content: str, **facts: Any) -> Key:
+        """Add a model.json or a diagnosis.json, as its text, with further columns."""
+        import polars as pl
+
+        frame = pl.DataFrame({"text": [content], **{name: [value] for name, value in facts.items()}})
+        key = Key(kind, named_machine(machine), iso_day(day), _digest(parquet_bytes(frame)))
+        self.add(key, frame)
+        return key
+
+    def machines(self, *, job: str | None = None, role: str | None = CALIBRATION) -> Iterator[tuple[Key, Machine, str]]:
+        """Yield what is known of machines, in the order of their names and days: key, information and role.
+
+        Args:
+            job: which computed it, see :mod:`pincal.fleet.jobs`; default: any.
+            role: what it was measured for; None for all.
+
+        Raises:
+            BadInputError: if several jobs did of the same rows.
+        """
+        import polars as pl
+
+        done = dict[str, str]()
+        for keys, frame in self.frames(INFORMATION):
+            kept = pl.col("failure") == ""
+            kept &= pl.lit(True) if role is None else pl.col("role") == role
+            kept &= pl.lit(True) if job is None else pl.col("job").is_in(["", job])
+            chosen = frame.with_row_index().filter(kept)
+            found = machines_of(chosen, f"{self.place}/{INFORMATION}")
+            for k, machine, of, table, by in zip(
+                chosen["index"], found, *(chosen[n] for n in ("role", "table", "job")), strict=True
+            ):
+                if table and done.setdefault(table, by) != by:
+                    raise BadInputError(f"{self.place}: rows were calibrated by {done[table]} and by {by}; choose a job")
+                yield keys[k], machine, of
+
+    def query(self, sql: str) -> pl.DataFrame:
+        """Return the answer to a question in SQL, with a view for each kind, by DuckDB.
+
+        Raises:
+            BadInputError: without DuckDB, or for a question that it can't answer.
+
+        Example::
+
+            store.query("select machine, count(*) as tables from tables group by machine")
+        """
+        import polars as pl
+
+        with needed("duckdb", "questions to a store", install="'pincal[fleet]'"):
+            import duckdb
+        place = self.place
+        with duckdb.connect() as connection:
+            if self._is_url:
+                files, root = self._files
+                connection.register_filesystem(files)
+                protocol = files.protocol if isinstance(files.protocol, str) else files.protocol[0]
+                place = f"{protocol}://{root.lstrip('/')}"
+            for kind in STORED:
+                if any(True for _ in self.keys(kind)):
+                    pattern = f"{place}/{kind}/machine=*/day=*/*.parquet".replace("'", "''")
+                    source = f"read_parquet('{pattern}', union_by_name=true, hive_partitioning=false)"
+                    connection.execute(f"create view {kind} as select * from {source}")
+            try:
+                answer = connection.execute(sql)
+                names = [column[0] for column in answer.description or ()]
+                rows = answer.fetchall()
+            except duckdb.Error as error:
+                raise BadInputError(f"{self.place}: {error}") from None
+        return pl.DataFrame(rows, schema=names, orient="row", infer_schema_length=None)
+
+
+def open_store(place: str | os.PathLike[str], *, create: bool = False) -> Store:
+    """Return a store.
+
+    Args:
+        place: the folder, or a URL that fsspec knows.
+        create: whether to begin one where there is none.
+
+    Raises:
+        BadInputError: if there is none, or one of a newer version.
+        OutputError: if it can't be written to.
+
+    Example:
+        >>> import tempfile
+        >>> from pincal import measurements_from_arrays
+        >>> store = open_store(tempfile.mkdtemp(), create=True)
+        >>> rows = measurements_from_arrays(["a", "b"], [[0.0, 1.0], [0.5, 1.0]], distance=[1.2, 1.3])
+        >>> key = store.add_table("R17", "2026-11-03", rows)
+        >>> store.table(key).distance, len(store.keys("tables"))
+        (array([1.2, 1.3]), 1)
+    """
+    store = Store(os.fspath(place).removeprefix("file://").rstrip("/") or "/")
+    content = store.read(_MARK)
+    if content is None:
+        if not create:
+            raise BadInputError(
+                f"{store.place}: no store of pincal here (no {_MARK}); expected one that was begun by adding to it"
+            )
+        store.write(_MARK, (json.dumps({"format": _FORMAT, "format_version": _VERSION}) + "\n").encode())
+        return store
+    try:
+        found = json.loads(content)
+        version = found["format_version"] if found["format"] == _FORMAT else None
+    except (ValueError, TypeError, KeyError):
+        version = None
+    if not isinstance(version, int):
+        raise BadInputError(f"{store.place}: {_MARK} is no mark of a store of pincal; expected format {_FORMAT!r}")
+    if version > _VERSION:
+        raise BadInputError(
+            f"{store.place}: a store of version {version}, newer than this pincal; expected {_VERSION}: update it"
+        )
+    return store
+
+
+def named_machine(machine: str) -> str:
+    """Return the name of a machine if it can be one.
+
+    Raises:
+        BadInputError: if not.
+    """
+    if not machine or machine in (".", "..") or len(machine) > 200:
+        raise BadInputError(f"machine {machine!r}; expected a name, such as its serial number")
+    return machine
+
+
+def iso_day(day: str) -> str:
+    """Return a day as an ISO date.
+
+    Raises:
+        BadInputError: if it is none.
+    """
+    try:
+        return str(np.datetime64(day, "D"))
+    except ValueError:
+        raise BadInputError(f"day {day!r}; expected an ISO date such as 2026-11-03") from None
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:20]

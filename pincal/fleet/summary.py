@@ -1,0 +1,352 @@
+"""What a person asks of a type: how far machines differ, what is wrong with the data sheet, which do not belong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr
+
+from pincal.design.design_model import DesignModel
+from pincal.design.exchange import covariance as covariance_of
+from pincal.design.reach import SensorSetup
+from pincal.design.study import total
+from pincal.errors import BadInputError
+from pincal.fleet.history import FleetChange, FleetHistory
+from pincal.fleet.robot_type import Learned, Membership, RobotType
+from pincal.identify.options import Options
+from pincal.model.catalogue.masses import with_masses
+from pincal.model.effects import GEOMETRIC, Conditions, Effect
+from pincal.parameters import root_of
+from pincal.result_table import Cell, Column, Kind, Table
+from pincal.robot.robot import Robot
+from pincal.units import Quantity, fixed, format_readable, readable_unit, show_percent, show_sigma, show_unit, show_value
+
+# Poses at which the tool is compared, and machines drawn for exchangeability, of which ISO 9283 compares five.
+_POSES, _DRAWN, _COMPARED = 200, 200, 5
+# Numbers of poses for which the error of a further machine is foreseen, and sets of poses of each.
+_NUMBERS, _SETS = (4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60), 8
+# Chance that any machine of the type is said not to belong.
+_ALPHA = 0.05
+# Part of a parameter that readings have to tell for its numbers to mean anything.
+_DETERMINED = 0.05
+# 95 % of a normal distribution lie within so many standard deviations.
+_INTERVAL = 1.96
+# Robots that are listed.
+_FIRST = 10
+# Parameters in which the data sheet is off that are named.
+_NAMED = 3
+
+
+@dataclass(frozen=True)
+class AtTool:
+    """How far machines of a type differ at the tool once base and tool are placed, over random poses [m].
+
+    Attributes:
+        spread: root mean square distance of a machine from the mean one.
+        by_effect: the same by each effect alone.
+        by_parameter: shape (P,), the same by each parameter of the type alone; nan for those that the model lacks.
+        sheet: root mean square distance of the mean machine from the nominal one, by its lengths and angles.
+        exchangeability: largest distance between any two of five machines at the same joint positions, mean over poses and
+            draws (exchangeability of ISO 9283, at random poses).
+        needed: number of poses -> foreseen root mean square error of a further machine with this type, and without.
+    """
+
+    spread: float
+    by_effect: dict[str, float]
+    by_parameter: np.ndarray
+    sheet: float
+    exchangeability: float
+    needed: dict[int, tuple[float, float]]
+
+    def poses_for(self, error: float) -> tuple[int | None, int | None]:
+        """Return the fewest poses that reach an error [m], with the type and without; None if more than are foreseen."""
+        with_type, without = (next((poses for poses, both in self.needed.items() if both[k] <= error), None) for k in (0, 1))
+        return with_type, without
+
+
+def at_tool(
+    of: RobotType, robot: Robot, effects: tuple[Effect, ...] = GEOMETRIC, *, noise: float = 5e-5, seed: int = 0
+) -> AtTool:
+    """Return how far machines of a type differ at the tool.
+
+    Args:
+        of: the type.
+        robot: the arm.
+        effects: of the model of a further machine, which is measured by positions.
+        noise: of one component of a position [m].
+        seed: of the poses.
+
+    Raises:
+        BadInputError: if the arm is of another nominal geometry, or the model has none of the type's parameters.
+    """
+    rng = np.random.default_rng(seed)
+    cared = Conditions.at(robot.random_configurations(_POSES, rng))
+    alone = Options(effects=with_masses(robot, effects), sigma=noise)
+    typed = replace(alone, earlier=of.prior_of(robot, effects))
+    designs = [DesignModel.of(robot, cared, options, SensorSetup()) for options in (typed, alone)]
+    names, sizes = designs[1].names, designs[1].units
+    own = [k for k, name in enumerate(names) if name in of.names]
+    if not own:
+        raise BadInputError(f"the model of {robot.name} has no parameter of the type; expected one of its machines")
+    places = np.array([of.names.index(names[k]) for k in own])
+    E = designs[1].errors(cared).reshape(3 * _POSES, -1) / sizes
+    F, J = E[:, np.isinf(designs[1].sizes)], E[:, own]
+    # What a rigid displacement of base and tool takes away is no difference.
+    placed = J - F @ np.linalg.lstsq(F, J, rcond=None)[0]
+    mean, _, whole = of.determined
+    covariance = whole[np.ix_(places, places)]
+    moved = placed @ root_of(covariance)
+    by_effect = {}
+    for effect in dict.fromkeys(of.parameters[k].effect for k in places):
+        at = np.array([of.parameters[k].effect == effect for k in places])
+        by_effect[effect] = _rms(placed[:, at] @ root_of(covariance[np.ix_(at, at)]))
+    by_parameter = np.full(len(of.names), np.nan)
+    by_parameter[places] = np.sqrt(3.0 * np.mean(placed**2, axis=0) * np.diag(covariance))
+    drawn = (rng.normal(size=(_DRAWN, _COMPARED, moved.shape[1])) @ moved.T).reshape(_DRAWN, _COMPARED, -1, 3)
+    apart = np.linalg.norm(drawn[:, :, None] - drawn[:, None], axis=-1).max(axis=(1, 2))
+    needed = {}
+    for poses in _NUMBERS:
+        sets = [Conditions.at(robot.random_configurations(poses, rng)) for _ in range(_SETS)]
+        with_type, without = np.median([[_foreseen(design, one, cared) for design in designs] for one in sets], axis=0)
+        needed[poses] = float(with_type), float(without)
+    # A data sheet has lengths and angles, and no compliances.
+    is_sheet = np.array([of.parameters[k].unit in ("m", "rad") for k in places])
+    sheet = placed @ (mean[places] * is_sheet)
+    return AtTool(_rms(moved), by_effect, by_parameter, _rms(sheet[:, None]), float(apart.mean()), needed)
+
+
+def _rms(moved: np.ndarray) -> float:
+    """Return the root mean square length of displacements, shape (3 N, n), over n independent unit numbers."""
+    return float(np.sqrt(3.0 * np.mean(np.sum(moved**2, axis=1))))
+
+
+def _foreseen(design: DesignModel, measured: Conditions, cared: Conditions) -> float:
+    """Return the error that is to be expected at poses if others are measured."""
+    C = covariance_of(design.known + total(design.readings(measured)))
+    E = design.errors(cared)
+    return float(np.sqrt(np.sum(C * total(E)) / len(E)))
+
+
+def parameter_summary(of: RobotType, found: AtTool | None = None, *, most: int | None = None) -> Table:
+    """Return how far the data sheet is off and how far machines differ, by parameter.
+
+    Args:
+        of: the type.
+        found: what this comes to at the tool; those that move it most stand first then.
+        most: number of parameters; default: all.
+    """
+    share = np.diag(of.seen)
+    sheet, *spreads = of.determined
+    sigma, spread = (np.sqrt(np.diag(C)) for C in spreads)
+    moves = np.full(len(of.names), np.nan) if found is None else found.by_parameter
+    order = np.arange(len(of.names)) if found is None else np.argsort(-np.nan_to_num(moves * (share > _DETERMINED)))
+    columns = (
+        Column("parameter", kind=Kind.NAME),
+        Column("unit", kind=Kind.LABEL, show=show_unit),
+        Column("mean", kind=Kind.NUMBER, show=show_value),
+        Column("95 %", kind=Kind.NUMBER, show=show_sigma),
+        Column("differ", kind=Kind.NUMBER, show=show_sigma),
+        Column("at the tool", "mm", kind=Kind.NUMBER, show=fixed(3)),
+        Column("determined", kind=Kind.NUMBER, show=show_percent),
+    )
+    rows = list[tuple[Cell, ...]]()
+    for k in order[:most]:
+        p = of.parameters[k]
+        numbers = [Quantity(float(x), p.unit) for x in (sheet[k], _INTERVAL * sigma[k], spread[k])]
+        at = None if np.isnan(moves[k]) else float(1e3 * moves[k])
+        rows.append((p.name, p.unit, *([*numbers, at] if share[k] > _DETERMINED else (None,) * 4), float(share[k])))
+    note = (
+        "mean: of all machines minus the data sheet, with half the width of its 95 % interval; differ: standard deviation "
+        "of machines, at the tool with base and tool placed; determined: how far readings tell the parameter from others, "
+        "the rest is a matter of convention"
+    )
+    return Table("Machines of the type", columns, tuple(rows), (note,))
+
+
+def effect_summary(found: AtTool) -> Table:
+    """Return how far machines differ at the tool, by effect."""
+    columns = (Column("effect", kind=Kind.LABEL), Column("at the tool", "mm", Kind.NUMBER, fixed(3)))
+    rows = [(effect, 1e3 * size) for effect, size in sorted(found.by_effect.items(), key=lambda one: -one[1])]
+    return Table("By each effect alone", columns, tuple(rows))
+
+
+def poses_summary(found: AtTool) -> Table:
+    """Return the error that is foreseen for a further machine by the number of its poses."""
+    columns = (
+        Column("poses", kind=Kind.NUMBER),
+        Column("with the type", "mm", Kind.NUMBER, fixed(3)),
+        Column("without", "mm", Kind.NUMBER, fixed(3)),
+    )
+    rows = tuple((poses, *(1e3 * error for error in both)) for poses, both in found.needed.items())
+    return Table("Random poses of a further one", columns, rows)
+
+
+def strangers(members: Sequence[Membership]) -> list[tuple[Membership, float]]:
+    """Return machines that do not belong to their type, with p-values adjusted for their number (Holm 1979)."""
+    ranked = sorted(members, key=lambda one: one.p_value)
+    found, largest = list[tuple[Membership, float]](), 0.0
+    for k, member in enumerate(ranked):
+        largest = max(largest, min(1.0, member.p_value * (len(ranked) - k)))
+        if largest < _ALPHA and member.off:
+            found.append((member, largest))
+    return found
+
+
+def member_summary(learned: Learned) -> Table:
+    """Return the machines that do not belong to the type, the least likely first."""
+    columns = (
+        Column("machine", kind=Kind.NAME),
+        Column("p", kind=Kind.NUMBER, show="{:.2g}".format),
+        Column("differs in", kind=Kind.NAME),
+    )
+    rows = [(member.machine or "-", p, ", ".join(member.off)) for member, p in strangers(learned.members)]
+    count = f"{len(learned.members)} machines, of which {100 * learned.type.hit:.1f} % are estimated to be unlike the others"
+    return Table("Machines that do not belong", columns, tuple(rows), (count,))
+
+
+def type_lines(learned: Learned, at: AtTool | None, *, error: float | None = None) -> Iterator[str]:
+    """Yield what a type comes to, in some lines.
+
+    Args:
+        learned: the type and its machines.
+        at: what differences come to at the tool, if the arm is known.
+        error: that is wanted of a further machine [m].
+    """
+    of, apart = learned.type, len(strangers(learned.members))
+    yield f"{of.robot}: {of.machines} machines, {len(of.names)} parameters, of which they determine {np.trace(of.seen):.0f}"
+    if at is not None:
+        yield f"differ by:         {1e3 * at.spread:.3f} mm rms at the tool from their mean, base and tool placed"
+        yield f"exchangeability:   {1e3 * at.exchangeability:.3f} mm (ISO 9283, five machines)"
+        yield f"data sheet:        {1e3 * at.sheet:.3f} mm rms off the mean machine, {_off_sheet(of)}"
+    yield f"not like others:   {apart} of {of.machines}; {100.0 * of.hit:.1f} % are to be expected"
+    if at is not None and error is not None:
+        words = ["more than " + str(_NUMBERS[-1]) if count is None else str(count) for count in at.poses_for(error)]
+        yield f"a further machine: {words[0]} random poses reach {1e3 * error:.3g} mm; without the type {words[1]}"
+
+
+def _off_sheet(of: RobotType) -> str:
+    """Return in which parameters the data sheet is surely off (Holm 1979), and by how much the largest are."""
+    mean, C, _ = of.determined
+    half = _INTERVAL * np.sqrt(np.maximum(np.diag(C), 1e-300))
+    places = [k for k, p in enumerate(of.parameters) if p.unit in ("m", "rad") and of.seen[k, k] > _DETERMINED]
+    p = 2.0 * ndtr(-_INTERVAL * np.abs(mean) / half)
+    ranked = sorted(places, key=lambda k: p[k])
+    count = next((i for i, k in enumerate(ranked) if p[k] * (len(ranked) - i) >= _ALPHA), len(ranked))
+    words = []
+    for k in ranked[:_NAMED][:count]:
+        factor, unit = readable_unit(of.parameters[k].unit)
+        words.append(f"{of.names[k]} {factor * mean[k]:+.3f} +- {factor * half[k]:.3f} {unit}")
+    return f"surely in {count} of {len(ranked)} parameters" + (f": {', '.join(words)}" if words else "")
+
+
+def plain_type(learned: Learned, at: AtTool | None, *, error: float | None = None) -> dict[str, Any]:
+    """Return the same as plain data; arguments as of :func:`type_lines`."""
+    of = learned.type
+    mean, *spreads = of.determined
+    sigma, spread = (np.sqrt(np.diag(C)) for C in spreads)
+    members = [
+        {"machine": one.machine, "p_value": one.p_value, "like_others": one.probability, "differs_in": list(one.off)}
+        for one in learned.members
+    ]
+    parameters = [
+        {
+            "name": p.name,
+            "unit": p.unit,
+            "mean": float(mean[k]),
+            "mean_sigma": float(sigma[k]),
+            "spread": float(spread[k]),
+            "determined": float(of.seen[k, k]),
+        }
+        for k, p in enumerate(of.parameters)
+    ]
+    found = {"robot": of.robot, "machines": members, "parameters": parameters, "hit": of.hit}
+    if at is None:
+        return found
+    poses = {} if error is None else dict(zip(("with_type", "without"), at.poses_for(error), strict=True))
+    return found | {
+        "spread_mm": 1e3 * at.spread,
+        "sheet_mm": 1e3 * at.sheet,
+        "exchangeability_mm": 1e3 * at.exchangeability,
+        "effects_mm": {effect: 1e3 * size for effect, size in at.by_effect.items()},
+        "errors_mm": {str(n): [1e3 * both[0], 1e3 * both[1]] for n, both in at.needed.items()},
+        "poses": poses,
+    }
+
+
+def change_summary(found: FleetHistory, *, groups: bool | None = None) -> Table:
+    """Return what changed in a fleet, the latest first: robots, groups, or both."""
+    columns = (
+        Column("robot or group", kind=Kind.NAME),
+        Column("since", kind=Kind.LABEL),
+        Column("found", kind=Kind.LABEL),
+        Column("what", kind=Kind.NAME),
+        Column("by", kind=Kind.LABEL),
+        Column("log10 e", kind=Kind.NUMBER, show=fixed(1)),
+    )
+    rows = [
+        (one.subject, one.since, one.found, " or ".join((one.what, *one.equals[:2])), _by(one), one.log_e / np.log(10.0))
+        for one in reversed(found.changes)
+        if groups in (None, one.is_group)
+    ]
+    note = "since: the first check after the change; e: how much likelier the readings are with it than without"
+    return Table("Changes", columns, tuple(rows), (note,) if rows else ())
+
+
+def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
+    """Return the robots to look at first: those that changed and were not calibrated since, then those that may have."""
+    columns = (
+        Column("robot", kind=Kind.NAME),
+        Column("state", kind=Kind.LABEL),
+        Column("what", kind=Kind.NAME),
+        Column("last check", kind=Kind.LABEL),
+        Column("log10 e", kind=Kind.NUMBER, show=fixed(1)),
+        Column("p of it", kind=Kind.NUMBER, show="{:.2g}".format),
+        Column("adjusted", kind=Kind.NUMBER, show="{:.2g}".format),
+    )
+    what = {one.subject: f"{one.what} {_by(one)}".removesuffix(" -") for one in found.changes}
+    ranked = sorted(found.last, key=lambda one: (one.machine not in found.open, -one.log_e))
+    rows = [
+        (
+            one.machine,
+            "changed" if one.machine in found.open else "watch" if one.q_value < _ALPHA else "as it was",
+            what.get(one.machine, "-") if one.machine in found.open else "-",
+            one.day,
+            one.log_e / np.log(10.0),
+            one.p_value,
+            one.q_value,
+        )
+        for one in ranked[:most]
+    ]
+    note = (
+        "p of it: chance of the last check if nothing changed; adjusted: for the false discovery rate among all checks of "
+        "that round (Benjamini and Hochberg 1995)"
+    )
+    return Table("Look at these first", columns, tuple(rows), (note,))
+
+
+def history_lines(found: FleetHistory) -> Iterator[str]:
+    """Yield what became of a fleet, in some lines."""
+    groups = [change for change in found.changes if change.is_group]
+    robots = len(found.changes) - len(groups)
+    yield f"{found.robots} robots, {found.checks} checks: {robots} changed, {len(found.open)} of them not calibrated since"
+    for change in groups:
+        yield f"drift: {change.subject} since {change.since}: {change.what} {_by(change)}".removesuffix(" -")
+
+
+def plain_history(found: FleetHistory) -> dict[str, Any]:
+    """Return what became of a fleet as plain data."""
+    changes, last = ([vars(one) for one in of] for of in (found.changes, found.last))
+    return {
+        "robots": found.robots,
+        "checks": found.checks,
+        "open": sorted(found.open),
+        "changes": [one | {"equals": list(one["equals"])} for one in changes],
+        "last": last,
+    }
+
+
+def _by(change: FleetChange) -> str:
+    return "-" if change.change is None else format_readable(change.change, change.unit, "+.3f")

@@ -1,0 +1,173 @@
+"""The pages of a fleet: a type of robot with its machines, and what to look at first among many."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from pincal.fleet import summary
+from pincal.fleet.history import FleetHistory
+from pincal.fleet.robot_type import Learned, RobotType
+from pincal.report.blocks import Section, arranged, bullets, code, heading, paragraph, rich
+from pincal.report.html import render
+from pincal.report.illustrations import Drawing, figures
+from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, THIRD, drawable, dress, legend, log_axis, panel
+from pincal.units import readable_unit
+
+# Parameters and robots that are drawn, height of a row, width of a letter [in], and part of a parameter that readings tell.
+_MOST, _PER_ROW, _LETTER, _TOLD = 14, 0.27, 0.085, 0.3
+# Machines that are drawn as points, and evidence beyond which more makes no difference [log10].
+_POINTS, _SURE = 300, 10.0
+
+
+def type_page(learned: Learned, at: summary.AtTool | None, *, version: str) -> str:
+    """Return the page of a type: how far machines differ, what is off, who does not belong, how many poses one needs."""
+    of, lines = learned.type, list(summary.type_lines(learned, at))
+    made = [Section("answer", "What the machines have in common", (bullets(lines[1:]),), style="panel")]
+    tables = (*((summary.effect_summary(at),) if at else ()), summary.parameter_summary(of, at))
+    made.append(
+        Section(
+            "parameters", "The population by parameter", (figures("type", _populations(learned, at)), *tables), "Parameters"
+        )
+    )
+    who = summary.member_summary(learned)
+    nobody = paragraph("None: every machine is as the others are, within what chance allows among so many.")
+    made.append(Section("members", "Machines that do not belong", (who if len(who) else nobody,), "Machines"))
+    if at is not None:
+        poses = (figures("poses", [_poses(at)]), summary.poses_summary(at))
+        made.append(Section("poses", "How many poses a further machine needs", poses, "Poses"))
+    made.append(Section("use", "How to use the type", (_use(),), "Use"))
+    return render(f"Type of {of.robot}", lines[0].partition(": ")[2], made, version=version)
+
+
+def _use() -> Markup:
+    return bullets((
+        rich("Calibrate a further machine from few poses: {}", code("pincal calibrate ROBOT.urdf FEW.csv --type TYPE.json")),
+        rich("Choose its poses: {}", code("pincal design ROBOT.urdf --type TYPE.json --accuracy 0.1mm --out poses.csv")),
+        rich("Watch all machines: {}", code("pincal fleet check TYPE.json STORE --report fleet.html")),
+    ))  # fmt: skip
+
+
+def _populations(learned: Learned, at: summary.AtTool | None) -> Iterator[Drawing]:
+    for unit, name in (("m", "Lengths"), ("rad", "Angles")):
+        drawn = _order(learned, at, unit)
+        if len(drawn):
+            caption = (
+                f"{name} of the machines (dots) minus the data sheet; the bar is what machines of the type are (95 %), the "
+                "blue dot is their mean with its interval. Where the interval leaves zero out, the data sheet is off."
+            )
+            yield population_figure(learned, drawn, unit), name, caption
+
+
+def _order(learned: Learned, at: summary.AtTool | None, unit: str) -> np.ndarray:
+    """Return the places of the parameters of a unit that matter most, the most important last."""
+    of = learned.type
+    share = np.diag(of.seen)
+    size = np.sqrt(np.diag(of.covariance)) / of.priors if at is None else np.nan_to_num(at.by_parameter)
+    places = [k for k, p in enumerate(of.parameters) if p.unit == unit and share[k] > _TOLD]
+    return np.array(sorted(places, key=lambda k: -size[k])[:_MOST][::-1], int)
+
+
+def population_figure(learned: Learned, places: np.ndarray, unit: str) -> Figure:
+    """Draw a population: by parameter the machines, what further ones are, and the mean with its interval.
+
+    Args:
+        learned: a type and its machines.
+        places: of the parameters, all of one unit.
+        unit: "m" or "rad".
+    """
+    of, (factor, word) = learned.type, readable_unit(unit)
+    names = [drawable(of.names[k], 26) for k in places]
+    figure, axes = panel(1.1 + _PER_ROW * len(places), left=0.3 + _LETTER * max(map(len, names)))
+    centre, *spreads = of.determined
+    sigmas, sizes = (np.sqrt(np.diag(C)) for C in spreads)
+    axes.axvline(0.0, color=MUTED, linewidth=0.9)
+    is_off = np.array([bool(member.off) for member in learned.members])
+    shown = np.unique(np.concatenate([np.linspace(0, len(is_off) - 1, _POINTS).astype(int), np.flatnonzero(is_off)]))
+    jitter = np.random.default_rng(0).uniform(-0.22, 0.22, len(is_off))
+    for i, k in enumerate(places):
+        mean, spread, sigma = (factor * float(x[k]) for x in (centre, sizes, sigmas))
+        axes.barh(i, 3.92 * spread, left=mean - 1.96 * spread, height=0.62, color=AFTER, alpha=0.16, linewidth=0.0)
+        values = factor * learned.values[shown, k]
+        for mask, colour in ((~is_off[shown], MUTED), (is_off[shown], BEFORE)):
+            axes.plot(values[mask], i + jitter[shown][mask], ".", color=colour, markersize=4.0)
+        axes.errorbar(mean, i, xerr=1.96 * sigma, fmt="o", color=AFTER, markersize=5.0, elinewidth=1.6)
+    axes.set_ylim(-0.7, len(places) - 0.3)
+    dress(axes, x=f"minus the data sheet [{word}]", title={"m": "Lengths", "rad": "Angles"}[unit])
+    axes.set_yticks(range(len(places)), names, fontsize=SMALL, color=INK)
+    return figure
+
+
+def _poses(at: summary.AtTool) -> Drawing:
+    """Draw the foreseen error of a further machine by the number of its poses."""
+    figure, axes = panel()
+    poses = np.array(list(at.needed))
+    for k, (name, colour, mark) in enumerate((("with the type", AFTER, "o-"), ("without", BEFORE, "s--"))):
+        axes.plot(poses, [1e3 * both[k] for both in at.needed.values()], mark, color=colour, markersize=4.5, label=name)
+    errors = 1e3 * np.array(list(at.needed.values()))
+    log_axis(axes, "x", float(poses[0]) / 1.1, float(poses[-1]) * 1.1)
+    log_axis(axes, "y", errors.min() / 1.3, errors.max() * 1.3)
+    dress(axes, x="poses", y="error [mm rms]", title="Error of a further machine")
+    legend(axes)
+    caption = (
+        "What is to be expected over random poses once a further machine was measured in so many (medians of several sets); "
+        "designed poses do better."
+    )
+    return figure, "Error of a further machine by poses", caption
+
+
+def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str) -> str:
+    """Return the page of a fleet: what to look at first, drifts of groups, and all that changed.
+
+    Args:
+        of: the type.
+        found: what was found.
+        alpha: part of the alarms that may be false.
+        version: of pincal.
+    """
+    tone, words = ("bad", f"{len(found.open)} to look at") if found.open else ("good", "nothing to look at")
+    lines = list(summary.history_lines(found))
+    answer = rich('<p><span class="tag {}">{}</span> {}</p>', tone, words, lines[0])
+    blocks = [answer, *(paragraph(line, "care") for line in lines[1:])]
+    first = arranged("split", arranged("plain", *blocks), arranged("plain", heading("How to read this"), _reading(alpha)))
+    made = [Section("first", "Look at these first", (first, summary.look_first(found)), style="panel")]
+    made.append(Section("evidence", "Evidence", (figures("fleet", [_evidence(found, alpha)]),), "Evidence"))
+    for is_group, title in ((True, "Drifts of groups"), (False, "Changes of robots")):
+        table = summary.change_summary(found, groups=is_group)
+        made.append(Section(f"changes-{is_group}", title, (table if len(table) else paragraph("None."),), title))
+    return render(f"Fleet of {of.robot}", f"{found.robots} robots, {found.checks} checks", made, version=version)
+
+
+def _reading(alpha: float) -> Markup:
+    return bullets((
+        f"In the long run at most {100 * alpha:g} % of all alarms are false, however many robots there are and however long "
+        "they are watched.",
+        rich("A robot that changed stays in the list until it is calibrated: {}.", code("pincal diagnose")),
+        "What robots of one supplier, batch or hall have in common is a drift of that group, and no alarm of its robots.",
+        "watch: no alarm yet, but strange among the checks of its round; check it again soon.",
+    ))  # fmt: skip
+
+
+def _evidence(found: FleetHistory, alpha: float) -> Drawing:
+    """Draw the evidence against each robot, the strongest at the top."""
+    ranked = sorted(found.last, key=lambda one: -one.log_e)[:_MOST][::-1]
+    names = [drawable(one.machine, 26) for one in ranked]
+    figure, axes = panel(1.1 + _PER_ROW * max(len(ranked), 1), left=0.3 + _LETTER * max(map(len, names), default=1))
+    for i, one in enumerate(ranked):
+        colour = BEFORE if one.machine in found.open else THIRD
+        size = min(one.log_e / np.log(10.0), _SURE)
+        axes.plot([0.0, size], [i, i], "-", color=colour, linewidth=2.2)
+        axes.plot(size, i, "o", color=colour, markersize=5.0)
+    axes.axvline(0.0, color=MUTED, linewidth=0.9)
+    axes.axvline(np.log10(max(found.robots, 1) / alpha), color=MUTED, linewidth=0.9, linestyle="--")
+    axes.set_ylim(-0.7, max(len(ranked), 1) - 0.3)
+    dress(axes, x=f"log10 of the e-value, up to {_SURE:g}", title="Evidence by robot")
+    axes.set_yticks(range(len(ranked)), names, fontsize=SMALL, color=INK)
+    caption = (
+        "How much likelier the readings since its calibration are if the robot has changed than if not. The dashed line is "
+        "what one alarm alone takes among so many robots; of several alarms each takes less."
+    )
+    return figure, "Evidence by robot", caption

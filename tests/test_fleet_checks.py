@@ -1,0 +1,142 @@
+"""Changes in a fleet: few false alarms however long it is watched, found at once, and a population drift called that."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from fleet_cases import PRIOR, Family, Year
+
+from pincal import BadInputError
+from pincal.fleet.checks import FleetWatch, fleet_changes
+from pincal.fleet.history import DIAGNOSED, Visit, benjamini_hochberg
+from pincal.fleet.robot_type import RobotType, learn_type
+
+LAMBDA = 80.0
+
+
+@pytest.fixture(scope="module")
+def family() -> Family:
+    """Return a family of which a third of the directions is never seen."""
+    return Family.drawn(np.random.default_rng(1), parameters=24, unseen=8)
+
+
+@pytest.fixture(scope="module")
+def of(family: Family) -> RobotType:
+    """Return the type of thirty of them."""
+    rng = np.random.default_rng(2)
+    return learn_type(family.measured(x, rng) for x in family.draw(30, rng)).type
+
+
+def test_half_a_year_of_robots(family: Family, of: RobotType) -> None:
+    """Five changes of lambda 80 are found within two checks and named, and nothing else is; e-values of others average 1."""
+    year = Year(family, of, robots=40, seed=3)
+    changed = {k: 2 + 3 * k for k in range(5)}
+    for week in range(1, 18):
+        for robot, when in changed.items():
+            if when == week:
+                year.change(robot, LAMBDA)
+        year.check(week)
+    found = {change.subject: change for change in year.changes}
+
+    assert set(found) == {f"r{robot}" for robot in changed}
+    late = [year.week_of(found[f"r{robot}"].found) - when for robot, when in changed.items()]
+    assert max(late) <= 1
+    for robot in changed:
+        change, name = found[f"r{robot}"], year.what[robot]
+        assert name in (change.what, *change.equals) or change.what == name.split(".")[0]
+        assert abs(year.week_of(change.since) - changed[robot]) <= 1
+    history = year.watch.history()
+    assert history.open == set(found)
+    # The first calibration of a robot has a weight of 6 / pi^2.
+    e = np.exp([one.log_e for one in history.last if one.machine not in found])
+    assert np.mean(e) < 1.0 and np.mean(e > 20.0) < 0.05
+
+
+def test_a_batch_that_drifts_is_no_robot_that_changed(family: Family, of: RobotType) -> None:
+    """A tenth of a millimetre on all robots of one supplier from one week on: named as that, with size, and no robot is."""
+    year = Year(family, of, robots=30, seed=4, labels=lambda k: {"supplier": "abc"[k % 3], "hall": str(k % 2)})
+    for week in range(1, 9):
+        if week == 6:
+            year.drift("supplier", "b", place=12, by=1e-4 / PRIOR)
+        year.check(week)
+    (change,) = year.changes
+
+    assert change.is_group and change.subject == "supplier=b"
+    assert year.week_of(change.since) == 6
+    assert of.names[12] in (change.what, *change.equals)
+    if change.what == of.names[12]:
+        assert change.change is not None and change.sigma is not None
+        assert abs(change.change - 1e-4) < 4.0 * change.sigma
+
+
+def test_one_robot_that_changed_is_no_drift_of_its_group(family: Family, of: RobotType) -> None:
+    """However far it is off."""
+    year = Year(family, of, robots=20, seed=5, labels=lambda k: {"hall": "north"})
+    for week in range(1, 8):
+        if week == 3:
+            year.change(7, 2000.0)
+        year.check(week)
+
+    assert [(change.subject, change.is_group) for change in year.changes] == [("r7", False)]
+
+
+def test_a_calibration_begins_anew(family: Family, of: RobotType) -> None:
+    """A robot that changed is out until it is calibrated, and then as good as any."""
+    year = Year(family, of, robots=10, seed=7)
+    year.check(1)
+    year.change(4, 300.0)
+    for week in (2, 3, 4):
+        year.check(week)
+    assert [change.subject for change in year.changes] == ["r4"]
+    year.calibrate(4, 5)
+    for week in range(6, 12):
+        year.check(week)
+
+    assert len(year.changes) == 1
+
+
+def test_diagnoses_count_by_their_p_values(family: Family, of: RobotType) -> None:
+    """Where the readings are not at hand; a strange one alone is not enough among many robots, a very strange one is."""
+    rng = np.random.default_rng(8)
+    begin = [
+        Visit(f"r{k}", "2026-01-01", family.measured(x, rng, name=f"r{k}"), is_calibration=True)
+        for k, x in enumerate(family.draw(40, rng))
+    ]
+    usual = [Visit(f"r{k}", "2026-01-12", p_value=float(rng.uniform())) for k in range(40)]
+    usual[3], usual[5] = replace(usual[3], p_value=1e-3), replace(usual[5], p_value=1e-12)
+    found = fleet_changes(of, [*usual, *begin])
+
+    assert [(change.subject, change.what) for change in found.changes] == [("r5", DIAGNOSED)]
+    assert found.robots == 40 and found.checks == 40
+
+
+def test_the_latest_round_has_adjusted_p_values(family: Family, of: RobotType) -> None:
+    """Benjamini and Hochberg within a round; the robot to look at first stands in front."""
+    year = Year(family, of, robots=40, seed=9)
+    year.check(1)
+    year.change(11, 45.0)
+    year.check(2)
+    last = year.watch.history().last
+
+    assert last[0].machine == "r11" and last[0].q_value < 0.05
+    p, q = np.array([one.p_value for one in last]), np.array([one.q_value for one in last])
+    np.testing.assert_allclose(benjamini_hochberg(p), q)
+    assert np.mean(p[1:] < 0.05) < 0.2
+
+
+def test_what_can_not_be_meant_is_refused(family: Family, of: RobotType) -> None:
+    """A check before any calibration, a day that is none, and a share of alarms that is none."""
+    rng = np.random.default_rng(10)
+    machine = family.measured(family.draw(1, rng)[0], rng, name="r1")
+    with pytest.raises(BadInputError, match="not calibrated before"):
+        fleet_changes(of, [Visit("r1", "2026-01-01", machine)])
+    with pytest.raises(BadInputError, match="ISO date"):
+        fleet_changes(of, [Visit("r1", "yesterday", machine, is_calibration=True)])
+    with pytest.raises(BadInputError, match="alpha"):
+        fleet_changes(of, [], alpha=2.0)
+    other = replace(machine, information=msgspec.structs.replace(machine.information, geometry=5))
+    with pytest.raises(BadInputError, match="another nominal geometry"):
+        FleetWatch(of).take(0, [Visit("r1", "2026-01-01", other, is_calibration=True)])

@@ -1,0 +1,270 @@
+"""A type is learned from information on its machines: right where the answer is known, safe with three, deaf to outliers."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import fleet_cases as cases
+import jsonschema
+import msgspec
+import numpy as np
+import pytest
+from fleet_cases import (
+    OPTIONS,
+    PRIOR,
+    Family,
+    machine_of,
+    nominal_arm,
+    real_machines,
+    rows_of,
+    sibling_of,
+    siblings,
+    table_of,
+)
+
+from pincal import BadInputError, Robot, calibrate
+from pincal import simulate as sim
+from pincal.builtin import kuka_urdf_path
+from pincal.calibration.information import RobotInformation
+from pincal.errors import ModelFileError
+from pincal.fleet.machines import Machine, load_machines, save_machines
+from pincal.fleet.robot_type import EVERYTHING, Learned, Membership, RobotType, calibrate_of_type, learn_type, load_type
+from pincal.io.schemas import schema_of
+
+
+def learned(family: Family, count: int, seed: int = 1, **measured: float) -> tuple[Learned, np.ndarray, list[Machine]]:
+    """Return a type, the truth and the machines that it was learned from."""
+    rng = np.random.default_rng(seed)
+    x = family.draw(count, rng)
+    machines = [family.measured(one, rng, name=f"m{k}", **measured) for k, one in enumerate(x)]
+    return learn_type(machines), x, machines
+
+
+def test_machines_that_are_known_exactly_give_their_mean_and_covariance() -> None:
+    """The closed form: with nothing but the machines' own spread, these are the sample's."""
+    family = Family.drawn(np.random.default_rng(2), parameters=12, correlated=True)
+    found, x, _ = learned(family, 1000, least=1e7, most=1e8)
+
+    np.testing.assert_allclose(found.type.mean / PRIOR, x.mean(axis=0), atol=0.01 * x.std(axis=0).max())
+    scale = np.outer(x.std(axis=0), x.std(axis=0))
+    np.testing.assert_allclose(found.type.covariance / PRIOR**2 / scale, np.cov(x.T) / scale, atol=0.04)
+    np.testing.assert_allclose(found.values / PRIOR, x, atol=0.01)
+
+
+def test_mean_and_spread_are_right_where_half_of_the_directions_is_never_seen() -> None:
+    """Within three standard errors, and what no machine shows stays at the prior."""
+    family = Family.drawn(np.random.default_rng(3), parameters=30, unseen=12)
+    found, _, _ = learned(family, 400)
+    K, of = family.seen, found.type
+    spread = np.sqrt(np.diag(K.T @ family.covariance @ K))
+
+    off = K.T @ (of.mean / PRIOR - family.mean) / np.sqrt(np.diag(K.T @ of.mean_covariance @ K) / PRIOR**2)
+    assert np.sqrt(np.mean(off**2)) < 1.4 and np.abs(off).max() < 4.0
+    ratio = np.diag(K.T @ of.covariance @ K) / PRIOR**2 / spread**2
+    assert np.abs(ratio - 1.0).max() < 3.5 * np.sqrt(2.0 / 400)
+    unseen = np.eye(30) - K @ K.T
+    np.testing.assert_allclose(of.seen, K @ K.T, atol=1e-6)
+    prior = of.prior().dense_covariance() / PRIOR**2
+    np.testing.assert_allclose(unseen @ prior @ unseen, unseen, atol=1e-6)
+
+
+def test_order_and_names_of_machines_do_not_matter() -> None:
+    """Nor does it matter which of two sites a machine is at: the same to 1e-9."""
+    family = Family.drawn(np.random.default_rng(4), parameters=18, unseen=6)
+    whole, _, machines = learned(family, 30)
+    again = learn_type(replace(machine, name="") for machine in reversed(machines))
+
+    for name in ("mean", "covariance", "mean_covariance"):
+        np.testing.assert_allclose(getattr(again.type, name), getattr(whole.type, name), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(again.values[::-1], whole.values, rtol=1e-9, atol=1e-12)
+
+
+def test_two_sites_learn_what_one_would(tmp_path: Path) -> None:
+    """From their files alone, in which neither names nor labels need be."""
+    family = Family.drawn(np.random.default_rng(5), parameters=18, unseen=6)
+    whole, _, machines = learned(family, 12)
+    machines[0] = replace(machines[0], labels={"hall": "north"})
+    save_machines(tmp_path / "one.parquet", machines[:5])
+    save_machines(tmp_path / "two.parquet", machines[5:], names=True)
+    sent = load_machines([tmp_path / "one.parquet", tmp_path / "two.parquet"])
+    found = learn_type(sent).type
+
+    assert [machine.name for machine in sent[:5]] == [""] * 5 and sent[5].name == "m5" and not sent[0].labels
+    for name in ("mean", "covariance", "mean_covariance", "spread_variance"):
+        np.testing.assert_allclose(getattr(found, name), getattr(whole.type, name), rtol=1e-9, atol=1e-18)
+    assert (tmp_path / "one.parquet").stat().st_size < 5 * 8_000
+
+
+def test_readings_of_one_machine_add_up() -> None:
+    """Two files of one name are one machine; its parts are what the whole is."""
+    family = Family.drawn(np.random.default_rng(6), parameters=12)
+    rng = np.random.default_rng(7)
+    whole = []
+    for k, x in enumerate(family.draw(6, rng)):
+        J = rng.normal(size=(40, 12)) * 100.0
+        r = J @ x + rng.normal(size=40)
+        whole.append((J / PRIOR, r, f"m{k}"))
+    one = learn_type(machine_of(family.parameters, *parts) for parts in whole)
+    halves = [machine_of(family.parameters, J[i::2], r[i::2], name) for J, r, name in whole for i in (0, 1)]
+    two = learn_type(halves)
+
+    assert len(two.members) == two.type.machines == 6
+    np.testing.assert_allclose(two.values, one.values, rtol=1e-6, atol=1e-12)
+
+
+def test_a_parameter_that_some_machines_lack_is_learned_from_the_others() -> None:
+    """And a machine without it takes part with all that it has."""
+    family = Family.drawn(np.random.default_rng(8), parameters=12)
+    whole, _, machines = learned(family, 400)
+    without = [m if k % 2 else _without(m, 0) for k, m in enumerate(machines)]
+    found = learn_type(without).type
+    at = [found.names.index(name) for name in whole.type.names]
+
+    assert set(found.names) == set(whole.type.names)
+    ratio = found.covariance[at, at] / np.diag(whole.type.covariance)
+    assert 0.7 < ratio[0] < 1.4 and np.abs(ratio[1:] - 1.0).max() < 0.25
+
+
+def _log_ratio(of: RobotType, family: Family) -> np.ndarray:
+    """Return the logarithm of learned over true variances, shape (P,)."""
+    return np.log(np.diag(of.covariance) / PRIOR**2 / np.diag(family.covariance))
+
+
+def _without(machine: Machine, place: int) -> Machine:
+    own = machine.information
+    form = own.form.released(np.array([place])).held(np.array([place]))
+    return replace(machine, information=RobotInformation.of_form(form, own.robot, own.geometry, own.known))
+
+
+def test_machines_that_were_hit_do_not_spoil_the_type_and_are_named() -> None:
+    """One in twenty has a joint off by half a millimetre or half a milliradian and more: spread and mean stay."""
+    family = Family.drawn(np.random.default_rng(9))
+    rng = np.random.default_rng(10)
+    x, element = family.draw(240, rng), np.arange(40) // 6
+    hit = np.arange(0, 240, 20)
+    joints = rng.integers(0, 6, len(hit))
+    for k, joint in zip(hit, joints, strict=True):
+        x[k, element == joint] += np.array([-1.0, 1.0])[rng.integers(0, 2, 6)] * rng.uniform(0.2, 1.0, 6)
+    found = learn_type(family.measured(one, rng, name=f"m{k}") for k, one in enumerate(x))
+    apart = {k for k, member in enumerate(found.members) if member.off}
+
+    off = _log_ratio(found.type, family) / np.sqrt(found.type.spread_variance)
+    assert np.sqrt(np.mean(off**2)) < 1.4 and np.abs(off).max() < 4.0
+    assert apart == set(hit.tolist())
+    assert all(f"joint_{joint + 1}" in found.members[k].off for k, joint in zip(hit, joints, strict=True))
+    assert all(found.members[k].p_value < 1e-4 for k in hit)
+    assert 0.02 < found.type.hit < 0.09
+
+
+def test_p_values_of_machines_of_the_type_are_uniform_or_larger() -> None:
+    """Of 250 further machines."""
+    family = Family.drawn(np.random.default_rng(11), parameters=18, unseen=6)
+    of, rng = learned(family, 100)[0].type, np.random.default_rng(12)
+    p = np.array([of.judge(family.measured(x, rng)).p_value for x in family.draw(250, rng)])
+
+    for alpha in (0.01, 0.05, 0.2):
+        assert np.mean(p < alpha) < alpha + 3.0 * np.sqrt(alpha * (1.0 - alpha) / 250)
+
+
+@pytest.mark.parametrize("count", [1, 3, 10])
+def test_few_machines_give_a_prior_that_covers(count: int) -> None:
+    """Over families: intervals of 95 % hold 92 to 99 % of further machines, along what is seen."""
+    rng, inside = np.random.default_rng(13), []
+    for seed in range(16):
+        family = Family.drawn(np.random.default_rng(seed), parameters=18, unseen=6)
+        prior = learned(family, count, seed)[0].type.prior()
+        K, covariance = family.seen, prior.dense_covariance() / PRIOR**2
+        off = (family.draw(50, rng) - prior.values / PRIOR) @ K / np.sqrt(np.diag(K.T @ covariance @ K))
+        inside.append(np.mean(np.abs(off) < 1.96))
+
+    assert 0.92 < np.mean(inside) < 0.99
+
+
+def test_a_file_holds_a_type_to_the_last_digit(tmp_path: Path) -> None:
+    """And nothing else can be read as one."""
+    family = Family.drawn(np.random.default_rng(14), parameters=12)
+    of = learned(family, 8)[0].type
+    of.save(tmp_path / "type.json", provenance={"version": "0"})
+    again = load_type(tmp_path / "type.json")
+    jsonschema.validate(json.loads((tmp_path / "type.json").read_text()), schema_of("type"))
+
+    assert again.parameters == of.parameters and again.machines == 8
+    for name in ("mean", "covariance", "mean_covariance", "seen"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(of, name))
+    text = (tmp_path / "type.json").read_text()
+    for old, new in (('"robot": "arm"', '"robot": null'), ('"hit": ', '"hit": 2'), ('"mean": [', '"mean": [1, ')):
+        (tmp_path / "bad.json").write_text(text.replace(old, new))
+        with pytest.raises(ModelFileError, match="type"):
+            load_type(tmp_path / "bad.json")
+
+
+def test_what_is_not_of_one_type_is_refused(tmp_path: Path) -> None:
+    """Another nominal geometry, other units, no machine, and damaged files."""
+    family = Family.drawn(np.random.default_rng(15), parameters=12)
+    found, _, machines = learned(family, 3)
+    other = replace(machines[0], name="other", information=msgspec.structs.replace(machines[0].information, geometry=2))
+    with pytest.raises(BadInputError, match="different nominal geometries"):
+        learn_type([*machines, other])
+    with pytest.raises(BadInputError, match="another nominal geometry"):
+        found.type.judge(other)
+    with pytest.raises(BadInputError, match="one or more"):
+        learn_type([])
+    (tmp_path / "bad.parquet").write_bytes(b"PAR1")
+    with pytest.raises(ModelFileError, match="can't be read"):
+        load_machines(tmp_path / "bad.parquet")
+
+
+@pytest.mark.long
+def test_real_siblings_save_poses(shared_data: Path) -> None:
+    """Three UR3e as their maker measured them: a fourth needs fewer poses, and no more at 25."""
+    robot = nominal_arm("ur3e")
+    siblings = {name: machine for kind, name, machine in real_machines() if kind == "ur3e"}
+    known = {name: sibling_of(robot, m, name, poses=60, seed=k) for k, (name, m) in enumerate(siblings.items())}
+    ratios: dict[int, list[tuple[float, float]]] = {8: [], 25: []}
+    for name, machine in siblings.items():
+        of = learn_type(m for other, m in known.items() if other != name).type
+        truth = table_of(robot, machine, 300, 1000, noise=0.0)
+        for poses, errors in ratios.items():
+            for seed in range(2):
+                table = table_of(robot, machine, poses, seed)
+                alone, (with_type, _) = calibrate(robot, table, OPTIONS), calibrate_of_type(robot, table, of, OPTIONS)
+                errors.append((cases.error_of(alone, truth), cases.error_of(with_type, truth)))
+
+    alone, with_type = np.mean(ratios[8], axis=0)
+    assert alone > 0.4 and with_type < 0.45 * alone
+    alone, with_type = np.mean(ratios[25], axis=0)
+    assert with_type < 1.02 * alone
+
+
+def test_a_machine_far_from_its_type_is_no_noise() -> None:
+    """Twelve poses of one that is twenty times as far off: found out, and calibrated as well as without a type."""
+    robot = Robot.from_urdf(kuka_urdf_path(), tip="tool0")
+    of = learn_type(
+        Machine.of(calibrate(robot, rows_of(robot, m, 30, k), OPTIONS), str(k)) for k, m in enumerate(siblings(3))
+    )
+    nominal = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
+    machine = nominal.draw_errors(np.random.default_rng(2), sigma_length=5e-3, sigma_angle=5e-3)
+    table, truth = rows_of(robot, machine, 12, 7), rows_of(robot, machine, 100, 8)
+    alone, (fit, member) = calibrate(robot, table, OPTIONS), calibrate_of_type(robot, table, of.type, OPTIONS)
+
+    assert member.off and member.p_value < 1e-3
+    assert cases.error_of(fit, truth) < 1.5 * cases.error_of(alone, truth)
+
+
+def test_a_machine_of_another_kind_gets_its_wide_prior_back() -> None:
+    """All of its elements, or the one in which it differs."""
+    family = Family.drawn(np.random.default_rng(16), parameters=24)
+    of, rng = learned(family, 20)[0].type, np.random.default_rng(17)
+    x = family.draw(1, rng)[0]
+    bent, strange = x.copy(), x + 0.7 * rng.normal(size=24)
+    bent[6:12] += 0.5
+
+    assert not of.judge(family.measured(x, rng)).off
+    assert of.judge(family.measured(bent, rng)).off == ("joint_2",)
+    assert of.judge(family.measured(strange, rng)).off == (EVERYTHING,)
+    narrow, wide = of.prior().sigma, of.prior(member=Membership("", 0.0, 0.0, ("joint_2",))).sigma
+    np.testing.assert_allclose(wide[6:12] ** 2, narrow[6:12] ** 2 + PRIOR**2)
+    np.testing.assert_allclose(wide[12:], narrow[12:])
+    assert isinstance(of, RobotType)
