@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pincal.errors import AccuracyGateError
+from pincal.atomic import replacing
+from pincal.errors import AccuracyGateError, OutputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -109,3 +111,29 @@ def extrapolation(
         )
     contents = {"outside": rows, "curves": [curve._asdict() for curve in curves]}
     return contents | ({"turned": [found._asdict() for found in turned]} if turned else {}), notes
+
+
+def write_files(files: dict[str, tuple[Path | None, Callable[[Path], None]]]) -> None:
+    """Write several files, all of them or none, each by its function; they are given by the options that name them."""
+    wanted = {option: (path, write) for option, (path, write) in files.items() if path is not None}
+    _check_places({option: path for option, (path, _) in wanted.items()})
+    with ExitStack() as drafts:
+        for option, (path, write) in wanted.items():
+            write(drafts.enter_context(replacing(path, advice=f"choose another {option}")))
+
+
+def _check_places(paths: dict[str, Path]) -> None:
+    places = [path.absolute() for path in paths.values()]
+    for (option, path), place in zip(paths.items(), places, strict=True):
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder; expected a file to write to")
+        if not path.absolute().parent.is_dir():
+            raise OutputError(f"{path}: can't be written (no such folder); choose another {option}")
+        if places.count(place) > 1:
+            named = " and ".join(other for other, there in paths.items() if there.absolute() == place)
+            raise OutputError(f"{path}: named by {named}; expected {'two' if len(paths) == 2 else 'different'} files")
+
+
+def write_json(path: Path, *, contents: dict[str, Any]) -> None:
+    """Write a result for programs."""
+    path.write_text(json.dumps(contents, indent=1, allow_nan=False), encoding="utf-8")

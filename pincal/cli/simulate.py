@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -14,11 +12,10 @@ from typing import TYPE_CHECKING, Any, get_origin, get_type_hints
 import click
 import numpy as np
 
-from pincal.atomic import replacing
 from pincal.cli.arguments import verb
-from pincal.cli.outputs import print_json, provenance
+from pincal.cli.outputs import print_json, provenance, write_files, write_json
 from pincal.cli.simulate_options import SimulateArguments
-from pincal.errors import BadInputError, Exit, OutputError, nearest_first
+from pincal.errors import BadInputError, Exit, nearest_first
 
 if TYPE_CHECKING:
     from pincal.robot.robot import Robot
@@ -91,11 +88,11 @@ def simulate(arguments: SimulateArguments) -> Exit:
     origin, beside = {"made_by": provenance([Path(robot.source)])}, arguments.sensor
     named = campaign.setup.points
     points = {"point": np.array(list(named)), **dict(zip("xyz", np.array([*named.values()], float).T, strict=False))}
-    _write_files({
+    write_files({
         "--out": (arguments.out, lambda path: write_table(path, table)),
-        "--truth": (arguments.truth, lambda path: _write_json(path, contents=found | origin)),
+        "--truth": (arguments.truth, lambda path: write_json(path, contents=found | origin)),
         "--points-out": (beside.points_out, lambda path: write_table(path, points)),
-        "--camera-out": (beside.camera_out, lambda path: _write_json(path, contents=found["camera"])),
+        "--camera-out": (beside.camera_out, lambda path: write_json(path, contents=found["camera"])),
     })  # fmt: skip
     end_progress()
     if arguments.general.as_json:
@@ -136,9 +133,9 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
         for name, table in tables.items()
     }
     origin = {"made_by": provenance([Path(robot.source)])}
-    files["--truth"] = (arguments.truth, lambda path: _write_json(path, contents=found | origin))
+    files["--truth"] = (arguments.truth, lambda path: write_json(path, contents=found | origin))
     _make_folder(arguments.out)
-    _write_files(files)
+    write_files(files)
     end_progress()
     rows = {name: len(table["time"]) for name, table in tables.items()}
     if arguments.general.as_json:
@@ -316,31 +313,6 @@ def _of_arm(verb: str, arguments: SimulateArguments) -> str:
 def _noise(setup: SensorSetup) -> str:
     """Return the noise as the option ``--noise`` takes it."""
     return f"{setup.sigma:g}px" if setup.kind == "camera_pixel" else f"{setup.sigma * 1e3:g}mm"
-
-
-def _write_files(files: dict[str, tuple[Path | None, Callable[[Path], None]]]) -> None:
-    """Write several files, all of them or none, each by its function; they are given by the options that name them."""
-    wanted = {option: (path, write) for option, (path, write) in files.items() if path is not None}
-    _check_places({option: path for option, (path, _) in wanted.items()})
-    with ExitStack() as drafts:
-        for option, (path, write) in wanted.items():
-            write(drafts.enter_context(replacing(path, advice=f"choose another {option}")))
-
-
-def _check_places(paths: dict[str, Path]) -> None:
-    places = [path.absolute() for path in paths.values()]
-    for (option, path), place in zip(paths.items(), places, strict=True):
-        if path.is_dir():
-            raise OutputError(f"{path}: is a folder; expected a file to write to")
-        if not path.absolute().parent.is_dir():
-            raise OutputError(f"{path}: can't be written (no such folder); choose another {option}")
-        if places.count(place) > 1:
-            named = " and ".join(other for other, there in paths.items() if there.absolute() == place)
-            raise OutputError(f"{path}: named by {named}; expected {'two' if len(paths) == 2 else 'different'} files")
-
-
-def _write_json(path: Path, *, contents: dict[str, Any]) -> None:
-    path.write_text(json.dumps(contents, indent=1, allow_nan=False), encoding="utf-8")
 
 
 def effect_help() -> str:
