@@ -112,7 +112,7 @@ def compared(jobs: list[Job], made: tuple[Path, str], folder: Path, capsys: Any)
 
 @pytest.mark.parametrize(
     ("languages", "count", "broken"),
-    [(tuple(LANGUAGES), 2, 3), *(pytest.param((name,), COUNT, 60, marks=pytest.mark.long) for name in LANGUAGES)],
+    [(tuple(LANGUAGES), 2, 3), *(pytest.param((name,), COUNT, 30, marks=pytest.mark.long) for name in LANGUAGES)],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else value,
 )
 def test_the_page_writes_what_the_command_writes(

@@ -141,7 +141,7 @@ def checked(count: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
 
 
 @pytest.mark.long
-@checked(4000)
+@checked(2000)
 @given(changes=MUTATIONS)
 def test_tables(
     tmp_path_factory: pytest.TempPathFactory, kuka: Robot, columns: dict[str, np.ndarray], changes: list
@@ -211,7 +211,7 @@ def stands(content: bytes, robot: Robot, q: np.ndarray) -> np.ndarray | None:
 
 
 @pytest.mark.long
-@checked(2500)
+@checked(1500)
 @given(changes=MUTATIONS)
 def test_models(tmp_path_factory: pytest.TempPathFactory, model: bytes, changes: list) -> None:
     """A model that is read has the values, the covariance and the limits that stand in it."""

@@ -113,7 +113,7 @@ def extrapolation(
     return contents | ({"turned": [found._asdict() for found in turned]} if turned else {}), notes
 
 
-def write_files(files: dict[str, tuple[Path | None, Callable[[Path], None]]]) -> None:
+def write_all(files: dict[str, tuple[Path | None, Callable[[Path], None]]]) -> None:
     """Write several files, all of them or none, each by its function; they are given by the options that name them."""
     wanted = {option: (path, write) for option, (path, write) in files.items() if path is not None}
     _check_places({option: path for option, (path, _) in wanted.items()})
@@ -134,6 +134,6 @@ def _check_places(paths: dict[str, Path]) -> None:
             raise OutputError(f"{path}: named by {named}; expected {'two' if len(paths) == 2 else 'different'} files")
 
 
-def write_json(path: Path, *, contents: dict[str, Any]) -> None:
+def write_plain(path: Path, *, contents: dict[str, Any]) -> None:
     """Write a result for programs."""
     path.write_text(json.dumps(contents, indent=1, allow_nan=False), encoding="utf-8")

@@ -13,9 +13,9 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import verb
-from pincal.cli.outputs import print_json, provenance, write_files, write_json
+from pincal.cli.outputs import print_json, provenance, write_all, write_plain
 from pincal.cli.simulate_options import SimulateArguments
-from pincal.errors import BadInputError, Exit, nearest_first
+from pincal.errors import BadInputError, Exit, OutputError, nearest_first
 
 if TYPE_CHECKING:
     from pincal.robot.robot import Robot
@@ -88,11 +88,11 @@ def simulate(arguments: SimulateArguments) -> Exit:
     origin, beside = {"made_by": provenance([Path(robot.source)])}, arguments.sensor
     named = campaign.setup.points
     points = {"point": np.array(list(named)), **dict(zip("xyz", np.array([*named.values()], float).T, strict=False))}
-    write_files({
+    write_all({
         "--out": (arguments.out, lambda path: write_table(path, table)),
-        "--truth": (arguments.truth, lambda path: write_json(path, contents=found | origin)),
+        "--truth": (arguments.truth, lambda path: write_plain(path, contents=found | origin)),
         "--points-out": (beside.points_out, lambda path: write_table(path, points)),
-        "--camera-out": (beside.camera_out, lambda path: write_json(path, contents=found["camera"])),
+        "--camera-out": (beside.camera_out, lambda path: write_plain(path, contents=found["camera"])),
     })  # fmt: skip
     end_progress()
     if arguments.general.as_json:
@@ -133,9 +133,9 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
         for name, table in tables.items()
     }
     origin = {"made_by": provenance([Path(robot.source)])}
-    files["--truth"] = (arguments.truth, lambda path: write_json(path, contents=found | origin))
+    files["--truth"] = (arguments.truth, lambda path: write_plain(path, contents=found | origin))
     _make_folder(arguments.out)
-    write_files(files)
+    write_all(files)
     end_progress()
     rows = {name: len(table["time"]) for name, table in tables.items()}
     if arguments.general.as_json:
