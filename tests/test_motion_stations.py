@@ -139,6 +139,7 @@ def test_rows_in_motion_are_no_replicates(day: Path) -> None:
     assert parts.moving.clock == table.moving.clock
 
 
+@pytest.mark.long
 def test_a_session_is_calibrated_by_commands(
     day: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
