@@ -6,6 +6,7 @@ import json
 import os
 import zlib
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import reduce
 from operator import add
 from typing import Annotated, Literal
@@ -91,8 +92,9 @@ class RobotInformation(Record, frozen=True, kw_only=True):
         cls, form: Quadratic, robot: str, geometry: int, known: Mapping[str, tuple[Parameter, float]]
     ) -> RobotInformation:
         """Return information given as a form about the nominal, with each parameter of it and its prior by name."""
+        # Parts that are added and projected are symmetric up to their own rounding, which may be all that is left.
         return cls.like(
-            form,
+            replace(form, H=0.5 * (form.H + form.H.T)),
             format="pincal-information",
             format_version=1,
             robot=robot,

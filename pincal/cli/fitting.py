@@ -346,7 +346,7 @@ def _connected(address: str, stack: ExitStack) -> Any:
         ) from error
     client = stack.enter_context(Client(address, timeout=_ANSWER, set_as_default=False))
     try:
-        client.wait_forworkers(1, timeout=_WORKER)
+        client.wait_for_workers(1, timeout=_WORKER)
     except TimeoutError as error:
         raise BadInputError(f"--dask {address}: the cluster has no workers; start some: dask worker {address}") from error
     try:

@@ -176,7 +176,10 @@ def _from_below(fit: ModelFit, executor: Executor | None) -> ModelFit:
     kept, course = Noise(tuple(small.tolist()), is_kept=True), Course("none", label="from small noise", executor=executor)
     found = solve(problem, fit.values, fit.solution.free, fit.priors, kept, course)
     sigma = fit.noise.resolved(found.estimated, np.full(len(known), found.degrees / len(known)))
-    if np.any(sigma > np.where(np.isnan(known), fit.solution.sigma, known)):
+    if np.any(sigma > np.where(np.isnan(known), CRITERIA.overruled * small, known)):
+        return fit
+    # Zeros, signs or couplings that are other than in the URDF are no deviations, and have a search of their own.
+    if np.any(np.abs(found.values) > CRITERIA.beyond_priors * fit.priors.sizes):
         return fit
     other = _solved(replace(fit, noise=replace(fit.noise, is_kept=True)), found, executor=executor)
     return min(fit, other, key=lambda each: deviance(each) + 2.0 * each.solution.effective)
