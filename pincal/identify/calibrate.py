@@ -16,13 +16,13 @@ from scipy.special import chdtri
 from pincal.errors import BadInputError, MeasurementError, nearest_first
 from pincal.identify.beliefs import excited_of, is_frame, of_stations, priors_of, released_of
 from pincal.identify.believed import Earlier
-from pincal.identify.choices import along_gauge, best_of, deviance, required_features, some_rows_of, weight_of
+from pincal.identify.choices import along_gauge, best_of, required_features, some_rows_of, weight_of
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import is_dependent, serial_noise, with_blocks, with_serial
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import FitStage, ModelFit, Solution, carried
 from pincal.identify.initial import begin
-from pincal.identify.noise import Noise, is_exact, rounding
+from pincal.identify.noise import is_exact, rounding
 from pincal.identify.options import Options, PriorScale, StationOptions, Tools
 from pincal.identify.prior_scale import has_instrument, prior_scale
 from pincal.identify.problem import Problem
@@ -159,30 +159,7 @@ def _tools(options: Options, table: Measurements) -> Tools | None:
 
 def _fitted(robot: Robot, tables: dict[str, Measurements], options: Options, executor: Executor | None) -> ModelFit:
     fit = begin(robot, tables, options, executor)
-    return _from_below(_solved(fit, fit.problem.beliefs.recalled(fit.values), executor=executor), executor)
-
-
-def _from_below(fit: ModelFit, executor: Executor | None) -> ModelFit:
-    """Return the better of a fit and of one that comes from noise as small as declared, or as instruments have.
-
-    Noise that is estimated seems large as long as parameters stay, and holds them at their priors as long as it seems so: in
-    few poses of a robot that is far from its URDF both may agree with each other, and so may small noise and parameters that
-    moved.
-    """
-    known, problem = fit.noise.known, fit.problem
-    small = np.where(np.isnan(known), [block.noise for block in problem.blocks], known)
-    if not np.any(fit.solution.sigma > CRITERIA.overruled * small):
-        return fit
-    kept, course = Noise(tuple(small.tolist()), is_kept=True), Course("none", label="from small noise", executor=executor)
-    found = solve(problem, fit.values, fit.solution.free, fit.priors, kept, course)
-    sigma = fit.noise.resolved(found.estimated, np.full(len(known), found.degrees / len(known)))
-    if np.any(sigma > np.where(np.isnan(known), CRITERIA.overruled * small, known)):
-        return fit
-    # Zeros, signs or couplings that are other than in the URDF are no deviations, and have a search of their own.
-    if np.any(np.abs(found.values) > CRITERIA.beyond_priors * fit.priors.sizes):
-        return fit
-    other = _solved(replace(fit, noise=replace(fit.noise, is_kept=True)), found, executor=executor)
-    return min(fit, other, key=lambda each: deviance(each) + 2.0 * each.solution.effective)
+    return _solved(fit, fit.problem.beliefs.recalled(fit.values), executor=executor)
 
 
 def _rescaled(fit: ModelFit) -> ModelFit:

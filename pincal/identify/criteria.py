@@ -27,7 +27,6 @@ _GROSS = "test_other_session.py::test_rows_of_which_many_are_gross_tell_nothing"
 _REFUSED = "test_diagnosis.py::test_what_can_not_be_told_is_refused"
 _CURVE = "test_other_session.py::test_the_drive_whose_curve_is_another_is_named"
 _EXCLUDED = "test_diagnosis.py::test_what_is_excluded_would_have_been_noticed"
-_SEEMS_LARGE = "test_calibrate.py::test_noise_that_seems_large_does_not_hold_a_robot_at_its_urdf"
 _OUTLIERS = "test_calibrate.py::test_outliers_at_five_per_cent_are_found_and_cost_nothing"
 _MOMENTS = "test_link_mass.py::test_the_moments_that_are_identified_are_those_of_the_machine"
 _INTERVALS = "test_moves.py::test_intervals_are_those_of_a_fit_in_which_each_day_has_its_own"
@@ -68,12 +67,6 @@ class Criteria:
         "that screening takes any sound row of a table for an outlier", "one sound table in a hundred loses a row")
     too_noisy: float = number(4.0, "standard deviations of chi-square", "test_calibrate.py::test_declared_noise_is_judged",
         "by which residuals exceed what declared noise leaves before they replace it", "1 in 30000 by chance")
-    overruled: float = number(10.0, "ratio", _SEEMS_LARGE,
-        "of estimated noise to what is declared, or instruments have, above which a fit is tried from the latter as well",
-        "a model that lacks elasticity or drive errors leaves less")
-    beyond_priors: float = number(5.0, "standard deviations",
-        "test_zeros.py::test_what_differs_from_the_urdf_is_found_and_named",
-        "of a prior by which such a fit may move a parameter", "1 in 2 million; a zero that is 10 degrees off is at 58")
     readings_left: int = number(6, "readings", "test_earlier.py::test_too_few_rows_are_refused",
         "beyond the unknowns, demanded beside an earlier fit: the parameters that it knows move as far as the noise "
         "seems small, and the noise seems small as far as they do", "the noise is known to 30 % then")

@@ -121,13 +121,9 @@ Loss = Literal["screen", "huber", "none"]
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of one component of each block of readings, None where they are to be estimated.
-
-    ``is_kept`` holds those that are declared, however large the residuals are.
-    """
+    """Standard deviations of one component of each block of readings, None where they are to be estimated."""
 
     declared: tuple[float | None, ...]
-    is_kept: bool = False
 
     @property
     def known(self) -> np.ndarray:
@@ -136,7 +132,7 @@ class Noise:
 
     def resolved(self, estimated: np.ndarray, degrees: np.ndarray) -> np.ndarray:
         """Return what to use, shape (blocks,): the declared unless residuals with these degrees of freedom are too large."""
-        misfit = np.inf if self.is_kept else self.known * (1.0 + CRITERIA.too_noisy / np.sqrt(2.0 * degrees))
+        misfit = self.known * (1.0 + CRITERIA.too_noisy / np.sqrt(2.0 * degrees))
         return np.where(np.isnan(self.known) | (estimated > misfit), estimated, self.known)
 
 
