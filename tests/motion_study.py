@@ -340,7 +340,7 @@ def picture(seeds: int, duration: float) -> Iterator[str]:
         panel.axhline(np.mean(nominal), color="0.5", linestyle="--", label="nominal")
         panel.axhline(np.mean(poses), color="0.5", linestyle=":", label="8 tracker poses alone")
         panel.set(
-            title=name, xscale="log", yscale="log", xlabel="noise, times 1 mg and 0.01 deg/s in $\\sqrt{\\mathrm{Hz}}$"
+            title=name, xscale="log", yscale="log", xlabel="noise, times 1 mg and 0.01 deg/s per $\\sqrt{\\mathrm{Hz}}$"
         )
         means = [np.mean(sizes, axis=0).round(3) for sizes in (alone, both)]
         yield f"{name}: noise {factors}: alone {means[0]}, with 8 poses {means[1]} mm"

@@ -274,8 +274,8 @@ def _check_count(study: Study, n: int) -> None:
 
 def _check_limit(study: Study, n: int) -> None:
     """Warn where most of the error is what no number of such readings shows."""
-    mean, limit = (study.quality(study.H + count * study.mean).error for count in (n, _MANY))
-    if limit > _MOSTLY * mean:
+    error, limit = (study.quality(study.H + count * study.mean).error for count in (n, _MANY))
+    if limit > _MOSTLY * error:
         warn(
             f"{1e3 * limit:.3g} mm of the predicted error remain however many such poses are measured: they do not show all "
             "that the task depends on, as contacts without a known length do not show the scale; expected a known length or "
