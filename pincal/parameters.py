@@ -104,12 +104,14 @@ def split_name(name: str) -> tuple[str, str]:
 def root_of(covariance: np.ndarray) -> np.ndarray:
     """Return a matrix L with L L^T = C for a covariance C; both of shape (n, n).
 
-    Variances differ by twelve orders of magnitude; rounding must not carry the large ones into the small ones.
+    Variances differ by twelve orders of magnitude; rounding must not carry the large ones into the small ones. It is the
+    symmetric root of the correlation, one matrix whatever signs and order an algorithm gives its eigenvectors: what is drawn
+    with one seed is the same on every machine.
     """
     sigma = np.sqrt(np.diag(covariance))
     scale = np.where(sigma > 0.0, sigma, 1.0)
     sizes, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0)))
+    return np.asarray(scale[:, None] * ((axes * np.sqrt(np.maximum(sizes, 0.0))) @ axes.T))
 
 
 @dataclass(frozen=True)

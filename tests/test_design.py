@@ -124,6 +124,23 @@ def test_updates_of_low_rank_equal_inverses(weighted):
 
 
 @pytest.mark.parametrize("weighted", [True, False])
+def test_each_greedy_choice_is_the_best_where_hardly_anything_was_known(weighted):
+    """Frames known to a metre before and to some micrometres after leave no rounding in what decides."""
+    A, W, H = candidates(11, n=40, m=3, size=12)
+    A[:, :, :6] *= 2e4
+    W[:, :6] *= 2e4
+    W[:6] *= 2e4
+    W = W if weighted else None
+    chosen, course = choose_greedily(A, W, H, 8)
+
+    for n, j in enumerate(chosen):
+        state = DesignState.of(A, W, H + information(A, chosen[:n]))
+        free = np.setdiff1d(np.arange(len(A)), chosen[:n])
+        assert state.gains()[j] >= (1.0 - 1e-6) * state.gains()[free].max()
+        assert course[n] == pytest.approx(criterion(A, W, H, chosen[: n + 1]), rel=1e-6)
+
+
+@pytest.mark.parametrize("weighted", [True, False])
 @pytest.mark.parametrize("m", [1, 3, 6])
 def test_gains_are_what_the_criterion_loses(weighted, m):
     """The gain of each candidate is the difference of the criterion with and without it."""

@@ -24,7 +24,8 @@ from scipy.linalg import cho_factor, cho_solve
 
 # Passes over a design after which an exchange ends even if it still finds something.
 _PASSES = 10
-# Part of a pose's own information that the others must leave, below which taking it out is worked out from scratch.
+# Part of what was uncertain that poses taken in or out may leave before the state is worked out from scratch: K and L, in
+# which it is squared, would be left as differences of numbers that are larger by this factor and its square.
 _ALONE = 1e-5
 # Relative gain below which a swap is rounding.
 _WORTH = 1e-9
@@ -148,14 +149,18 @@ def choose_greedily(
         The n candidates, and the criterion with the first 1, 2, ... of those that were added.
     """
     chosen, course = list(start), []
-    state = DesignState.of(A, W, H + information(A, chosen))
+    state, left = DesignState.of(A, W, H + information(A, chosen)), 1.0
     free = np.ones(len(A), bool)
     free[chosen] = False
     while len(chosen) < n:
         j = int(np.argmax(np.where(free, state.gains(), -np.inf)))
-        state = state.moved(j, 1.0)
         free[j] = False
         chosen.append(j)
+        left /= 1.0 + float(np.linalg.eigvalsh(state.K[j])[-1])
+        if left > _ALONE:
+            state = state.moved(j, 1.0)
+        else:
+            state, left = DesignState.of(A, W, H + information(A, chosen)), 1.0
         course.append(value(state.C, W))
     return chosen, course
 

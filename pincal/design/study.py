@@ -150,10 +150,16 @@ class Study:
         return Quality(float(error), noncentrality(covariance(H), rivals) if rivals else ())
 
     def design(self, n: int) -> list[int]:
-        """Return n candidates that no single exchange makes better."""
-        chosen, _ = choose_greedily(self.A, self.W, self.H, n)
+        """Return n candidates that no single exchange makes better: the better of those from two starts.
+
+        Exchanges end in one of many local optima; where the determinant is largest begins another way than a greedy choice.
+        """
         log.info("exchanging %d poses among %d candidates", n, len(self.A))
-        return exchange(self.A, self.W, self.H, chosen)
+        found = []
+        for W in (self.W, None) if self.W is not None else (None,):
+            chosen, _ = choose_greedily(self.A, W, self.H, n)
+            found.append(exchange(self.A, self.W, self.H, exchange(self.A, W, self.H, chosen)))
+        return min(found, key=lambda design: value(covariance(self.H + information(self.A, design)), self.W))
 
     def refine(self, design: Conditions, reach: Reach) -> Conditions:
         """Improve a design by coordinate exchange within the constraints (Meyer and Nachtsheim, Technometrics 37, 1995).

@@ -135,9 +135,14 @@ class RobotType(Record, frozen=True, kw_only=True):
         return float(2.0 / max(share @ self.spread_variance / max(share.sum(), 1e-9), 1e-6))
 
     @property
+    def readable(self) -> np.ndarray:
+        """Projector on what readings determine, shape (P, P)."""
+        return np.asarray(self.seen * np.outer(self.priors, 1.0 / self.priors))
+
+    @property
     def determined(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Mean, covariance of the mean and covariance of machines along what readings determine."""
-        known = self.seen * np.outer(self.priors, 1.0 / self.priors)
+        known = self.readable
         return known @ self.mean, known @ self.mean_covariance @ known.T, known @ self.covariance @ known.T
 
     def drawn(self, robot: Robot, rng: np.random.Generator) -> np.ndarray:
@@ -147,8 +152,9 @@ class RobotType(Record, frozen=True, kw_only=True):
             BadInputError: if the arm is of another nominal geometry.
         """
         self.require(robot.name, geometry_of(robot))
-        mean, of_mean, spread = self.determined
-        return mean + root_of(of_mean + spread) @ rng.standard_normal(len(mean))
+        # The root is taken before the projection, which leaves rounding where a variance should be zero.
+        apart = root_of(self.mean_covariance + self.covariance) @ rng.standard_normal(len(self.mean))
+        return np.asarray(self.readable @ (self.mean + apart))
 
     def require(self, robot: str, geometry: int) -> None:
         """Refuse an arm of another nominal geometry.

@@ -98,11 +98,11 @@ def at_tool(
     placed = J - F @ np.linalg.lstsq(F, J, rcond=None)[0]
     mean, _, whole = of.determined
     covariance = whole[np.ix_(places, places)]
-    moved = placed @ root_of(covariance)
+    moved = placed @ of.readable[places] @ root_of(of.covariance)
     by_effect = {}
     for effect in dict.fromkeys(of.parameters[k].effect for k in places):
         at = np.array([of.parameters[k].effect == effect for k in places])
-        by_effect[effect] = _rms(placed[:, at] @ root_of(covariance[np.ix_(at, at)]))
+        by_effect[effect] = _rms(np.sum(placed[:, at] @ covariance[np.ix_(at, at)] * placed[:, at], axis=1))
     by_parameter = np.full(len(of.names), np.nan)
     by_parameter[places] = np.sqrt(3.0 * np.mean(placed**2, axis=0) * np.diag(covariance))
     drawn = (rng.normal(size=(_DRAWN, _COMPARED, moved.shape[1])) @ moved.T).reshape(_DRAWN, _COMPARED, -1, 3)
@@ -115,12 +115,12 @@ def at_tool(
     # A data sheet has lengths and angles, and no compliances.
     is_sheet = np.array([of.parameters[k].unit in ("m", "rad") for k in places])
     sheet = placed @ (mean[places] * is_sheet)
-    return AtTool(_rms(moved), by_effect, by_parameter, _rms(sheet[:, None]), float(apart.mean()), needed)
+    return AtTool(_rms(np.sum(moved**2, axis=1)), by_effect, by_parameter, _rms(sheet**2), float(apart.mean()), needed)
 
 
-def _rms(moved: np.ndarray) -> float:
-    """Return the root mean square length of displacements, shape (3 N, n), over n independent unit numbers."""
-    return float(np.sqrt(3.0 * np.mean(np.sum(moved**2, axis=1))))
+def _rms(squares: np.ndarray) -> float:
+    """Return the root mean square length of displacements whose 3 N components have these mean squares, shape (3 N,)."""
+    return float(np.sqrt(3.0 * np.mean(squares)))
 
 
 def _foreseen(design: DesignModel, measured: Conditions, cared: Conditions) -> float:
