@@ -19,6 +19,8 @@ from pincal.compensate.robot_frames import false_targets as false_targets
 from pincal.design.health import CheckRequest as CheckRequest
 from pincal.design.health import HealthCheck as HealthCheck
 from pincal.design.health import design_check as design_check
+from pincal.design.motion_design import MotionDesign as MotionDesign
+from pincal.design.motion_design import design_motion as design_motion
 from pincal.design.pose_design import Design as Design
 from pincal.design.pose_design import design_poses as design_poses
 from pincal.design.reach import Limits as Limits

@@ -11,6 +11,7 @@ import click
 
 from pincal.cli.arguments import NumberType, option
 from pincal.cli.quantities import ANGLES, QuantityType
+from pincal.measure.fields import TABLE_ENDINGS
 from pincal.units import UNITS, plain_number, size_of
 
 if TYPE_CHECKING:
@@ -122,15 +123,47 @@ class _RatesType(click.ParamType[tuple[float, float, float]]):
         return joints, imu, tracker
 
 
+DURATION = QuantityType({"s": 1.0, "min": 60.0}, "300s")
+"""A time that is driven or waited."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrivenOptions:
+    """What is driven before an IMU."""
+
+    motion: float | None = option(
+        "Choose a motion of this duration to drive before an IMU on the tool, instead of poses; in --out stands when each "
+        "of its poses is reached.",
+        metavar="DURATION",
+        type=DURATION,
+    )
+    speed: float = option(
+        "Largest speed of a joint [rad/s], of one that slides half as much [m/s]; less where the URDF says so.", 1.0
+    )
+    acceleration: float = option("Largest acceleration of a joint [rad/s^2], of one that slides half as much [m/s^2].", 3.0)
+
+
+class _PathType(click.ParamType[float | Path]):
+    """The duration of a random path, or a table of the poses that it goes through."""
+
+    name = "DURATION|FILE"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | Path:
+        """Return the duration [s] or the file."""
+        if Path(value).suffix.lower() in TABLE_ENDINGS or Path(value).is_file():
+            return Path(value)
+        return DURATION.convert(value, param, ctx)
+
+
 @dataclass(frozen=True, kw_only=True)
 class MotionArguments:
     """A path that is driven, and who logs it."""
 
-    path: float | None = option(
-        "Drive a random path of this duration instead of holding poses; --out is then a folder of joints.csv, imu.csv and "
-        "tracker.csv, each on a clock of its own.",
-        metavar="DURATION",
-        type=QuantityType({"s": 1.0, "min": 60.0}, "300s"),
+    path: float | Path | None = option(
+        "Drive a random path of this duration, or from pose to pose of a table by its column time, instead of holding "
+        "poses; --out is then a folder of joints.csv, imu.csv and tracker.csv, each on a clock of its own.",
+        metavar="DURATION|FILE",
+        type=_PathType(),
     )
     imu: bool = option("Log an IMU on the tool; a tracker besides if --sensor is given.", False)
     imu_noise: tuple[float, float] | None = option(
@@ -163,12 +196,12 @@ class MotionArguments:
         """Return the name of an option that is given."""
         return next((field.name for field in fields(self) if getattr(self, field.name) not in (None, False)), None)
 
-    def session_options(self) -> SessionOptions:
-        """Return what is asked of a path and its logs; the rest as it is by default."""
+    def session_options(self, duration: float) -> SessionOptions:
+        """Return what is asked of the logs of a path of this duration [s]; the rest as it is by default."""
         from pincal.simulate.session import SessionOptions
 
         drift = None if self.clock_drift is None else 1e-6 * self.clock_drift
         dropped = None if self.dropped is None else 1e-2 * self.dropped
-        own: dict[str, Any] = {"duration": self.path, "imu": self.imu, "imu_noise": self.imu_noise, "drift": drift}
+        own: dict[str, Any] = {"duration": duration, "imu": self.imu, "imu_noise": self.imu_noise, "drift": drift}
         own |= {"vibration": self.vibration, "resolution": self.resolution, "rates": self.log_rates, "dropped": dropped}
         return SessionOptions(**{name: value for name, value in own.items() if value is not None})

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+import os
+import platform
+import shlex
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from pincal.atomic import replacing
-from pincal.errors import AccuracyGateError, OutputError
+from pincal.errors import AccuracyGateError, OutputError, printable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,6 +25,10 @@ if TYPE_CHECKING:
     from pincal.model.effects import Conditions
     from pincal.notes import Note
 
+# Packages whose versions a report of a problem names.
+_PACKAGES = ("numpy", "scipy", "pin", "numba", "llvmlite", "polars", "example-robot-data")
+# A header that is longer is cut.
+_LONGEST_HEADER = 500
 # Rows outside the calibrated range that are listed one by one.
 _SHOWN = 5
 
@@ -41,8 +49,6 @@ def echo_notes(notes: Iterable[Note | str], *, quiet: bool) -> None:
 
 def provenance(files: Sequence[Path], *, seed: int | None = None) -> dict[str, Any]:
     """Return what a result rests on: versions, command, seed, and the input files with their hashes."""
-    from importlib.metadata import version
-
     from pincal.io.result_folder import file_hash
 
     return {
@@ -137,3 +143,39 @@ def _check_places(paths: dict[str, Path]) -> None:
 def write_plain(path: Path, *, contents: dict[str, Any]) -> None:
     """Write a result for programs."""
     path.write_text(json.dumps(contents, indent=1, allow_nan=False), encoding="utf-8")
+
+
+def problem_report(words: Sequence[str], files: Sequence[Path]) -> Iterator[str]:
+    """Yield the lines that begin a report of a problem.
+
+    Args:
+        words: the command line after ``pincal``.
+        files: files among them; of text tables the names of columns are given, but no data.
+    """
+    from pincal.io.result_folder import file_hash
+
+    yield f"pincal {version('pincal')}, Python {platform.python_version()}, {platform.platform()}, {os.cpu_count()} cores"
+    yield ", ".join(f"{package} {_version(package)}" for package in _PACKAGES)
+    yield f"command: {printable(shlex.join(['pincal', *words]), _LONGEST_HEADER)}"
+    for file in files:
+        if file.is_file():
+            yield f"{file.name}: {file.stat().st_size} bytes, sha256 {file_hash(file)[:12]}{_columns(file)}"
+        else:
+            yield f"{printable(file.name, _LONGEST_HEADER)}: not a file"
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _columns(table: Path) -> str:
+    """Return the header of a text table in words; nothing for other files, and where the first line is data."""
+    if table.suffix.lower() not in (".csv", ".txt", ".tsv", ".dat"):
+        return ""
+    with table.open("rb") as file:
+        first = file.readline(2 * _LONGEST_HEADER).decode("utf-8", "replace").strip()
+    letters = sum(character.isalpha() for character in first)
+    return f", first line: {printable(first, _LONGEST_HEADER)}" if letters > len(first) / 4 else ", no header"

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import platform
-import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -30,21 +26,18 @@ from pincal.cli.common import (
     verbose_option,
     xacro_option,
 )
-from pincal.cli.outputs import print_json
+from pincal.cli.motion_options import DrivenOptions
+from pincal.cli.outputs import print_json, problem_report
 from pincal.cli.quantities import ANGLE, LENGTH, Masses
-from pincal.errors import Exit, printable
+from pincal.errors import Exit
 
 if TYPE_CHECKING:
     from pincal.design.health import HealthCheck
+    from pincal.design.motion_design import MotionDesign
     from pincal.design.pose_design import Design
     from pincal.design.reach import Limits, SensorSetup
     from pincal.identify.options import Options
     from pincal.robot.robot import Robot
-
-# Packages whose versions a report of a problem names.
-_PACKAGES = ("numpy", "scipy", "pin", "numba", "llvmlite", "polars", "example-robot-data")
-# A header that is longer is cut.
-_LONGEST_HEADER = 500
 
 _EXAMPLES = """
 Examples:
@@ -53,6 +46,7 @@ Examples:
   pincal design robot.urdf --poses 20 --measured tracker.csv --out more.csv     # which poses to add?
   pincal design robot.urdf --poses 40 --out poses.csv \\
       --tell-apart gear_eccentricity:joint_2 gravity_compensator:joint_2
+  pincal design robot.urdf --motion 300s --out motion.csv                       # what to drive before an IMU?
   pincal design results/model.json --check --notice 0.2mm --out check.csv       # has it changed?
   pincal design results/model.json --check --notice 0.5mm --out check.csv \\
       --socket 0.7 0.3 0.2 --socket 0.5 -0.4 0.4                                # the same with two sockets
@@ -87,7 +81,7 @@ def check(arguments: CheckArguments) -> Exit:
     """
     if arguments.report:
         # Before anything is read, so that it is there whatever the check comes to.
-        for line in _problem_report(["check", *words_given()], [Path(arguments.source.robot), *arguments.source.data]):
+        for line in problem_report(["check", *words_given()], [Path(arguments.source.robot), *arguments.source.data]):
             click.echo(line)
     from pincal.cli.inputs import prepare
     from pincal.cli.progress import log_step
@@ -108,42 +102,6 @@ def check(arguments: CheckArguments) -> Exit:
             command = as_given("calibrate", "--out", "results")
             print_brief_check(found, prepared.robot, console(), command=command)
     return Exit.DONE
-
-
-def _problem_report(words: Sequence[str], files: Sequence[Path]) -> Iterator[str]:
-    """Yield the lines that begin a report of a problem.
-
-    Args:
-        words: the command line after ``pincal``.
-        files: files among them; of text tables the names of columns are given, but no data.
-    """
-    from pincal.io.result_folder import file_hash
-
-    yield f"pincal {version('pincal')}, Python {platform.python_version()}, {platform.platform()}, {os.cpu_count()} cores"
-    yield ", ".join(f"{package} {_version(package)}" for package in _PACKAGES)
-    yield f"command: {printable(shlex.join(['pincal', *words]), _LONGEST_HEADER)}"
-    for file in files:
-        if file.is_file():
-            yield f"{file.name}: {file.stat().st_size} bytes, sha256 {file_hash(file)[:12]}{_columns(file)}"
-        else:
-            yield f"{printable(file.name, _LONGEST_HEADER)}: not a file"
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
-
-
-def _columns(table: Path) -> str:
-    """Return the header of a text table in words; nothing for other files, and where the first line is data."""
-    if table.suffix.lower() not in (".csv", ".txt", ".tsv", ".dat"):
-        return ""
-    with table.open("rb") as file:
-        first = file.readline(2 * _LONGEST_HEADER).decode("utf-8", "replace").strip()
-    letters = sum(character.isalpha() for character in first)
-    return f", first line: {printable(first, _LONGEST_HEADER)}" if letters > len(first) / 4 else ", no header"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,6 +202,7 @@ class DesignArguments:
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     couplings: tuple[str, ...] = coupling_option()
     signs: tuple[str, ...] = sign_option()
+    driven: DrivenOptions = group("Motion")
     health: CheckOptions = group("Health check")
     constraints: ConstraintOptions = group("Constraints")
     instrument: InstrumentOptions = group("Instrument")
@@ -259,12 +218,14 @@ def design(arguments: DesignArguments) -> Exit:
     """
     if arguments.health.check:
         return _check(arguments)
+    if arguments.driven.motion is not None:
+        return _motion(arguments, arguments.driven.motion)
     from pincal.cli.inputs import load_table
     from pincal.design.pose_design import design_poses
     from pincal.design.request import DesignRequest
 
     if arguments.poses is None and arguments.accuracy is None:
-        raise click.UsageError("give --poses N, or --accuracy for as many as are needed")
+        raise click.UsageError("give --poses N, --accuracy for as many as are needed, or --motion DURATION for an IMU")
     robot = _robot(arguments)
     task, measured = (
         None if path is None else load_table(robot, path, joints_only=True) for path in (arguments.task, arguments.measured)
@@ -303,7 +264,29 @@ def _check(arguments: DesignArguments) -> Exit:
     return Exit.DONE if found.is_met else Exit.INACCURATE
 
 
-def _write(arguments: DesignArguments, robot: Robot, found: Design | HealthCheck, *, sensor: str) -> None:
+def _motion(arguments: DesignArguments, duration: float) -> Exit:
+    from pincal.design.motion_design import design_motion
+
+    wanted = {"poses": arguments.poses, "accuracy": arguments.accuracy, "measured": arguments.measured}
+    if other := next((name for name, value in wanted.items() if value is not None), None):
+        raise click.UsageError(f"--{other} is of poses that are held; leave it out, or --motion")
+    robot, driven = _robot(arguments), arguments.driven
+    found = design_motion(
+        robot,
+        duration,
+        _options(arguments, robot),
+        speed=driven.speed,
+        acceleration=driven.acceleration,
+        limits=_limits(robot, arguments),
+        seed=arguments.seed,
+    )
+    _write(arguments, robot, found, sensor=None)
+    return Exit.DONE
+
+
+def _write(
+    arguments: DesignArguments, robot: Robot, found: Design | HealthCheck | MotionDesign, *, sensor: str | None
+) -> None:
     """Write the poses and, empty, the columns of what is measured there; print what they promise."""
     from pincal.measure.registry import columns_of
     from pincal.measure.table import write_table
@@ -312,7 +295,7 @@ def _write(arguments: DesignArguments, robot: Robot, found: Design | HealthCheck
     in_degrees = turns if arguments.degrees else set()
     columns = found.columns().items()
     shown = {f"{n} [deg]" if n in in_degrees else n: np.rad2deg(c) if n in in_degrees else c for n, c in columns}
-    write_table(arguments.out, shown, to_fill=columns_of(sensor))
+    write_table(arguments.out, shown, to_fill=columns_of(sensor) if sensor else ())
     if arguments.general.as_json:
         print_json(found.to_dict() | {"out": str(arguments.out)})
     else:
@@ -320,7 +303,7 @@ def _write(arguments: DesignArguments, robot: Robot, found: Design | HealthCheck
         from pincal.cli.screen import print_plan
 
         print_plan(found, console())
-        click.echo(f"written to {arguments.out}, ordered for short motions")
+        click.echo(f"written to {arguments.out}, {'ordered for short motions' if sensor else 'in the order of its times'}")
 
 
 def _robot(arguments: DesignArguments) -> Robot:

@@ -13,6 +13,7 @@ from pincal.calibration import result_tables
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.result import Result
 from pincal.design.health import HealthCheck
+from pincal.design.motion_design import MotionDesign
 from pincal.design.pose_design import SOURCES, Design
 from pincal.design.study import RANDOM_DESIGNS
 from pincal.discover.policy import SIGHT
@@ -294,10 +295,12 @@ def print_discovery(found: Discovery, out: Console) -> None:
     _print_untestable(((e.effect, e.joint, e.reason) for e in findings.not_testable), len(joints), out)
 
 
-def print_plan(found: Design | HealthCheck, out: Console) -> None:
-    """Print what poses to measure promise."""
+def print_plan(found: Design | HealthCheck | MotionDesign, out: Console) -> None:
+    """Print what poses to measure, or a motion to drive, promise."""
     if isinstance(found, HealthCheck):
         print_check(found, out)
+    elif isinstance(found, MotionDesign):
+        _print_motion(found, out)
     else:
         _print_design(found, out)
 
@@ -313,6 +316,21 @@ def _print_design(found: Design, out: Console) -> None:
     if found.curve:
         out.print(found_tables.pose_count_table(found))
     print_notes(found.notes, out)
+
+
+def _print_motion(found: MotionDesign, out: Console) -> None:
+    """Print what a motion before an IMU tells, and how many poses before an instrument it spares."""
+    force, rate, place = found.noise
+    noise = f"noise {force:.3g} m/s^2, {1e3 * rate:.3g} mrad/s; of a position {1e3 * place:.3g} mm"
+    out.print(hanging(f"{found.time[-1]:.0f} s", f"of {found.robot.name}, {len(found.time)} poses before an IMU: {noise}"))
+    error = f"{1e3 * found.error:.3f} mm rms anywhere in reach by what an IMU tells, base and tool placed"
+    for mark, text in (
+        ("candidates", found.drawn.in_words()),
+        ("predicted", f"{error}; {1e3 * found.before:.3f} mm before, and {1e3 * found.lengths:.3f} mm by lengths"),
+        ("random", f"{1e3 * found.random:.3f} mm ({found.random / found.error:.2f} times as much)"),
+    ):
+        out.print(hanging(f"{mark + ':':13s}", text))
+    out.print(found_tables.motion_table(found))
 
 
 def print_check(found: HealthCheck, out: Console) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from pincal.cli.arguments import verb
 from pincal.cli.outputs import print_json, provenance, write_all, write_plain
-from pincal.cli.simulate_options import SimulateArguments
+from pincal.cli.simulate_options import SimulateArguments, via_path
 from pincal.errors import BadInputError, Exit, OutputError, nearest_first
 
 if TYPE_CHECKING:
@@ -115,11 +115,13 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
     log_step("planning a path")
     rng = Stream.LAYOUT.generator(arguments.setup_seed)
     tracker = draw_setup(arguments.kind, machine.nominal, rng=rng, options=arguments.setup_options())
+    path = arguments.motion.path
+    course = via_path(robot, machine.names, path) if isinstance(path, Path) else None
     session = draw_session(
         machine.nominal,
-        arguments.session_options(),
+        arguments.session_options(path if course is None else float(course.time[-1])),  # type: ignore[arg-type]
         tracker=tracker if arguments.has_tracker else None,
-        path=Stream.POSES.generator(arguments.pose_seed),
+        path=course or Stream.POSES.generator(arguments.pose_seed),
         setup=rng,
     )
     log_step("driving it")

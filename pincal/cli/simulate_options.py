@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
+import numpy as np
 
 from pincal.cli.arguments import NumberType, Output, group, option
 from pincal.cli.common import (
@@ -22,10 +23,12 @@ from pincal.cli.common import (
 )
 from pincal.cli.motion_options import MotionArguments
 from pincal.cli.quantities import ANGLES, LENGTH, Masses, NoiseType, QuantityType
-from pincal.errors import BadInputError, OutputError
+from pincal.errors import BadInputError, MeasurementError, OutputError
 from pincal.measure.fields import TABLE_ENDINGS
 
 if TYPE_CHECKING:
+    from pincal.robot.robot import Robot
+    from pincal.simulate.moving import ViaPath
     from pincal.simulate.request import SetupOptions
     from pincal.simulate.session import SessionOptions
 
@@ -272,14 +275,14 @@ class SimulateArguments:
                 f"--points-out: --sensor {kind} has no named points; expected socket, a camera or --anchors"
             )
         if self.motion.path is None and (self.n_poses is None) == (self.campaign.at is None):
-            raise click.UsageError("give either --poses N, --at FILE.csv or --path DURATION")
+            raise click.UsageError("give either --poses N, --at FILE.csv or --path DURATION|FILE")
 
     def _check_motion(self) -> None:
         """Refuse what a path that is driven does not have, and what poses that are held do not have."""
         motion, campaign = self.motion, self.campaign
         if motion.path is None:
             if name := motion.first_given():
-                raise click.UsageError(f"--{name.replace('_', '-')} is of an arm that moves; add --path DURATION")
+                raise click.UsageError(f"--{name.replace('_', '-')} is of an arm that moves; add --path DURATION|FILE")
             if self.out.suffix.lower() not in TABLE_ENDINGS:
                 raise OutputError(
                     f"--out {self.out}: a table can't be written as a file without an ending; end the name in "
@@ -301,10 +304,10 @@ class SimulateArguments:
         """Whether an instrument beside the robot logs a path."""
         return not self.motion.imu or self.sensor.sensor is not None
 
-    def session_options(self) -> SessionOptions:
-        """Return what is asked of a path and its logs."""
+    def session_options(self, duration: float) -> SessionOptions:
+        """Return what is asked of the logs of a path of this duration [s]."""
         payload = self.campaign.payload
-        wanted = self.motion.session_options()
+        wanted = self.motion.session_options(duration)
         load = {"payload": payload[0] if payload else 0.0, "payload_com": self.campaign.payload_com}
         return replace(wanted, min_height=self.floor, **load)  # type: ignore[arg-type]
 
@@ -330,3 +333,19 @@ class SimulateArguments:
             example = "0.1px" if unit == "px" else "0.05mm"
             raise click.UsageError(f"--noise: {self.kind} is measured in {unit}; expected such as {example}")
         return value
+
+
+def via_path(robot: Robot, names: Sequence[str], path: Path) -> ViaPath:
+    """Return the path through the poses of a table at its times, its joints in the order of these names.
+
+    Raises:
+        MeasurementError: for a table without times that increase from 0.
+    """
+    from pincal.cli.inputs import load_table
+    from pincal.simulate.moving import ViaPath
+
+    table = load_table(robot, path, joints_only=True)
+    if table.time is None or len(table) < 2 or table.time[0] != 0.0 or np.any(np.diff(table.time) <= 0.0):
+        raise MeasurementError(f"{path.name}: expected a column time that increases from 0, when each pose is reached [s]")
+    q = dict(zip(robot.joint_names, table.q.T, strict=True))
+    return ViaPath(table.time, np.column_stack([q[name] for name in names]))

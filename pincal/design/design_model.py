@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pincal.design.exchange import covariance, total
 from pincal.design.reach import SensorSetup
 from pincal.errors import BadInputError
 from pincal.identify.beliefs import declared_noise, priors_of
@@ -134,6 +135,16 @@ class DesignModel:
         """Names of those of the F parameters that are the model's, which come first."""
         return tuple(np.array(self.model.names)[self.model.own(self.free)])
 
+    @property
+    def has_prior(self) -> np.ndarray:
+        """Which of the F parameters have a prior, shape (F,): the arm's, and not base and tool."""
+        return np.asarray(np.isfinite(self.sizes))
+
+    @property
+    def own_names(self) -> tuple[str, ...]:
+        """Names of those that have one."""
+        return tuple(np.array(self.names)[self.has_prior[: len(self.names)]])
+
     def readings(self, conditions: Conditions) -> np.ndarray:
         """Return the derivative of the readings by the parameters in units of noise and priors, shape (N, m, F)."""
         problem = predicted_station(self.model, self.values, self.rig, conditions)
@@ -147,6 +158,17 @@ class DesignModel:
         """
         problem = predicted_station(self.model, self.values, self.rig, conditions)
         return np.asarray(self._jacobian(problem)[:, : problem.sensor.blocks[0].size] * self.units)
+
+    def placed_errors(self, conditions: Conditions) -> np.ndarray:
+        """Return the same of the H parameters that have a prior, shape (k N, H) [m], once base and tool are placed."""
+        E = self.errors(conditions).reshape(-1, self.n_free)
+        frames, own = E[:, ~self.has_prior], E[:, self.has_prior]
+        return np.asarray(own - frames @ np.linalg.lstsq(frames, own, rcond=None)[0])
+
+    def foreseen(self, measured: Conditions, cared: Conditions) -> float:
+        """Return the root mean square of :meth:`errors` that is to be expected at some poses if others are measured [m]."""
+        C, E = covariance(self.known + total(self.readings(measured))), self.errors(cared)
+        return float(np.sqrt(np.sum(C * total(E)) / len(E)))
 
     def posterior(self, H: np.ndarray) -> Posterior:
         """Return the posterior of information in units of noise and priors, shape (F, F), with the priors left out of it."""

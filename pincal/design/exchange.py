@@ -133,6 +133,11 @@ def information(A: np.ndarray, chosen: Sequence[int] | np.ndarray) -> np.ndarray
     return np.asarray(rows.T @ rows)
 
 
+def total(A: np.ndarray) -> np.ndarray:
+    """Return the sum of A_j^T A_j over all of A, shape (N, m, F); shape (F, F)."""
+    return information(A, np.arange(len(A)))
+
+
 def choose_greedily(
     A: np.ndarray, W: np.ndarray | None, H: np.ndarray, n: int, start: Sequence[int] = ()
 ) -> tuple[list[int], list[float]]:

@@ -14,10 +14,9 @@ from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.covered import Covered
 from pincal.design.design_model import DesignModel, held_columns
 from pincal.design.detection import DetectableChange, DetectionDesign, guarded_changes, lineup_over, watch_of
-from pincal.design.exchange import covariance, order_by_load
+from pincal.design.exchange import covariance, order_by_load, total
 from pincal.design.reach import Draw, Limits, Reach, SensorSetup
 from pincal.design.request import pose_columns
-from pincal.design.study import total
 from pincal.diagnosis.change_search import raises_alarm
 from pincal.diagnosis.lineup import ChangeHypotheses, PossibleChange
 from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, known_degrees

@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 
 from pincal.design.design_model import DesignModel, held_columns, predicted_station
-from pincal.design.exchange import order_by_load
+from pincal.design.exchange import order_by_load, total
 from pincal.design.reach import Draw, Limits, Reach, SensorSetup
 from pincal.design.request import DesignRequest, pose_columns
-from pincal.design.study import CurvePoint, Quality, Study, total
+from pincal.design.study import CurvePoint, Quality, Study
 from pincal.errors import warn
 from pincal.identify.options import Options
 from pincal.identify.quadratic import NULL

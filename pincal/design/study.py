@@ -11,7 +11,17 @@ from typing import Any
 import numpy as np
 
 from pincal.design.design_model import DesignModel, noncentrality, weights
-from pincal.design.exchange import choose_greedily, covariance, exchange, gains, information, lower_bound, spread_of, value
+from pincal.design.exchange import (
+    choose_greedily,
+    covariance,
+    exchange,
+    gains,
+    information,
+    lower_bound,
+    spread_of,
+    total,
+    value,
+)
 from pincal.design.reach import Draw, Reach
 from pincal.design.request import DesignRequest, PoseBuilder
 from pincal.errors import BadInputError, warn
@@ -247,11 +257,6 @@ def _neighbours(q: np.ndarray, place: int, reach: Reach, window: float) -> np.nd
     own = reach.robot.own_joints
     trial = reach.robot.following(trial[own][is_new[own]])
     return np.asarray(trial[reach.allows_apart(trial)])
-
-
-def total(A: np.ndarray) -> np.ndarray:
-    """Return the sum of A_j^T A_j over all of A, shape (N, m, F); shape (F, F)."""
-    return information(A, np.arange(len(A)))
 
 
 def find_rival(text: str, chain: Chain, conditions: Conditions) -> Effect:

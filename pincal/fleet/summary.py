@@ -10,9 +10,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from pincal.design.design_model import DesignModel
-from pincal.design.exchange import covariance as covariance_of
 from pincal.design.reach import SensorSetup
-from pincal.design.study import total
 from pincal.errors import BadInputError
 from pincal.fleet.history import FleetChange, FleetHistory
 from pincal.fleet.robot_type import Learned, Membership, RobotType
@@ -87,15 +85,13 @@ def at_tool(
     alone = Options(effects=with_masses(robot, effects), sigma=noise)
     typed = replace(alone, earlier=of.prior_of(robot, effects))
     designs = [DesignModel.of(robot, cared, options, SensorSetup()) for options in (typed, alone)]
-    names, sizes = designs[1].names, designs[1].units
-    own = [k for k, name in enumerate(names) if name in of.names]
+    model = designs[1]
+    own = [k for k, name in enumerate(model.own_names) if name in of.names]
     if not own:
         raise BadInputError(f"the model of {robot.name} has no parameter of the type; expected one of its machines")
-    places = np.array([of.names.index(names[k]) for k in own])
-    E = designs[1].errors(cared).reshape(3 * _POSES, -1) / sizes
-    F, J = E[:, np.isinf(designs[1].sizes)], E[:, own]
+    places = np.array([of.names.index(model.own_names[k]) for k in own])
     # What a rigid displacement of base and tool takes away is no difference.
-    placed = J - F @ np.linalg.lstsq(F, J, rcond=None)[0]
+    placed = (model.placed_errors(cared) / model.units[model.has_prior])[:, own]
     mean, _, whole = of.determined
     covariance = whole[np.ix_(places, places)]
     moved = placed @ of.readable[places] @ root_of(of.covariance)
@@ -110,7 +106,7 @@ def at_tool(
     needed = {}
     for poses in _NUMBERS:
         sets = [Conditions.at(robot.random_configurations(poses, rng)) for _ in range(_SETS)]
-        with_type, without = np.median([[_foreseen(design, one, cared) for design in designs] for one in sets], axis=0)
+        with_type, without = np.median([[design.foreseen(one, cared) for design in designs] for one in sets], axis=0)
         needed[poses] = float(with_type), float(without)
     # A data sheet has lengths and angles, and no compliances.
     is_sheet = np.array([of.parameters[k].unit in ("m", "rad") for k in places])
@@ -121,13 +117,6 @@ def at_tool(
 def _rms(squares: np.ndarray) -> float:
     """Return the root mean square length of displacements whose 3 N components have these mean squares, shape (3 N,)."""
     return float(np.sqrt(3.0 * np.mean(squares)))
-
-
-def _foreseen(design: DesignModel, measured: Conditions, cared: Conditions) -> float:
-    """Return the error that is to be expected at poses if others are measured."""
-    C = covariance_of(design.known + total(design.readings(measured)))
-    E = design.errors(cared)
-    return float(np.sqrt(np.sum(C * total(E)) / len(E)))
 
 
 def parameter_summary(of: RobotType, found: AtTool | None = None, *, most: int | None = None) -> Table:

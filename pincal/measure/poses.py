@@ -85,7 +85,7 @@ def by_pose(table: Measurements) -> Measurements:
 
 
 def replicate_groups(tables: Sequence[Measurements], *, within: float = SAME) -> list[np.ndarray]:
-    """Return the number of the pose of each row of some tables.
+    """Return the number of the pose of each row of some tables; each row of an arm in motion is a pose of its own.
 
     Args:
         tables: tables of the same joints.
@@ -109,6 +109,10 @@ def replicate_groups(tables: Sequence[Measurements], *, within: float = SAME) ->
     if any(table.approach is not None for table in tables):
         sides = [np.zeros(t.q.shape, int) if t.approach is None else t.approach for t in tables]
         keys.append(np.unique(np.vstack(sides), axis=0, return_inverse=True)[1].ravel())
+    if any(table.moving is not None for table in tables):
+        # Where it stops for a moment it vibrates less than elsewhere, and what is filtered there overlaps.
+        moves = np.concatenate([np.full(len(table), table.moving is not None) for table in tables])
+        keys.append(moves * np.arange(len(moves)))
     poses = _numbered(np.column_stack(keys))
     climate = _same_climate(_stacked(tables, "temperature"), poses)
     poses = _numbered(np.column_stack([poses, climate]))

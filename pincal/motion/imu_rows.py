@@ -10,7 +10,7 @@ import numpy as np
 from pincal.measure.sensors.imu import Window
 
 # Rows are so many widths of the window apart: what is between two of them is in both.
-_APART = 2.5
+APART = 2.5
 # How far a window reaches, and the gap that it may have, in widths.
 _REACH, _GAP = 4.0, 1.25
 # Time over which the size of vibrations is averaged [s].
@@ -48,7 +48,7 @@ class ImuRows:
             window: the filter.
             delay: by which the rate's stamps are too early [s].
         """
-        middles = np.arange(time[0] + _REACH * window.width, time[-1] - _REACH * window.width, _APART * window.width)
+        middles = np.arange(time[0] + _REACH * window.width, time[-1] - _REACH * window.width, APART * window.width)
         (of_force, found), (of_rate, _) = (_filters(time + s, middles, window) for s in (0.0, delay))
         rows = np.concatenate([of_force @ force, of_rate @ rate], axis=1)
         noise = [_noise(F, time, middles, values, window.width) for F, values in ((of_force, force), (of_rate, rate))]
@@ -110,7 +110,7 @@ def _noise(F: Any, time: np.ndarray, middles: np.ndarray, values: np.ndarray, wi
     share = powers.sum(axis=1)
     # What the parabola takes of white noise: the mean of 1 + t^2 + (t^2 - 1)^2 / 2 over the square of the window.
     variance /= np.maximum(1.0 - 1.875 * share, 0.1)
-    size = max(round(_LOCAL / (_APART * width)), 1)
+    size = max(round(_LOCAL / (APART * width)), 1)
     kernel = np.ones(size)
     local = np.convolve(variance, kernel, "same") / np.convolve(np.ones(len(variance)), kernel, "same")
     return np.asarray(np.sqrt(local * share))

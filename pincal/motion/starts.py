@@ -26,8 +26,9 @@ _GRID, _WIDTH = 0.02, 0.03
 _SCALE, _DRIFT = 0.2, 2e-4
 _DEGREE = np.pi / 180.0
 # Angle between the frames of accelerometer and gyroscope from which columns are mixed up [rad]; of a mount that slipped, and
-# how many times its own scatter that has to be; rows over which a mount is found.
-_TURNED, _SLIPPED, _CLEARLY, _BLOCK = 0.2, 0.01, 6.0, 40
+# how many times its own scatter that has to be; rows over which a mount is found, and the number of such blocks on a side of
+# which the scatter is half unsure: errors of the nominal arm turn the mount, too, in each move by another angle.
+_TURNED, _SLIPPED, _CLEARLY, _BLOCK, _FEW = 0.2, 0.01, 6.0, 40, 3
 # What positions may be off after the best placement, of how far they move, before they are of another arm.
 _OFF = 0.1
 
@@ -181,7 +182,8 @@ def _check_slip(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount:
     left = [np.linalg.norm(turns - np.repeat(pair, [k, count - k], axis=0), axis=1) for k, pair in enumerate(middles, 1)]
     at = int(np.argmin([own.sum() for own in left])) + 1
     best, scatter = float(np.linalg.norm(np.diff(middles[at - 1], axis=0))), 1.4826 * float(np.median(left[at - 1]))
-    if best > max(_SLIPPED, _CLEARLY * scatter / np.sqrt(min(at, count - at))):
+    shorter = min(at, count - at)
+    if best > max(_SLIPPED, _CLEARLY * scatter / np.sqrt(shorter) * (1.0 + _FEW / shorter)):
         when = rows.time[blocks[at].start]
         raise MeasurementError(
             f"{imu.name}: the IMU turned on its mount by {1e3 * best:.0f} mrad at about {when:.5g} s of its clock; "

@@ -16,7 +16,7 @@ from pincal.measure.measurements import Measurements, measurements
 from pincal.measure.sensors.imu import FORCE, RATE, Window
 from pincal.measure.sensors.pose import POSITION
 from pincal.motion.clocks import Clock
-from pincal.motion.imu_rows import ImuRows
+from pincal.motion.imu_rows import APART, ImuRows
 from pincal.motion.joint_path import JointPath
 from pincal.motion.moving_arm import MovingArm
 from pincal.motion.sessions import Session, Stream
@@ -76,6 +76,17 @@ def _imu_table(arm: MovingArm, imu: Stream, others: Sequence[tuple[str, MovingAr
     readings = {FORCE.name: rows.readings[:3].T, RATE.name: rows.readings[3:].T, "sigma": sigma}
     lines = np.searchsorted(imu.time, rows.time) + 2
     return _table(arm, imu, clock, rows.time, at, lines, readings, offsets=rows.window.offsets, delay=delay)
+
+
+def ideal_imu_table(arm: MovingArm) -> Measurements:
+    """Return what an ideal IMU at the nominal tip reads of a whole motion, as rows of :func:`session_tables`."""
+    window, (begin, end) = Window(WIDTH), arm.path.span
+    at = begin + np.arange(0.0, end - begin, APART * WIDTH)
+    at = at[arm.path.covers(at, 4.0 * WIDTH)]
+    ideal = arm.ideal(at, window)
+    readings = {FORCE.name: ideal.force, RATE.name: ideal.rate}
+    stream = Stream("imu", at, readings, {})
+    return _table(arm, stream, Clock(), at, at, np.arange(2, len(at) + 2), readings, offsets=window.offsets)
 
 
 def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from pincal.calibration.result_tables import ParameterRow, parameter_table
+from pincal.design.motion_design import MotionDesign
 from pincal.design.pose_design import Design
 from pincal.discover.precheck import DataReport, Detectable, JointRange
 from pincal.io.discovery_file import Disagreement, FoundEffect, Stage
@@ -194,6 +195,14 @@ def smallest_size(entries: Sequence[Detectable]) -> Quantity | str | None:
 
 def _show_size(size: Quantity | str | None) -> str:
     return format_digits(size.value * small_unit(size.unit).factor) if isinstance(size, Quantity) else show_plainly(size)
+
+
+def motion_table(found: MotionDesign) -> Table:
+    """Return the predicted errors of numbers of poses before an instrument, alone and beside a motion before an IMU."""
+    columns = [Column("poses", kind=Kind.NUMBER)]
+    columns += [Column(name, "mm rms", Kind.NUMBER, fixed(4)) for name in ("alone", "with the motion")]
+    rows = tuple((poses, 1e3 * alone, 1e3 * both) for poses, (alone, both) in found.needed.items())
+    return Table("How many poses before an instrument, in addition? Predicted error", tuple(columns), rows)
 
 
 def pose_count_table(found: Design) -> Table:

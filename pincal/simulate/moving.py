@@ -48,10 +48,44 @@ class FourierPath:
             found[start : start + _PIECE] = waves.sum(axis=2)
         return found + self.centre if order == 0 else found
 
+    def truth(self) -> dict[str, Any]:
+        """Return all of it, as for JSON."""
+        return {name: value.tolist() for name, value in vars(self).items()}
+
     def scaled(self, factor: np.ndarray | float) -> FourierPath:
         """Return the path with waves by some factor, shape (n,) or a number, about the same centre."""
         grown = np.broadcast_to(factor, self.centre.shape)[:, None]
         return FourierPath(self.centre, self.rates, self.sines * grown, self.cosines * grown)
+
+
+@dataclass(frozen=True)
+class ViaPath:
+    """Joint positions that go from pose to pose and stop at each, by polynomials of degree 5 (of least jerk).
+
+    Attributes:
+        time: When each pose is reached, shape (V,), increasing from 0 [s].
+        q: The poses [rad or m], shape (V, n).
+    """
+
+    time: np.ndarray
+    q: np.ndarray
+
+    def at(self, time: np.ndarray, order: int = 0) -> np.ndarray:
+        """Return positions, or derivatives of them, at some times [s], shape (N, n); at rest before and after."""
+        move = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 2)
+        seconds = np.diff(self.time)[move]
+        part = np.clip((np.asarray(time, float) - self.time[move]) / seconds, 0.0, 1.0)
+        share = np.polynomial.Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0]).deriv(order)(part) / seconds**order
+        moved = share[:, None] * np.diff(self.q, axis=0)[move]
+        return np.asarray(self.q[move] + moved if order == 0 else moved)
+
+    def truth(self) -> dict[str, Any]:
+        """Return all of it, as for JSON."""
+        return {name: value.tolist() for name, value in vars(self).items()}
+
+
+Motion = FourierPath | ViaPath
+"""What the joints of an arm do."""
 
 
 def draw_path(
@@ -131,14 +165,14 @@ class TipMotion(NamedTuple):
     acceleration: np.ndarray
 
 
-def conditions_along(path: FourierPath, time: np.ndarray, **others: Any) -> dict[str, Any]:
+def conditions_along(path: Motion, time: np.ndarray, **others: Any) -> dict[str, Any]:
     """Return the conditions of the poses of a path at some times [s], shape (N,): time, motion, direction of approach."""
     velocity = path.at(time, 1)
     moved = {"velocity": velocity, "acceleration": path.at(time, 2), "approach": np.tanh(velocity / _SLOW)}
     return {"time": np.asarray(time, float)} | moved | others
 
 
-def tip_motion(machine: TrueMachine, path: FourierPath, time: np.ndarray, **others: Any) -> TipMotion:
+def tip_motion(machine: TrueMachine, path: Motion, time: np.ndarray, **others: Any) -> TipMotion:
     """Return how the tip of a machine moves along a path.
 
     Rigid motion has its exact derivatives; those of deformations, a thousandth of it, are differences.
@@ -153,7 +187,7 @@ def tip_motion(machine: TrueMachine, path: FourierPath, time: np.ndarray, **othe
     return TipMotion(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def _tip_motion(machine: TrueMachine, path: FourierPath, time: np.ndarray, others: dict[str, Any]) -> TipMotion:
+def _tip_motion(machine: TrueMachine, path: Motion, time: np.ndarray, others: dict[str, Any]) -> TipMotion:
     import pinocchio as pin
 
     model = build_chain(machine.arm)
@@ -179,6 +213,6 @@ def _tip_motion(machine: TrueMachine, path: FourierPath, time: np.ndarray, other
     return TipMotion(T, motions[:, 0], motions[:, 1], motions[:, 2])
 
 
-def _deformed(machine: TrueMachine, path: FourierPath, time: np.ndarray, others: dict[str, Any]) -> Deformation:
+def _deformed(machine: TrueMachine, path: Motion, time: np.ndarray, others: dict[str, Any]) -> Deformation:
     poses = machine.poses(path.at(time), **conditions_along(path, time, **others))
     return machine.equilibrium(poses).deformation

@@ -11,7 +11,7 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm, transform
 from pincal.simulate.machine import TrueMachine
-from pincal.simulate.moving import FourierPath, conditions_along, draw_path, tip_motion
+from pincal.simulate.moving import Motion, ViaPath, conditions_along, draw_path, tip_motion
 from pincal.simulate.setup import SensorSetup, Table
 
 # What clocks are off by: offset [s] and drift [1] at most, as they are drawn.
@@ -96,7 +96,7 @@ class ImuSetup:
     def read(
         self,
         machine: TrueMachine,
-        path: FourierPath,
+        path: Motion,
         time: np.ndarray,
         *,
         rate: float,
@@ -116,7 +116,7 @@ class ImuSetup:
         turning = (later.rate @ R + shaken[1]) @ self.gyro_matrix.T + self.gyro_bias + self.gyro_density * white[1]
         return dict(zip(("ax", "ay", "az", "wx", "wy", "wz"), np.hstack((force, turning)).T, strict=True))
 
-    def _shaken(self, path: FourierPath, time: np.ndarray, rate: float, rng: np.random.Generator) -> np.ndarray:
+    def _shaken(self, path: Motion, time: np.ndarray, rate: float, rng: np.random.Generator) -> np.ndarray:
         """Return vibrations: accelerations [m/s^2] and rates [rad/s], shape (2, N, 3), more where the arm is faster."""
         from scipy.signal import lfilter
 
@@ -170,9 +170,14 @@ class SessionOptions:
 
 
 def draw_session(
-    arm: Arm, options: SessionOptions, *, tracker: SensorSetup | None, path: np.random.Generator, setup: np.random.Generator
+    arm: Arm,
+    options: SessionOptions,
+    *,
+    tracker: SensorSetup | None,
+    path: np.random.Generator | ViaPath,
+    setup: np.random.Generator,
 ) -> MovingSession:
-    """Draw a path of a nominal arm, and IMU and clocks that log it; ``path`` and ``setup`` are sources of randomness.
+    """Draw a path of a nominal arm, unless it is given, and IMU and clocks that log it, from sources of randomness.
 
     Raises:
         BadInputError: If the arm has no path that is clear of the floor.
@@ -182,7 +187,7 @@ def draw_session(
     clocks = [Clock.draw(setup, middle=0.5 * options.duration, drift=options.drift) for _ in range(2)]
     payload = {"payload": options.payload, "payload_com": options.payload_com} if options.payload else {}
     return MovingSession(
-        path=draw_path(arm, options.duration, path, min_height=options.min_height),
+        path=path if isinstance(path, ViaPath) else draw_path(arm, options.duration, path, min_height=options.min_height),
         duration=options.duration,
         tracker=tracker,
         imu=imu if options.imu else None,
@@ -210,7 +215,7 @@ class MovingSession:
         conditions: Further conditions, such as the payload.
     """
 
-    path: FourierPath
+    path: Motion
     duration: float
     tracker: SensorSetup | None = None
     imu: ImuSetup | None = None
@@ -265,9 +270,8 @@ class MovingSession:
 
     def truth(self, arm: Arm) -> dict[str, Any]:
         """Return path, clocks, IMU and instrument, as for JSON."""
-        waves = {name: getattr(self.path, name).tolist() for name in ("centre", "rates", "sines", "cosines")}
         found: dict[str, Any] = {
-            "path": {"joints": list(arm.names), "duration_s": self.duration} | waves,
+            "path": {"joints": list(arm.names), "duration_s": self.duration} | self.path.truth(),
             "rates_hz": dict(self.rates),
             "clocks": {name: asdict(self.clocks[name]) for name in ("imu", "tracker") if getattr(self, name) is not None},
             "resolution": self.resolution,
