@@ -20,7 +20,7 @@ from pincal.motion.moving_arm import MovingArm
 from pincal.motion.sessions import Session, Stream, joints_of_session, read_session, read_streams
 from pincal.motion.starts import aligned_forces, start_imu, start_positions
 from pincal.robot.robot import Robot
-from pincal.simulate.moving import draw_path
+from pincal.simulate.moving import FourierPath, ViaPath, draw_path
 from pincal.simulate.session import Clock, ImuSetup, MovingSession
 
 ROBOT = Robot.from_urdf(kuka_urdf_path())
@@ -30,13 +30,19 @@ CLOCKS = {"imu": Clock(0.4, 2e-5, 17.5), "tracker": Clock(-0.9, 5e-5, 17.5)}
 Table = dict[str, np.ndarray]
 
 
-def driven(seed: int) -> tuple[dict[str, Table], ImuSetup]:
-    """Return what is logged of a path, each of its own."""
+def driven(seed: int, *, rests: bool = False) -> tuple[dict[str, Table], ImuSetup]:
+    """Return what is logged of a path, each of its own, with long rests at its beginning and amid it or without."""
     rng = np.random.default_rng(seed)
     machine = sim.TrueMachine.from_urdf(ROBOT.urdf.decode(), tip=ROBOT.tip, base=ROBOT.base)
     imu = ImuSetup.draw(rng, acc_density=0.01, gyro_density=1.7e-4, vibration=0.05)
+    path: FourierPath | ViaPath = draw_path(machine.nominal, SECONDS, rng)
+    if rests:
+        begins = np.array([0.0, *np.linspace(5.0, SECONDS, 13)])
+        q = path.at(begins)
+        q[1], q[4] = q[0], q[3]
+        path = ViaPath(begins, q)
     session = MovingSession(
-        path=draw_path(machine.nominal, SECONDS, rng),
+        path=path,
         duration=SECONDS,
         imu=imu,
         tracker=sim.Instrument(pose=np.eye(4), targets=(0.05, 0.1, 0.2), sigma=3e-5),
@@ -232,6 +238,21 @@ def read(folder: Path, tables: dict[str, Table]) -> Session:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PincalWarning)
         return read_session(ROBOT, folder)
+
+
+def test_an_arm_that_rests_tells_nothing_of_the_mount(tmp_path: Path) -> None:
+    """Rates of an arm at rest are noise, by which a mount seems to be anyhow; the motion's are those of one mount."""
+    tables, imu = driven(1, rests=True)
+    session = read(tmp_path / "day", tables)
+    assert session.imu is not None
+    start = start_imu(arm_of(session), session.imu)
+
+    assert Rotation.from_matrix(start.mount.T @ imu.mount[:3, :3]).magnitude() < 0.01
+    slip(tables)
+    session = read(tmp_path / "day", tables)
+    assert session.imu is not None
+    with pytest.raises(MeasurementError, match=r"turned on its mount by [34]\d mrad"):
+        start_imu(arm_of(session), session.imu)
 
 
 @pytest.mark.parametrize("fault", AT_THE_DOOR)

@@ -27,8 +27,9 @@ _SCALE, _DRIFT = 0.2, 2e-4
 _DEGREE = np.pi / 180.0
 # Angle between the frames of accelerometer and gyroscope from which columns are mixed up [rad]; of a mount that slipped, and
 # how many times its own scatter that has to be; rows over which a mount is found, and the number of such blocks on a side of
-# which the scatter is half unsure: errors of the nominal arm turn the mount, too, in each move by another angle.
-_TURNED, _SLIPPED, _CLEARLY, _BLOCK, _FEW = 0.2, 0.01, 6.0, 40, 3
+# which the scatter is half unsure: errors of the nominal arm turn the mount, too, in each move by another angle. Part of the
+# usual speed from which on a row tells, and of the most that a block turns across its main axis from which on it does.
+_TURNED, _SLIPPED, _CLEARLY, _BLOCK, _FEW, _TELLS = 0.2, 0.01, 6.0, 40, 3, 0.1
 # What positions may be off after the best placement, of how far they move, before they are of another arm.
 _OFF = 0.1
 
@@ -171,12 +172,17 @@ def _check_forces(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, moun
 
 def _check_slip(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount: np.ndarray) -> None:
     """Refuse an IMU whose mount turned while it was logged."""
-    count = len(rows) // _BLOCK
-    if count < 4:
-        return
     ideal = arm.ideal(clock.to_joints(rows.time), rows.window).rate @ mount
     bias = np.median(rows.readings[3:].T - ideal, axis=0)
-    blocks = [slice(k * _BLOCK, (k + 1) * _BLOCK) for k in range(count)]
+    # An arm that rests, or turns about one axis only, does not tell how the IMU is mounted.
+    speed = np.linalg.norm(ideal, axis=1)
+    turning = np.flatnonzero(speed > _TELLS * float(np.sqrt(np.mean(speed**2))))
+    blocks = [turning[k : k + _BLOCK] for k in range(0, len(turning) - _BLOCK + 1, _BLOCK)]
+    across = [np.linalg.eigvalsh(ideal[b].T @ ideal[b])[:2].sum() for b in blocks]
+    blocks = [b for b, size in zip(blocks, across, strict=True) if size > _TELLS * max(across)]
+    count = len(blocks)
+    if count < 4:
+        return
     turns = rotation_vectors(np.array([nearest_rotation((rows.readings[3:, b].T - bias).T @ ideal[b]) for b in blocks]))
     middles = [[np.median(part, axis=0) for part in (turns[:k], turns[k:])] for k in range(1, count)]
     left = [np.linalg.norm(turns - np.repeat(pair, [k, count - k], axis=0), axis=1) for k, pair in enumerate(middles, 1)]
@@ -184,7 +190,7 @@ def _check_slip(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount:
     best, scatter = float(np.linalg.norm(np.diff(middles[at - 1], axis=0))), 1.4826 * float(np.median(left[at - 1]))
     shorter = min(at, count - at)
     if best > max(_SLIPPED, _CLEARLY * scatter / np.sqrt(shorter) * (1.0 + _FEW / shorter)):
-        when = rows.time[blocks[at].start]
+        when = rows.time[blocks[at][0]]
         raise MeasurementError(
             f"{imu.name}: the IMU turned on its mount by {1e3 * best:.0f} mrad at about {when:.5g} s of its clock; "
             "fasten it and drive again, or give the parts before and after as two sessions"
