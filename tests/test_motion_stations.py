@@ -205,3 +205,23 @@ def test_an_instrument_without_places_in_motion_is_refused(day: Path, tmp_path: 
     session = pincal.read_streams(ROBOT, joints=day / "joints.csv", tracker=tmp_path / "tracker.csv")
     with pytest.raises(MeasurementError, match="expected x y z"):
         pincal.session_tables(ROBOT, [session])
+
+
+@pytest.mark.long
+def test_a_load_that_is_carried_bends_the_arm_in_motion(tmp_path: Path) -> None:
+    """A hundred kilograms in the log of the joints leave the noise; a fit that does not know of them leaves more."""
+    loaded = ["--path", "60s", "--sensor", "position", "--noise", "0.05mm", "--payload", "100", "--seed", "5"]
+    assert run("simulate", URDF, *loaded, "--out", tmp_path / "day", "--quiet") == 0
+    session = pincal.read_session(ROBOT, tmp_path / "day")
+    assert session.payload == 100.0
+    q = session.joints.readings["q"]
+    unknown = replace(session, joints=replace(session.joints, readings={"q": q}))
+    tables = (pincal.session_tables(ROBOT, [each]) for each in (session, unknown))
+    told, untold = (pincal.calibrate(ROBOT, each, pincal.Options(moment_frame="auto")).solution.sigma[0] for each in tables)
+
+    assert told == pytest.approx(5e-5, rel=0.02)
+    assert untold > 1.1 * told
+    log = (tmp_path / "day" / "joints.csv").read_text().replace(",100.0\n", ",80.0\n", 5)
+    (tmp_path / "day" / "joints.csv").write_text(log)
+    with pytest.raises(MeasurementError, match=r"joints\.csv: payload from 80 to 100 kg; expected one load"):
+        pincal.read_session(ROBOT, tmp_path / "day")

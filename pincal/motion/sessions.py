@@ -80,7 +80,7 @@ class Session:
 
     Attributes:
         name: of the session.
-        joints: positions of the robot's joints, as the URDF has them.
+        joints: positions of the robot's joints, as the URDF has them; "payload" beside "q" where a load was carried [kg].
         imu: an IMU on the tool; None without one.
         tracker: an instrument that reads the tool; None without one.
     """
@@ -89,6 +89,11 @@ class Session:
     joints: Stream
     imu: Stream | None = None
     tracker: Stream | None = None
+
+    @property
+    def payload(self) -> float:
+        """Mass that was carried at the tip [kg]."""
+        return float(self.joints.readings["payload"][0]) if "payload" in self.joints.readings else 0.0
 
 
 def joints_of_session(path: str | os.PathLike[str]) -> Path | None:
@@ -174,7 +179,7 @@ def read_streams(
         found[what] = _checked(what, path.name, cells)
     q = found["joints"].readings["q"]
     if robot.couplings:
-        found["joints"] = replace(found["joints"], readings={"q": robot.from_reported(q)})
+        found["joints"] = replace(found["joints"], readings={**found["joints"].readings, "q": robot.from_reported(q)})
     return Session(name, **found)
 
 
@@ -191,7 +196,7 @@ def _schema(robot: Robot, what: str, said: TableOptions) -> Schema:
     """Return what the table of a stream may hold; further columns are left out."""
     options, time = replace(said, ignore=(*said.ignore, "*")), CONDITIONS["time"]
     if what == "joints":
-        return Schema((time,), options=options).of_robot(robot)
+        return Schema((time, CONDITIONS["payload"]), options=options).of_robot(robot)
     if what == "imu":
         return Schema((FORCE, RATE, time), options=options)
     return Schema(tuple(known_fields().values()), options=options)
@@ -208,7 +213,13 @@ def _checked(what: str, source: str, cells: Cells) -> Stream:
             if field.name not in arrays:
                 raise MeasurementError(f"{source}: no columns {field}; expected {FORCE} [m/s^2] and {RATE} [rad/s]")
     elif what == "joints":
-        arrays = {"q": arrays["q"]}
+        arrays = {name: arrays[name] for name in ("q", "payload") if name in arrays}
+        load = arrays.get("payload", np.zeros(1))
+        if np.ptp(load) > 0.0:
+            raise MeasurementError(
+                f"{source}: payload from {load.min():g} to {load.max():g} kg; expected one load carried along a path: give "
+                "the parts as sessions of their own"
+            )
     else:
         check_fields(arrays, source=source)
         sensor = sensor_class(arrays)

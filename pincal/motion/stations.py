@@ -40,7 +40,7 @@ def session_tables(robot: Robot, sessions: Sequence[Session]) -> dict[str, Measu
     Raises:
         MeasurementError: for a stream that is not of its motion, or can't be right; see :mod:`pincal.motion.starts`.
     """
-    arms = {session.name: MovingArm.of(robot, _path(session)) for session in sessions}
+    arms = {session.name: MovingArm.of(robot, _path(session), payload=session.payload) for session in sessions}
     found = dict[str, Measurements]()
     for session in sessions:
         arm, others = arms[session.name], [(name, arm) for name, arm in arms.items() if name != session.name]
@@ -131,6 +131,7 @@ def _table(
         units=stream.units,
         velocity=here.velocity,
         time=time,
+        **({"payload": np.full(n, arm.payload)} if arm.payload else {}),
         **readings,
     )
     clocked = Moving(clock=(clock.offset, clock.drift, clock.middle), delay=delay, inertial=here.inertial, **around)

@@ -239,6 +239,8 @@ class MovingSession:
         q = self.path.at(time)
         q = self.resolution * np.round(q / self.resolution) if self.resolution else q
         tables = {"joints": {"time": time} | dict(zip(machine.names, q.T, strict=True))}
+        if "payload" in self.conditions:
+            tables["joints"]["payload"] = np.full(len(time), float(self.conditions["payload"]))
         if self.imu is not None:
             stamps = self._stamps("imu")
             at, rate = self._clock("imu").to_joints(stamps), self.rates["imu"]
