@@ -225,3 +225,21 @@ def test_a_load_that_is_carried_bends_the_arm_in_motion(tmp_path: Path) -> None:
     (tmp_path / "day" / "joints.csv").write_text(log)
     with pytest.raises(MeasurementError, match=r"joints\.csv: payload from 80 to 100 kg; expected one load"):
         pincal.read_session(ROBOT, tmp_path / "day")
+
+
+@pytest.mark.long
+def test_a_later_session_shows_whether_the_robot_has_changed(
+    day: Path, fit: pincal.Fit, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A tracker that runs along tells what held poses would: nothing, or the joint that lags; an IMU alone is refused."""
+    model, again = tmp_path / "model.json", ["--log-rates", "80,80,50", "--pose-seed", "9", "--setup-seed", "9"]
+    fit.save(model)
+    simulated(tmp_path / "sound", *again)
+    simulated(tmp_path / "slow", *again, "--effect", "joint_lag:joint_3:size=2e-3")
+
+    assert run("diagnose", model, tmp_path / "sound", "--out", tmp_path / "a", "--quiet") == Exit.DONE
+    assert run("diagnose", model, tmp_path / "slow", "--out", tmp_path / "b", "--quiet") == Exit.CHANGED
+    assert "joint_lag of joint_3" in capsys.readouterr().out
+    (tmp_path / "slow" / "tracker.csv").unlink()
+    assert run("diagnose", model, tmp_path / "slow", "--out", tmp_path / "c", "--quiet") == Exit.BAD_INPUT
+    assert "do not tell where the tool is" in capsys.readouterr().err

@@ -26,7 +26,9 @@ from pincal.io.result_folder import output_folder
 if TYPE_CHECKING:
     from pincal.calibration.validation import Validation
     from pincal.diagnosis.robot_diagnosis import Diagnosis
+    from pincal.measure.measurements import Measurements
     from pincal.notes import Note
+    from pincal.robot.robot import Robot
 
 _VALIDATE_EXAMPLES = """
 Examples:
@@ -179,10 +181,31 @@ class _NewRows:
     """What both take."""
 
     model: Path = model_argument()
-    data: Path = argument("NEW.csv", "New measurements; instrument and target may have moved.")
+    data: Path = argument(
+        "NEW.csv", "New measurements, or the folder of a session before a tracker; instrument and target may have moved."
+    )
     out: Path = option("Folder for the results.", MISSING, metavar="DIR", type=Output())
     table: TableArguments = group("Tables")
     general: GeneralOptions = group("General")
+
+    def read(self, robot: Robot) -> Measurements:
+        """Return the new measurements: of a session what tells where the tool is, if anything does."""
+        from pincal.cli.inputs import load_table, load_tables
+        from pincal.motion.sessions import joints_of_session
+
+        if joints_of_session(self.data) is None:
+            return load_table(robot, self.data, options=self.table.options)
+        tables = load_tables(robot, [self.data], options=self.table.options)
+        return next(
+            (table for table in tables.values() if table.sensor and table.sensor.reads_place), next(iter(tables.values()))
+        )
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What the result rests on."""
+        from pincal.cli.motion_options import input_files
+
+        return (self.model, *input_files([self.data]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,7 +227,6 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
     Ten to sixty poses are enough: the calibration, with its uncertainty, serves as prior knowledge.
     """
     from pincal.calibration.calibrated_robot import load_stations
-    from pincal.cli.inputs import load_table
     from pincal.cli.progress import console
     from pincal.cli.screen import print_doubts
     from pincal.diagnosis.robot_diagnosis import diagnose
@@ -212,10 +234,10 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
     from pincal.report.diagnosis import curve_table, lines
 
     calibrated = load_stations(arguments.model)
-    table = load_table(calibrated.robot_model().model.chain.robot, arguments.data, options=arguments.table.options)
+    table = arguments.read(calibrated.robot_model().model.chain.robot)
     with output_folder(arguments.out) as draft:
         found = diagnose(calibrated, table, alpha=arguments.alpha, sigma=arguments.noise)
-        write_diagnosis(draft, found, provenance([arguments.model, arguments.data]))
+        write_diagnosis(draft, found, provenance(arguments.files))
     if arguments.general.as_json:
         print_json(found.report)
     else:
@@ -265,15 +287,14 @@ def update_verb(arguments: UpdateArguments) -> Exit:
     changed are refused (exit code 6): see diagnose. With --anew, the named effect is re-estimated, all else is kept.
     """
     from pincal.calibration.calibrated_robot import load_stations
-    from pincal.cli.inputs import load_table
     from pincal.diagnosis.model_update import update
     from pincal.validate.accuracy import error_summary
 
     calibrated = load_stations(arguments.model).robot_model()
-    table = load_table(calibrated.model.chain.robot, arguments.data, options=arguments.table.options)
+    table = arguments.read(calibrated.model.chain.robot)
     with output_folder(arguments.out) as draft:
         found = update(calibrated, table, sigma=arguments.noise, anew=arguments.anew)
-        replace(found, provenance=provenance([arguments.model, arguments.data])).save(draft / "model.json")
+        replace(found, provenance=provenance(arguments.files)).save(draft / "model.json")
     error = error_summary(found.readings(table), found.values)
     if arguments.general.as_json:
         print_json({"rows": len(table), "error": error, "out": str(arguments.out)})

@@ -210,8 +210,13 @@ def relocated(model: CalibratedModel, measurements: Measurements, *, sigma: floa
 
     Raises:
         BadInputError: if the noise is not a length, or the rows are too few to tell where instrument and target stand, or
-            those that the model was fitted to: it obeys them, whatever happened since.
+            of an IMU, which tells no place, or those that the model was fitted to: it obeys them, whatever happened since.
     """
+    if measurements.sensor is not None and not measurements.sensor.reads_place:
+        raise MeasurementError(
+            f"{measurements.source}: readings of an {measurements.sensor.kind} alone do not tell where the tool is; "
+            "expected rows of an instrument that reads places, such as a session with tracker.csv"
+        )
     check_table(model.model.chain.robot, measurements, minimum=1)
     if sigma is not None:
         if not 0.0 < sigma < np.inf:
