@@ -170,8 +170,17 @@ class Robot:
         start, tip = start or self.path.start, tip or self.path.tip
         if (start, tip) == (self.path.start, self.path.tip):
             return self.path
-        tree = parse_urdf(self.urdf, source=self.source)
-        return path_between(tree, self.joint_names, self.base, start, tip, at_rest=at_rest).on_links(self.T_link_joint)
+        key = start, tip, at_rest
+        if key not in self._ways:
+            tree = parse_urdf(self.urdf, source=self.source)
+            way = path_between(tree, self.joint_names, self.base, start, tip, at_rest=at_rest)
+            self._ways[key] = way.on_links(self.T_link_joint)
+        return self._ways[key]
+
+    @cached_property
+    def _ways(self) -> dict[tuple[str, str, bool], LinkPath]:
+        """Ways between its links that were asked for: the URDF is read for each."""
+        return {}
 
     @property
     def n_joints(self) -> int:
