@@ -18,12 +18,14 @@ from pincal.cli.quantities import (
     LENGTH_UNITS,
     NoiseType,
     QuantityType,
+    beside,
     columns,
     resting,
     station_links,
     xacro_argument,
 )
 from pincal.measure.fields import TABLE_ENDINGS, TableOptions
+from pincal.robot.cell import Beside
 from pincal.units import GRAVITIES, is_gravity
 
 Triple = tuple[float, float, float]
@@ -67,6 +69,15 @@ coupling_option = partial(
     name="--coupling",
 )
 sign_option = partial(option, "Joint whose sign is opposite to that of the URDF.", (), metavar="JOINT", name="--sign")
+beside_option = partial(
+    option,
+    "Further robot of the cell, and where its root link stands in the frame of the first robot's [m, rad]. Its links and "
+    "joints are called NAME_... where two robots have the same names.",
+    (),
+    metavar="[NAME=]URDF[@X,Y,Z,ROLL,PITCH,YAW]",
+    name="--beside",
+    type=beside,
+)
 model_argument = partial(argument, "MODEL.json", "Calibrated model, as written by calibrate or discover.")
 type_option = partial(
     option, "What is known of robots of this type, as fleet learn finds it: few poses are enough then.", metavar="TYPE.json"
@@ -189,6 +200,7 @@ class InputOptions:
     tip: str | None = tip_option(words="from the joint columns")
     base: str | None = base_option(words="root of the URDF, or where the joints of the table begin")
     links: LinkOptions = group("Links")
+    beside: tuple[Beside, ...] = beside_option(words="its place as the readings tell")
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     mass: float | None = mass_option()
     couplings: tuple[str, ...] = coupling_option()

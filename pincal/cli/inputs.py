@@ -12,6 +12,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.calibrated_robot import load_stations
+from pincal.calibration.located import located
 from pincal.calibration.placing import place_station, without_absent
 from pincal.calibration.validation import doubt_of
 from pincal.cli.common import (
@@ -32,7 +33,7 @@ from pincal.measure.admit import check_table, usable_rows
 from pincal.measure.fields import TableOptions
 from pincal.measure.instruments import InstrumentNoise
 from pincal.measure.measurements import Measurements
-from pincal.measure.reader import links_of_rows
+from pincal.measure.reader import links_of_rows, of_path
 from pincal.measure.setup import KnownDistance, Setup, read_distances, read_points
 from pincal.measure.table import joint_columns, read_measurements, stations_of
 from pincal.model.catalogue.candidates import find_effect
@@ -42,10 +43,10 @@ from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.model.model import Model
 from pincal.motion.sessions import joints_of_session
 from pincal.robot.arm_of_tree import TreeRequest
+from pincal.robot.cell import NOWHERE, read_cell, robot_files
 from pincal.robot.mastering import remastered
 from pincal.robot.robot import Robot
 from pincal.robot.tree import MOVING_TYPES, UrdfTree
-from pincal.robot.urdf_file import find_file, read_urdf
 from pincal.units import readable_unit
 
 EFFECTS_OF = {"geometric": GEOMETRIC, "elastic": ELASTIC}
@@ -87,18 +88,21 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     """
     source.motion.check(source.table.joints, source.data)
     log_step("reading robot and tables")
-    robot = load_robot(source)
+    unplaced = replace(source, beside=tuple(replace(of, place=of.place or NOWHERE) for of in source.beside))
+    robot = load_robot(unplaced)
     tables = load_tables(robot, source.data, options=source.table.options, links=source.links, motion=source.motion)
     setup, motion = chosen.setup, source.motion
     others = (source.table.joints, motion.imu, motion.tracker, setup.points, setup.distances, setup.camera)
     given = [path for path in others if path is not None]
     options = options_of(chosen, tables)
+    if unplaced.beside != source.beside:
+        robot = load_robot(replace(source, beside=located(robot, source.beside, tables, options)))
     effects = named_effects(chosen.fit.add, options, robot=robot, tables=tables)
     options = replace(options, effects=(*options.effects, *effects))
     if chosen.fit.type is not None:
         options = replace(options, earlier=load_type(chosen.fit.type).prior_of(robot, options.effects))
         given.append(chosen.fit.type)
-    return Prepared(robot, tables, options, (*input_files(source.data), *given, Path(robot.source)))
+    return Prepared(robot, tables, options, (*input_files(source.data), *given, *robot_files(robot.source, source.beside)))
 
 
 def named_effects(
@@ -131,7 +135,7 @@ def as_stated(robot: Robot, *, signs: Sequence[str], couplings: Sequence[str]) -
 
 def _described(source: InputOptions) -> Robot:
     """Return the robot as its URDF has it: the joints between the links that the tables are about."""
-    tree = read_urdf(find_file(source.robot), xacro_args=dict(source.xacro_args))
+    tree = read_cell(source.robot, source.beside, xacro_args=dict(source.xacro_args))
     known = {joint.name for joint in tree.joints}
     tip, start = source.tip or source.links.to, source.links.start
     paths, recorded = list[tuple[str | None, str | None]](), dict[str, None]()
@@ -142,10 +146,12 @@ def _described(source: InputOptions) -> Robot:
         files, reading = [*files, Path(reading.joints)], replace(reading, joints=None)
     for path in files:
         session = joints_of_session(path)
-        joints[path] = joint_columns(session or path, known, reading)
-        recorded |= dict.fromkeys(joints[path])
         is_log = session is not None or path not in source.data
         pairs = [given[path.stem]] if path.stem in given else [(None, None)] if is_log else links_of_rows(path, reading)
+        above = [joint for _, last in pairs for joint in (tree.above(last or tip or "") if last or tip else ())]
+        way = [joint.name for joint in above if joint.kind in MOVING_TYPES]
+        joints[path] = joint_columns(session or path, known, of_path(session or path, way, reading))
+        recorded |= dict.fromkeys(joints[path])
         # The end of a chain that the columns of the table are of, if nothing says otherwise.
         ends = [(first or start, last or tip or _tip_of(tree, joints[path])) for first, last in pairs]
         paths += [pair for pair in ends if pair not in paths]
@@ -237,6 +243,7 @@ def load_table(
     needed = {name for pair in pairs for name in robot.joints_between(*pair)}
     own = [robot.joint_names[i] for i in robot.own_joints]
     resting = {name: 0.0 for name in own if name not in needed} | dict(links.rest)
+    reading = of_path(path, needed, reading)
     table = read_measurements(path, robot, **vars(reading), require=require, resting=resting)
     is_default = chosen is None or chosen == (None, None)
     return table if is_default else _with_links(table, np.ones(len(table), bool), *map(str, chosen or ()))

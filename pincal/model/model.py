@@ -296,18 +296,8 @@ class Evaluation:
             change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0
             if np.max(change, initial=0.0) < _EQUILIBRIUM_TOLERANCE:
                 break
-        return cls(
-            model,
-            layout,
-            plain + elastic,
-            curves,
-            by_row,
-            deformed if model.equilibrium else rigid,
-            deformed,
-            moments,
-            places,
-            payload,
-        )
+        loaded = deformed if model.equilibrium else rigid
+        return cls(model, layout, plain + elastic, curves, by_row, loaded, deformed, moments, places, payload)
 
     def kernel_terms(self, columns: np.ndarray, coordinates: list[int], first: int) -> Terms:
         """Return the terms of the parameters that have a column, and of coordinates, from column ``first`` on."""
