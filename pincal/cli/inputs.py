@@ -24,7 +24,7 @@ from pincal.cli.common import (
 )
 from pincal.cli.motion_options import MotionOptions, input_files, load_sessions
 from pincal.cli.progress import log_step
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, nearest_first
 from pincal.fleet.robot_type import load_type
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.station import conditions_of
@@ -46,7 +46,7 @@ from pincal.robot.arm_of_tree import TreeRequest
 from pincal.robot.cell import NOWHERE, read_cell, robot_files
 from pincal.robot.mastering import remastered
 from pincal.robot.robot import Robot
-from pincal.robot.tree import MOVING_TYPES, UrdfTree
+from pincal.robot.tree import MOVING_TYPES
 from pincal.units import readable_unit
 
 EFFECTS_OF = {"geometric": GEOMETRIC, "elastic": ELASTIC}
@@ -153,9 +153,12 @@ def _described(source: InputOptions) -> Robot:
         joints[path] = joint_columns(session or path, known, of_path(session or path, way, reading))
         recorded |= dict.fromkeys(joints[path])
         # The end of a chain that the columns of the table are of, if nothing says otherwise.
-        ends = [(first or start, last or tip or _tip_of(tree, joints[path])) for first, last in pairs]
+        ends = [(first or start, last or tip or tree.default_tip(joints[path] or None)) for first, last in pairs]
         paths += [pair for pair in ends if pair not in paths]
     paths += [pair for pair in given.values() if pair not in paths]
+    for option, link, named in (("--from", start, [pair[0] for pair in paths]), ("--to", tip, [pair[1] for pair in paths])):
+        if link is not None and link not in named:
+            raise BadInputError(f"{option} {link}, but the rows say {', '.join(map(str, named))}; leave one of them out")
     (start, tip), *others = paths
     is_plain = not others and start is None
     if is_plain and not (source.tip or source.links.to):
@@ -167,11 +170,6 @@ def _described(source: InputOptions) -> Robot:
     told = tuple(recorded) if tree.loops else None
     wanted = TreeRequest(tip, start, source.base, told, paths=further, others=beyond)
     return Robot.from_tree(tree, wanted, mass=source.mass)
-
-
-def _tip_of(tree: UrdfTree, joints: Sequence[str]) -> str:
-    """Return the link at the end of the chain of the joints that a table has, as far as they are one."""
-    return tree.default_tip(joints or None)
 
 
 def load_tables(
@@ -197,6 +195,10 @@ def load_tables(
     if len(held) > 1:
         reading = replace(reading, shares_log=True)
     tables = [(path.stem, load_table(robot, path, options=reading, links=links)) for path in held]
+    stations = dict.fromkeys(each for name, of in tables for each in ([name] if of.station is None else of.station.tolist()))
+    if unknown := [name for name, *_ in links.stations if name not in stations]:
+        known = ", ".join(nearest_first(unknown, stations))
+        raise BadInputError(f"--station {unknown[0]}:FROM:TO: no table or station of this name; expected one of {known}")
     return stations_of([*((name, _between(table, name, links)) for name, table in tables), *moving.items()])
 
 
