@@ -23,9 +23,12 @@ from pincal.calibration.caveats import CaveatKind
 from pincal.calibration.improvement import findings_without_instrument, improvements, unseen_directions
 from pincal.calibration.placing import place_station
 from pincal.cli import main
+from pincal.cli.common import InputOptions, LinkOptions, TableArguments
+from pincal.cli.inputs import load_robot, load_table
+from pincal.cli.motion_options import MotionOptions
 from pincal.design.pose_design import DesignRequest, design_poses
 from pincal.design.reach import Limits, Reach, SensorSetup
-from pincal.errors import Exit
+from pincal.errors import Exit, PincalWarning
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.prior_scale import prior_scale
@@ -232,9 +235,10 @@ def test_a_table_of_points_that_coincide_needs_no_distance(baxter: Robot, touchi
         ("--to left_griper", "--to left_griper, but the rows say right_gripper; leave one of them out"),
         ("--from base", "--from base, but the rows say left_gripper; leave one of them out"),
         ("--station touched:base:left_gripper", "no table or station of this name; expected one of touch"),
+        ("--rest head_pn=10deg", "--rest head_pn; expected one of head_pan"),
     ],
 )
-def test_links_that_no_row_has_are_refused(
+def test_links_and_joints_that_are_not_there_are_refused(
     links: str, told: str, touching: Measurements, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A typing error is not passed over where the rows say between which links they are."""
@@ -246,6 +250,21 @@ def test_links_that_no_row_has_are_refused(
 
     assert ended.value.code == Exit.BAD_INPUT
     assert told in capsys.readouterr().err
+
+
+def test_a_joint_off_the_path_rests_where_it_is_told(touching: Measurements, tmp_path: Path) -> None:
+    """It moves then, and a note says where it rests; what it carries loads the others there."""
+    left = [name for name in touching.joint_names if name.startswith("left")]
+    columns = {name: touching.q[:, touching.joint_names.index(name)] for name in left}
+    pl.DataFrame(columns | dict.fromkeys("xyz", 0.0)).write_csv(tmp_path / "left.csv")
+    told = LinkOptions(rest=(("head_pan", 0.2),))
+    general = {"motion": MotionOptions(), "table": TableArguments()}
+    robot = load_robot(InputOptions(robot="baxter", data=(tmp_path / "left.csv",), links=told, **general))
+    with pytest.warns(PincalWarning, match=r"which rest: head_pan at 0\.2"):
+        table = load_table(robot, tmp_path / "left.csv", links=told)
+
+    assert set(robot.joint_names) == {"head_pan", *left}
+    np.testing.assert_array_equal(table.q[:, robot.joint_names.index("head_pan")], 0.2)
 
 
 @pytest.mark.parametrize("scale", [PriorScale(lengths=0.0), PriorScale(drives=-1.0), PriorScale(angles=float("nan"))])

@@ -24,6 +24,7 @@ from pincal.cli.quantities import (
     station_links,
     xacro_argument,
 )
+from pincal.errors import BadInputError
 from pincal.measure.fields import TABLE_ENDINGS, TableOptions
 from pincal.robot.cell import Beside
 from pincal.units import GRAVITIES, is_gravity
@@ -177,7 +178,7 @@ class LinkOptions:
         type=station_links,
     )
     rest: tuple[tuple[str, float], ...] = option(
-        "Position of a joint that has no column and moves nothing that is read.",
+        "Position of a joint that has no column, as it stood still.",
         (),
         metavar="JOINT=POSITION",
         type=resting,
@@ -316,6 +317,19 @@ class FitOptions:
         """
         sizes: dict[str, float | str] = dict(pair(text, "NAME=SIZE, such as '*.theta=2mrad'") for text in self.prior)
         return sizes | dict.fromkeys(self.free, float("inf")) | dict.fromkeys(self.fix, 0.0)
+
+    @property
+    def unknown_zeros(self) -> tuple[str, ...]:
+        """The joints whose zeros are unknown, by names or patterns.
+
+        Raises:
+            BadInputError: for anything but "unknown" and joints.
+        """
+        word, _, names = ("unknown", "", "-") if self.zeros is None else self.zeros.partition(":")
+        if word.strip() != "unknown":
+            raise BadInputError(f"--zeros {self.zeros}; expected unknown, or unknown:JOINT,JOINT")
+        found = tuple(filter(None, (name.strip() for name in names.split(","))))
+        return () if self.zeros is None else found or ("*",)
 
 
 @dataclass(frozen=True, kw_only=True)

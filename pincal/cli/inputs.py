@@ -160,13 +160,17 @@ def _described(source: InputOptions) -> Robot:
         if link is not None and link not in named:
             raise BadInputError(f"{option} {link}, but the rows say {', '.join(map(str, named))}; leave one of them out")
     (start, tip), *others = paths
-    is_plain = not others and start is None
-    if is_plain and not (source.tip or source.links.to):
-        wanted = TreeRequest(base=source.base, joints=joints[files[0]] or None)
+    movable = [joint.name for joint in tree.joints if joint.kind in MOVING_TYPES]
+    rested = [name for name, _ in source.links.rest]
+    if unknown := [name for name in rested if name not in movable]:
+        raise BadInputError(f"--rest {unknown[0]}; expected one of {', '.join(nearest_first(unknown, movable)[:12])}")
+    if not others and start is None and not (source.tip or source.links.to):
+        on_way = [joint.name for joint in tree.above(str(tip)) if joint.name in rested]
+        wanted = TreeRequest(base=source.base, joints=(*joints[files[0]], *on_way) or None, others=rested)
         return Robot.from_tree(tree, wanted, mass=source.mass)
     base = source.base or tree.root
     further = [(first or base, str(last)) for first, last in others]
-    beyond = [name for name in recorded if any(joint.name == name and joint.kind in MOVING_TYPES for joint in tree.joints)]
+    beyond = [name for name in (*recorded, *rested) if name in movable]
     told = tuple(recorded) if tree.loops else None
     wanted = TreeRequest(tip, start, source.base, told, paths=further, others=beyond)
     return Robot.from_tree(tree, wanted, mass=source.mass)
@@ -271,7 +275,7 @@ def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -
         loss=fit.loss,
         length_bound=fit.length_bound,
         priors=fit.priors,
-        zeros=_unknown_zeros(fit.zeros),
+        zeros=fit.unknown_zeros,
         setup=Setup(
             points={} if setup.points is None else read_points(setup.points),
             distances=(*(KnownDistance(*gap) for gap in setup.gaps), *listed),
@@ -280,14 +284,6 @@ def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -
         ),
         stations={name: _known_of(setup, table, alone=len(tables) == 1) for name, table in tables.items()},
     )
-
-
-def _unknown_zeros(text: str | None) -> tuple[str, ...]:
-    """Return the joints whose zeros are unknown, by names or patterns."""
-    word, _, names = ("unknown", "", "-") if text is None else text.partition(":")
-    if word.strip() != "unknown":
-        raise BadInputError(f"--zeros {text}; expected unknown, or unknown:JOINT,JOINT")
-    return () if text is None else tuple(filter(None, (name.strip() for name in names.split(",")))) or ("*",)
 
 
 def _known_of(setup: SetupOptions, table: Measurements, *, alone: bool) -> StationOptions:
