@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import shlex
 from pathlib import Path
+from xml.etree import ElementTree
 
+import click
 import numpy as np
 import pinocchio as pin
 import polars as pl
@@ -14,6 +16,7 @@ import pytest
 from pincal import Options, Robot, measurements_from_arrays
 from pincal.calibration.located import located
 from pincal.cli import main
+from pincal.cli.quantities import beside
 from pincal.errors import RobotFileError
 from pincal.measure.setup import Setup
 from pincal.measure.table import stations_of
@@ -22,6 +25,7 @@ from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.robot.arm_of_tree import TreeRequest
 from pincal.robot.cell import NOWHERE, Beside, read_cell
+from pincal.robot.packages import find_mesh
 from pincal.robot.se3 import rotation_of_rpy, transform
 from pincal.robot.urdf_file import find_file, parse_urdf
 
@@ -89,6 +93,39 @@ def test_a_robot_without_a_place_or_a_name_of_its_own_is_refused() -> None:
         read_cell("ur5", [Beside("ur10", "right")])
     with pytest.raises(RobotFileError, match="is a name of another robot; expected another name than right"):
         read_cell("ur5", [Beside("ur10", "right", PLACE), Beside("ur10", "right", PLACE)])
+
+
+def test_the_command_line_says_who_stands_where() -> None:
+    """With units or without, a name or that of the file, a place or none."""
+    place = (1.5, 0.0, 0.0, 0.0, 0.0, pytest.approx(np.pi))
+    for text, name, source, at in (
+        ("right=ur10.urdf@1500mm,0,0,0,0,180deg", "right", "ur10.urdf", place),
+        ("cells/my-arm.v2.urdf@1.5,0,0,0,0,3.141592653589793", "my_arm_v2", "cells/my-arm.v2.urdf", place),
+        ("right=ur10", "right", "ur10", None),
+    ):
+        found = beside(text)
+        assert (found.name, found.source, found.place) == (name, source, at)
+    for text in ("ur10@1,2", "=ur10", "right=", "a b=ur10", "ur10@1,2,3,4,5,6,7", "ur10@1,2,3,4,5,x"):
+        with pytest.raises(click.BadParameter):
+            beside(text)
+
+
+def test_meshes_of_each_robot_are_found_beside_its_own_file(tmp_path: Path) -> None:
+    """Files of one name, each in the folder of its robot, and materials of one name."""
+    visual = '<visual><geometry><mesh filename="meshes/arm.stl"/></geometry><material name="grey"/></visual>'
+    joint = '<joint name="j" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint>'
+    text = f'<robot name="r"><material name="grey"/><link name="a"/><link name="b">{visual}</link>{joint}</robot>'
+    for name in ("one", "two"):
+        (tmp_path / name / "meshes").mkdir(parents=True)
+        (tmp_path / name / "meshes" / "arm.stl").touch()
+        (tmp_path / name / "r.urdf").write_text(text)
+    tree = read_cell(tmp_path / "one" / "r.urdf", [Beside(str(tmp_path / "two" / "r.urdf"), "other", PLACE)])
+    root = ElementTree.fromstring(tree.text)
+    found = [find_mesh(mesh.get("filename", ""), tree.source) for mesh in root.iter("mesh")]
+
+    assert [path and path.parts[-3] for path in found] == ["one", "two"]
+    assert [material.get("name") for material in root.iterfind("material")] == ["grey", "other_grey"]
+    assert [material.get("name") for material in root.iter("material")].count("other_grey") == 2
 
 
 def test_where_a_robot_stands_is_found_from_what_one_instrument_saw_of_both(rng: np.random.Generator) -> None:

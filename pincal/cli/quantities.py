@@ -128,7 +128,7 @@ def beside(text: str) -> Beside:
     given, at, numbers = text.partition("@")
     name, sign, source = given.partition("=")
     if not sign:
-        name, source = Path(given).stem, given
+        name, source = re.sub(r"\W", "_", Path(given).stem), given
     units = [LENGTH_UNITS] * 3 + [ANGLES] * 3
     place = [_signed(word.strip(), of) for word, of in zip(numbers.split(","), units, strict=False)] if at else None
     if not (source and re.fullmatch(r"\w+", name)) or (place is not None and numbers.count(",") != 5):

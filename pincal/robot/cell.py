@@ -11,6 +11,7 @@ from typing import Any
 from lxml import etree
 
 from pincal.errors import RobotFileError
+from pincal.robot.packages import find_mesh
 from pincal.robot.tree import UrdfTree
 from pincal.robot.urdf_file import find_file, parse_urdf, parse_xml, read_urdf
 
@@ -67,7 +68,7 @@ def read_cell(
     first = read_urdf(find_file(source), xacro_args=xacro_args)
     if not others:
         return first
-    root, folder, notes = parse_xml(first.text, first.source), Path(first.source).parent, first.notes
+    root, notes = parse_xml(first.text, first.source), first.notes
     for of in others:
         tree, prefix = read_urdf(find_file(of.source)), f"{of.name}_"
         if of.place is None:
@@ -90,9 +91,9 @@ def read_cell(
                 f"{tree.source}: {twice[0]!r} is a name of another robot; expected another name than {of.name}"
             )
         for mesh in its.iter("mesh"):
-            path = mesh.get("filename", "")
-            if "://" not in path and not os.path.isabs(path):
-                mesh.set("filename", os.path.relpath(Path(tree.source).parent / path, folder))
+            here, there = (find_mesh(mesh.get("filename", ""), source) for source in (tree.source, first.source))
+            if here is not None and here != there:
+                mesh.set("filename", os.path.relpath(here, Path(first.source).resolve().parent))
         root.extend([*its, _placement(of.joint, first.root, _root_of(its, tree), of.place)])
         root.set("name", f"{root.get('name')}_{of.name}")
     cell = parse_urdf(etree.tostring(root), source=first.source)
