@@ -16,6 +16,7 @@ import pytest
 from pincal import Options, Robot, measurements_from_arrays
 from pincal.calibration.located import located
 from pincal.cli import main
+from pincal.cli.inputs import load_tables
 from pincal.cli.quantities import beside
 from pincal.errors import RobotFileError
 from pincal.measure.setup import Setup
@@ -147,6 +148,26 @@ def test_where_a_robot_stands_is_found_from_what_one_instrument_saw_of_both(rng:
     # What two instruments saw says nothing of it.
     apart = {name: table for name, table in stations_of([("left", tables["hall:tool0"])]).items()}
     assert located(unknown, [Beside("ur10", "right")], apart, Options())[0].place is None
+
+
+def test_tables_of_one_station_are_of_one_instrument(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Two tables, each with the joints of its robot alone, and the same name in their column station."""
+    robot = cell_of("ur5", "ur10", ("tool0", "right_tool0"))
+    files = [tmp_path / "left.csv", tmp_path / "right.csv"]
+    for path, tip in zip(files, ("tool0", "right_tool0"), strict=True):
+        q = robot.random_configurations(30, rng)
+        names = robot.joints_between(robot.base, tip)
+        hands = robot.forward_kinematics(q, robot.between(robot.base, tip))[:, :3, 3]
+        columns = {name: q[:, robot.joint_names.index(name)] for name in names} | dict(zip("xyz", hands.T, strict=True))
+        pl.DataFrame(columns).with_columns(station=pl.lit("hall")).write_csv(path)
+    tables = load_tables(robot, files)
+    (found,) = located(
+        cell_of("ur5", "ur10", ("tool0", "right_tool0"), NOWHERE), [Beside("ur10", "right")], tables, Options()
+    )
+
+    assert {name: table.setup for name, table in tables.items()} == {"hall:tool0": "hall", "hall:right_tool0": "hall"}
+    assert found.place is not None
+    np.testing.assert_allclose(found.place, PLACE, atol=1e-9)
 
 
 @pytest.fixture(scope="module")

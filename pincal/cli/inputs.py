@@ -243,7 +243,7 @@ def load_table(
         there = set(joint_columns(path, robot.joint_names, reading))
         # What is known of an arm from contacts holds for what an instrument sees of it, too.
         ends = dict.fromkeys(end for pair in ((robot.path.start, robot.tip), *robot.links) for end in pair)
-        ways = ((None, None), *robot.links, *((robot.base, end) for end in ends if end != robot.base))
+        ways = ((robot.path.start, robot.tip), *robot.links, *((robot.base, end) for end in ends if end != robot.base))
         chosen = next((way for way in ways if there.issuperset(robot.joints_between(*way))), None)
         pairs = pairs if chosen is None else [chosen]
     needed = {name for pair in pairs for name in robot.joints_between(*pair)}
@@ -251,8 +251,7 @@ def load_table(
     resting = {name: 0.0 for name in own if name not in needed} | dict(links.rest)
     reading = of_path(path, needed, reading)
     table = read_measurements(path, robot, **vars(reading), require=require, resting=resting)
-    is_default = chosen is None or chosen == (None, None)
-    return table if is_default else _with_links(table, np.ones(len(table), bool), *map(str, chosen or ()))
+    return table if chosen is None else _with_links(table, np.ones(len(table), bool), *chosen)
 
 
 def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -> Options:

@@ -177,7 +177,9 @@ def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measure
             parts.setdefault(station, []).append(_rows_of(table, station))
     for name in whole.keys() & {name for name, found in parts.items() if found}:
         raise _same_name(name, whole[name], parts[name][0])
-    return {name: whole[name] if name in whole else _joined(name, found) for name, found in parts.items()}
+    joined = ((name, whole[name] if name in whole else _joined(name, found)) for name, found in parts.items())
+    # Rows of one station that came from several tables may be between several links.
+    return {key: part for name, table in joined for key, part in _by_links(name, table)}
 
 
 def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurements]]:

@@ -73,8 +73,8 @@ def read_cell(
         tree, prefix = read_urdf(find_file(of.source)), f"{of.name}_"
         if of.place is None:
             raise RobotFileError(
-                f"{tree.source}: nothing tells where it stands beside {first.name}; expected contacts of the two, one table "
-                f"of what one instrument saw of both, or its place, as in --beside {of.name}={of.source}@1.5,0,0,0,0,3.14159"
+                f"{tree.source}: nothing tells where it stands beside {first.name}; expected contacts of the two, one "
+                f"station that sees both, or its place, as in --beside {of.name}={of.source}@1.5,0,0,0,0,3.14159"
             )
         if of.is_found:
             at = ", ".join(f"{number:.4f}" for number in of.place)
