@@ -177,9 +177,11 @@ def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measure
             parts.setdefault(station, []).append(_rows_of(table, station))
     for name in whole.keys() & {name for name, found in parts.items() if found}:
         raise _same_name(name, whole[name], parts[name][0])
-    joined = ((name, whole[name] if name in whole else _joined(name, found)) for name, found in parts.items())
-    # Rows of one station that came from several tables may be between several links.
-    return {key: part for name, table in joined for key, part in _by_links(name, table)}
+    stations: dict[str, Measurements] = {}
+    for name, found in parts.items():
+        # Rows of one station that came from several tables may be between several links.
+        stations |= {name: whole[name]} if name in whole else _by_links(name, _joined(name, found))
+    return stations
 
 
 def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurements]]:
@@ -189,8 +191,8 @@ def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurement
     found: list[tuple[list[str], Measurements]] = []
     for kind, part in parts:
         columns = [of for end in LINK_ENDS if (of := getattr(part, f"{end}_link")) is not None]
-        if not columns:
-            found.append(([kind], part))
+        if not columns or (len(part) and all((of == of[0]).all() for of in columns)):
+            found.append(([*(str(of[0]) for of in columns), kind], part))
             continue
         links, inverse = np.unique(np.array(columns), axis=1, return_inverse=True)
         # In the order in which they appear.
