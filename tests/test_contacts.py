@@ -19,6 +19,7 @@ import pincal.simulate as sim
 from pincal import GEOMETRIC, BadInputError, Options, PriorScale, Robot, Setup, calibrate, measurements_from_arrays
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.calibrated_robot import Fit
+from pincal.calibration.calibration import run_calibration
 from pincal.calibration.caveats import CaveatKind
 from pincal.calibration.improvement import findings_without_instrument, improvements, unseen_directions
 from pincal.calibration.placing import place_station
@@ -36,6 +37,7 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.sensors.plane import PlaneContactSensor
 from pincal.measure.table import read_measurements, stations_of
 from pincal.model.model import Model
+from pincal.report.judgement import next_steps
 from pincal.robot.urdf_file import arm_text
 from pincal.simulate.planning import plan_poses
 from pincal.validate.outcome import Improvement
@@ -197,6 +199,14 @@ def test_what_contacts_do_not_hold_is_said(fit: Fit, baxter: Robot, touching: Me
     # All contacts hold a mount 30 mm away; a quarter of them, which know it to 4 mm, do not.
     assert CaveatKind.MOUNT_MOVED not in kinds(fit, 0.03, list(regions))
     assert CaveatKind.MOUNT_MOVED in kinds(few, 0.03, list(improvements(few)))
+
+
+def test_the_next_step_says_how_well_contacts_tell_positions(touching: Measurements, baxter: Robot) -> None:
+    """At worst, so that nobody takes what contacts alone found for what an instrument would have."""
+    found = run_calibration(baxter, touching, Options(effects=GEOMETRIC, sigma=NOISE))
+    worst = max(region.after_mm for region in found.result.improvement)
+
+    assert f"is known to {worst:.2g} mm at worst" in next_steps(found)[0]
 
 
 def test_points_of_links_may_be_known(baxter: Robot, touching: Measurements) -> None:

@@ -136,6 +136,12 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
         steps.append("Run pincal discover on the same data: it identifies the effects that the model lacks.")
     if lines := result.outliers:
         steps.append(f"Inspect the rejected outliers, line {few(lines, _LISTED)}: a loose target, or a slipping joint?")
+    if improved := result.improvement or ():
+        worst = max(improved, key=lambda region: region.after_mm)
+        steps.append(
+            f"No instrument saw the robot: {worst.link} is known to {worst.after_mm:.2g} mm at worst ({worst.region}). If "
+            "that is not enough, measure a few poses with one as well."
+        )
     error = result.error["calibrated"]
     if "test" not in error:
         steps.append("Hold rows out (--test-fraction) or measure more (--holdout): otherwise the accuracy is not validated.")
