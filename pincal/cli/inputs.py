@@ -193,13 +193,14 @@ def load_tables(
             of a row has no column.
     """
     links, reading = links or LinkOptions(), options or TableOptions()
-    moving, held = load_sessions(robot, tuple(paths), reading, motion or MotionOptions())
+    paths = tuple(paths)
+    moving, held = load_sessions(robot, paths, reading, motion or MotionOptions())
     if motion is not None and motion.are_given:
         reading = replace(reading, joints=None)
     if len(held) > 1:
         reading = replace(reading, shares_log=True)
     tables = [(path.stem, load_table(robot, path, options=reading, links=links)) for path in held]
-    stations = dict.fromkeys(each for name, of in tables for each in ([name] if of.station is None else of.station.tolist()))
+    stations = {path.stem for path in paths}.union(*(of.station.tolist() for _, of in tables if of.station is not None))
     if unknown := [name for name, *_ in links.stations if name not in stations]:
         known = ", ".join(nearest_first(unknown, stations))
         raise BadInputError(f"--station {unknown[0]}:FROM:TO: no table or station of this name; expected one of {known}")
@@ -210,7 +211,7 @@ def _between(table: Measurements, name: str, links: LinkOptions) -> Measurements
     """Return a table with the links that the command line gives its rows."""
     names = np.full(len(table), name) if table.station is None else table.station
     for station, start, tip in links.stations:
-        if (rows := names == station).any():
+        if (rows := (names == station) | (name == station)).any():
             table = _with_links(table, rows, start, tip)
     return table
 
