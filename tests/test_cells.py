@@ -170,6 +170,15 @@ def test_tables_of_one_station_are_of_one_instrument(tmp_path: Path, rng: np.ran
     np.testing.assert_allclose(found.place, PLACE, atol=1e-9)
 
 
+def test_what_sees_from_another_link_is_another_instrument() -> None:
+    """A tracker that sees both hands, and a camera on the head that sees one, in one table."""
+    links = {"from_link": np.array(["base", "base", "head", "base"]), "to_link": np.array(["left", "right", "left", "left"])}
+    table = measurements_from_arrays(["joint"], np.zeros((4, 1)), position=np.zeros((4, 3)), **links)
+
+    found = {name: part.setup for name, part in stations_of([("day", table)]).items()}
+    assert found == {"day:base:left": "day:base", "day:base:right": "day:base", "day:head:left": ""}
+
+
 @pytest.fixture(scope="module")
 def touching(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with contacts of two arms, and what trackers saw of each."""

@@ -197,7 +197,10 @@ def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurement
         links, inverse = np.unique(np.array(columns), axis=1, return_inverse=True)
         # In the order in which they appear.
         found += [([*links[:, k], kind], part.select(inverse == k)) for k in dict.fromkeys(inverse.tolist())]
-    for own, rows in found:
+    # What sees from one link is one instrument, what sees from another link another one.
+    starts = ["" if rows.from_link is None or not len(rows) else str(rows.from_link[0]) for _, rows in found]
+    for (own, rows), start in zip(found, starts, strict=True):
+        shared = (name or _UNNAMED) if len(set(starts)) == 1 else f"{name or _UNNAMED}:{start}"
         # What all have in common needs no mention.
         marks = [
             mark
@@ -206,7 +209,8 @@ def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurement
         ]
         ending = "".join(f":{mark}" for mark in marks).removeprefix("" if name else ":")
         station = None if rows.station is None else np.array([f"{each}{ending}" for each in rows.station.tolist()])
-        yield f"{name}{ending}", replace(rows, station=station, setup=(name or _UNNAMED) if ending else rows.setup)
+        setup = shared if ending and starts.count(start) > 1 else rows.setup
+        yield f"{name}{ending}", replace(rows, station=station, setup=setup)
 
 
 def _rows_of(table: Measurements, station: str) -> Measurements:
