@@ -1,12 +1,13 @@
 """Readings between any two links: hands that touch, a head that looks, an arm on a track, a palletizer with rods.
 
-Four machines with errors that nobody knows are simulated and calibrated, with the commands that are printed:
+Five machines with errors that nobody knows are simulated and calibrated, with the commands that are printed:
 
 - Baxter's hands touch: a ball on the right one in two sockets on the left one, and a tracker that sees the left hand alone;
   the right hand is predicted in the tracker's frame.
 - TALOS: a camera on the head reads marks on the left wrist.
 - A KUKA on a track of 4 m, seen by a tracker: the track is a joint like any other.
 - A palletizer: the joints of its rods follow, and need no columns.
+- A cell of two robots with a file each: nobody told where the second one stands, contacts show it.
 
 Run it as ``python examples/any_two_links.py [--out FOLDER]``.
 """
@@ -92,15 +93,28 @@ def palletizer(out: Path) -> None:
     shown(out / "palletizer")
 
 
+def cell(out: Path) -> None:
+    """Calibrate a UR5 that a tracker sees, and a UR10 beside it that touches it."""
+    left, right, touch = (out / f"cell_{name}.csv" for name in ("left", "right", "touch"))
+    both, noise = "ur5 --beside right=ur10@1.3m,0.2m,0,0,0,170deg", "--no-floor --noise 0.05mm --seed 1"
+    run(f"simulate {both} --tip tool0 --also right_tool0 --poses 120 {noise} --out {left}")
+    run(f"simulate {both} --tip right_tool0 --also tool0 --poses 120 {noise} --out {right}")
+    run(f"simulate {both} --from tool0 --tip right_tool0 --also tool0 --sockets 2 --poses 200 {noise} --out {touch}")
+    run(f"calibrate ur5 {left} {touch} --beside right=ur10 --noise 0.05mm --out {out / 'cell'}")
+    shown(out / "cell")
+    found = json.loads(run(f"validate {out / 'cell' / 'model.json'} {right} --json"))
+    print(f"  the other robot, which no tracker saw: {found['error']['calibrated']['test']['mean_mm']:.4f} mm\n")
+
+
 def demonstrate() -> None:
-    """Run all four."""
+    """Run all five."""
     parser = argparse.ArgumentParser(description="Calibrate between any two links.")
     parser.add_argument("--out", type=Path, help="folder for tables and results; default: a temporary one")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         out = given.out or Path(folder)
         out.mkdir(parents=True, exist_ok=True)
-        for act in (two_arms, head, track, palletizer):
+        for act in (two_arms, head, track, palletizer, cell):
             act(out)
 
 

@@ -84,6 +84,8 @@ from pincal.motion.stations import session_tables as session_tables
 from pincal.notes import Note as Note
 from pincal.parameters import Parameter as Parameter
 from pincal.plugins import load_plugin as load_plugin
+from pincal.robot.cell import Beside as Beside
+from pincal.robot.cell import read_cell as read_cell
 from pincal.robot.robot import Robot as Robot
 from pincal.validate.misfit import Verdict as Verdict
 from pincal.viewer.page import draw_field as draw_field

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import compress
+from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 from scipy.special import chdtri
 from test_named_points import contacts
@@ -17,17 +19,25 @@ import pincal.simulate as sim
 from pincal import GEOMETRIC, BadInputError, Options, PriorScale, Robot, Setup, calibrate, measurements_from_arrays
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.calibrated_robot import Fit
+from pincal.calibration.calibration import run_calibration
 from pincal.calibration.caveats import CaveatKind
 from pincal.calibration.improvement import findings_without_instrument, improvements, unseen_directions
 from pincal.calibration.placing import place_station
+from pincal.cli import main
+from pincal.cli.common import InputOptions, LinkOptions, TableArguments
+from pincal.cli.inputs import load_robot, load_table
+from pincal.cli.motion_options import MotionOptions
 from pincal.design.pose_design import DesignRequest, design_poses
 from pincal.design.reach import Limits, Reach, SensorSetup
+from pincal.errors import Exit, PincalWarning
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.prior_scale import prior_scale
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensors.plane import PlaneContactSensor
+from pincal.measure.table import read_measurements, stations_of
 from pincal.model.model import Model
+from pincal.report.judgement import next_steps
 from pincal.robot.urdf_file import arm_text
 from pincal.simulate.planning import plan_poses
 from pincal.validate.outcome import Improvement
@@ -191,6 +201,14 @@ def test_what_contacts_do_not_hold_is_said(fit: Fit, baxter: Robot, touching: Me
     assert CaveatKind.MOUNT_MOVED in kinds(few, 0.03, list(improvements(few)))
 
 
+def test_the_next_step_says_how_well_contacts_tell_positions(touching: Measurements, baxter: Robot) -> None:
+    """At worst, so that nobody takes what contacts alone found for what an instrument would have."""
+    found = run_calibration(baxter, touching, Options(effects=GEOMETRIC, sigma=NOISE))
+    worst = max(region.after_mm for region in found.result.improvement)
+
+    assert f"is known to {worst:.2g} mm at worst" in next_steps(found)[0]
+
+
 def test_points_of_links_may_be_known(baxter: Robot, touching: Measurements) -> None:
     """A point whose place on its link is given stays there, whichever end of a contact it is."""
     first = np.array([f"{HANDS[0]}:{name}" for name in touching.point_names])
@@ -204,6 +222,59 @@ def test_points_of_links_may_be_known(baxter: Robot, touching: Measurements) -> 
 
     assert f"{HANDS[0]}:two" in free
     assert not free & set(places)
+
+
+def test_a_table_of_points_that_coincide_needs_no_distance(baxter: Robot, touching: Measurements, tmp_path: Path) -> None:
+    """It is read as the same contacts with a distance of zero."""
+    columns = dict(zip(baxter.joint_names, touching.q.T, strict=True))
+    columns |= {"first": np.array([f"{HANDS[0]}:{name}" for name in touching.point_names])}
+    table = pl.DataFrame(columns | {"second": np.repeat(f"{HANDS[1]}:ball", len(touching))})
+    alone, zero = tmp_path / "alone.csv", tmp_path / "zero.csv"
+    table.write_csv(alone)
+    table.with_columns(distance=pl.lit(0.0)).write_csv(zero)
+    (found,), (same,) = (list(stations_of([("", read_measurements(path, baxter))]).values()) for path in (alone, zero))
+
+    assert found.sensor is same.sensor
+    np.testing.assert_array_equal(found.point_names, same.point_names)
+    np.testing.assert_array_equal(found.q, same.q)
+
+
+@pytest.mark.parametrize(
+    ("links", "told"),
+    [
+        ("--to left_griper", "--to left_griper, but the rows say right_gripper; leave one of them out"),
+        ("--from base", "--from base, but the rows say left_gripper; leave one of them out"),
+        ("--station touched:base:left_gripper", "no table or station of this name; expected one of touch"),
+        ("--rest head_pn=10deg", "--rest head_pn; expected one of head_pan"),
+    ],
+)
+def test_links_and_joints_that_are_not_there_are_refused(
+    links: str, told: str, touching: Measurements, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A typing error is not passed over where the rows say between which links they are."""
+    columns = dict(zip(touching.joint_names, touching.q.T, strict=True)) | {"socket": touching.point_names}
+    table = pl.DataFrame(columns | {"from": touching.from_link, "to": touching.to_link})
+    table.write_csv(tmp_path / "touch.csv")
+    with pytest.raises(SystemExit) as ended:
+        main(["calibrate", "baxter", str(tmp_path / "touch.csv"), *links.split(), "--out", str(tmp_path / "out"), "--quiet"])
+
+    assert ended.value.code == Exit.BAD_INPUT
+    assert told in capsys.readouterr().err
+
+
+def test_a_joint_off_the_path_rests_where_it_is_told(touching: Measurements, tmp_path: Path) -> None:
+    """It moves then, and a note says where it rests; what it carries loads the others there."""
+    left = [name for name in touching.joint_names if name.startswith("left")]
+    columns = {name: touching.q[:, touching.joint_names.index(name)] for name in left}
+    pl.DataFrame(columns | dict.fromkeys("xyz", 0.0)).write_csv(tmp_path / "left.csv")
+    told = LinkOptions(rest=(("head_pan", 0.2),))
+    general = {"motion": MotionOptions(), "table": TableArguments()}
+    robot = load_robot(InputOptions(robot="baxter", data=(tmp_path / "left.csv",), links=told, **general))
+    with pytest.warns(PincalWarning, match=r"which rest: head_pan at 0\.2"):
+        table = load_table(robot, tmp_path / "left.csv", links=told)
+
+    assert set(robot.joint_names) == {"head_pan", *left}
+    np.testing.assert_array_equal(table.q[:, robot.joint_names.index("head_pan")], 0.2)
 
 
 @pytest.mark.parametrize("scale", [PriorScale(lengths=0.0), PriorScale(drives=-1.0), PriorScale(angles=float("nan"))])

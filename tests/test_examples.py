@@ -303,13 +303,14 @@ def test_a_controller_gives_its_calibration_away(tmp_path: Path, decimals: int, 
 
 @pytest.mark.long
 def test_readings_are_between_any_two_links(tmp_path: Path) -> None:
-    """Hands that touch, a head that looks, a track and a palletizer are right to little more than the noise, .080 mm."""
+    """Hands that touch, a head, a track, a palletizer and a cell are right to little more than the noise, .080 mm."""
     text = run("any_two_links.py", folder=tmp_path)
 
     held_out = [float(figure) for figure in re.findall(r"calibrated ([\d.]+) mm; adequate", text)]
-    assert len(held_out) == 4
+    assert len(held_out) == 5
     assert max(held_out) < 0.1
     assert numbers(text, "the other hand, which no tracker saw:")[0] < 0.095
+    assert numbers(text, "the other robot, which no tracker saw:")[0] < 0.095
 
 
 @pytest.mark.long

@@ -5,13 +5,16 @@ from __future__ import annotations
 import csv
 import io
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 from conftest import SHARED
+from linkages import four_bar, palletizer, rod_arm
 from scipy.spatial.transform import Rotation
 from test_catalogue import chain_of, conditions_of, units_of
 from test_cli import run
@@ -20,7 +23,7 @@ from test_export import GANTRY, calibrated_of
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.errors import BadInputError
 from pincal.export import export_model
-from pincal.io.urdf_export import calibrated_urdf
+from pincal.io.urdf_export import calibrated_urdf, rigid_tips
 from pincal.model.catalogue.masses import LinkMass
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
@@ -32,6 +35,12 @@ from pincal.robot.robot import Robot
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 XACRO = SHARED / "robots" / "ur_description" / "urdf" / "ur.urdf.xacro"
 GEOMETRY = 1e-9
+LINKAGES: dict[str, tuple[Callable[[str], bytes], str]] = {
+    "palletizer": (palletizer, "tool0"),
+    "palletizer on balls": (partial(palletizer, kind="spherical"), "tool0"),
+    "rod arm, no parallelogram": (partial(rod_arm, skew=0.05), "tool0"),
+    "four-bar": (four_bar, "tip"),
+}
 ARMS = ("ur10", "panda", "kuka", "gantry")
 
 
@@ -139,6 +148,103 @@ def test_mujoco_bends_as_the_model_does(arm: Robot, moment_frame: MomentFrame, r
 
     assert bent > 4e-4 * arm.reach and error < 1e-3 * bent
     assert ("bearing_elasticity" in " ".join(exported.notes)) == (moment_frame == "paper")
+
+
+class Looped:
+    """A MuJoCo model of a robot with loops, whose passive joints are put where the gaps of its constraints are least."""
+
+    def __init__(self, robot: Robot, text: str) -> None:
+        mujoco = pytest.importorskip("mujoco")
+        self.mujoco, self.robot, self.model = mujoco, robot, mujoco.MjModel.from_xml_string(text)
+        self.data = mujoco.MjData(self.model)
+        self.pairs = [(e.get("site1"), e.get("site2")) for e in ET.fromstring(text).find("equality")]
+        self.passive = [int(self.model.joint(joint).dofadr[0]) for joint in robot.passive]
+        self.springs = np.flatnonzero(self.model.jnt_stiffness > 0.0)
+
+    def start(self, q: np.ndarray) -> None:
+        """Put all joints where the nominal robot has them, shape (n,), springs at rest."""
+        self.mujoco.mj_resetData(self.model, self.data)
+        for joint, position in zip(self.robot.joint_names, q, strict=True):
+            self.data.qpos[self.model.joint(joint).qposadr] = position
+
+    def close(self) -> np.ndarray:
+        """Close the loops by the passive joints; return how gaps move by all joints, shape (3 pairs, dofs)."""
+        for _ in range(20):
+            self.mujoco.mj_forward(self.model, self.data)
+            gaps, J = [], []
+            for pair in self.pairs:
+                sides = [np.zeros((3, self.model.nv)) for _ in pair]
+                for end, side in zip(pair, sides, strict=True):
+                    self.mujoco.mj_jacSite(self.model, self.data, side, None, self.model.site(end).id)
+                gaps.append(self.data.site(pair[0]).xpos - self.data.site(pair[1]).xpos)
+                J.append(sides[0] - sides[1])
+            whole = np.vstack(J)
+            # All joints are hinges or slides: a joint is one position, and one dof.
+            self.data.qpos[self.passive] -= np.linalg.lstsq(whole[:, self.passive], np.concatenate(gaps))[0]
+        self.mujoco.mj_forward(self.model, self.data)
+        return whole
+
+    def bend(self) -> None:
+        """Let springs give way to what they bear: by virtual work that of the passive joints too, as they follow."""
+        for _ in range(8):
+            J, bias = self.close(), self.data.qfrc_bias
+            followed = -np.linalg.lstsq(J[:, self.passive], J[:, self.springs])[0]
+            borne = bias[self.springs] + followed.T @ bias[self.passive]
+            self.data.qpos[self.springs] = -borne / self.model.jnt_stiffness[self.springs]
+        self.close()
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Where the tip is, shape (3,) [m]."""
+        return np.array(self.data.site(self.robot.tip).xpos)
+
+
+@pytest.mark.parametrize("name", LINKAGES)
+def test_mujoco_closes_loops_as_the_model_does(name: str, rng: np.random.Generator) -> None:
+    """But for what is out of a loop's plane, to second order in the errors of the geometry, which are millimetres."""
+    text, tip = LINKAGES[name]
+    robot = Robot.from_urdf(text("constraint"), tip=tip)
+    whole, q = calibrated(robot), robot.random_configurations(10, rng)
+    apart = []
+    for share in (1.0, 0.1):
+        found = calibrated_of(whole.model, share * whole.values)
+        exported = export_model(found, "mjcf")
+        looped = Looped(robot, exported.text)
+        tips = []
+        for row in q:
+            looped.start(row)
+            looped.close()
+            tips.append(looped.tip)
+        apart.append(np.abs(np.array(tips) - rigid_tips(found.model, found.values, q)[:, :, 3]).max())
+        assert exported.max_error_m < GEOMETRY
+    print(f"mujoco, {name}: {1e6 * apart[0]:.2f} um apart, {1e6 * apart[1]:.3f} um at a tenth of the errors")
+
+    assert apart[0] < 2e-5 and apart[1] < 0.02 * apart[0]
+
+
+@pytest.mark.parametrize("name", ["palletizer", "rod arm, no parallelogram"])
+def test_mujoco_bends_drives_of_loops_as_the_model_does(name: str, rng: np.random.Generator) -> None:
+    """Drives bear what rods transmit; the bearings of loops, which would share it, are rigid, and that is said."""
+    text, tip = LINKAGES[name]
+    robot = Robot.from_urdf(text("constraint"), tip=tip)
+    model = Model(chain_of(robot, "after"), ELASTIC, equilibrium=True)
+    loops = {robot.joint_names[i] for closure in robot.closures for i, _ in closure.path.steps(robot.parents)}
+    soft = [p.is_compliance and (p.symbol == "k_z" or p.element not in loops) for p in model.parameters]
+    found = calibrated_of(model, np.where(soft, 2e-7, 0.0))
+    exported, q = export_model(found, "mjcf"), robot.random_configurations(10, rng)
+    looped, tips = Looped(robot, exported.text), []
+    for row in q:
+        looped.start(row)
+        looped.bend()
+        tips.append(looped.tip)
+    bare = model.with_chain(model.chain.with_references(np.eye(3), np.eye(3)[None]))
+    true = bare.predict(found.model_values, Conditions.at(q))[:, :, 3]
+    bent, error = (np.abs(at - true).max() for at in (rigid_tips(model, found.values, q)[:, :, 3], np.array(tips)))
+    print(f"mujoco, {name}: bent by {1e3 * bent:.3f} mm, {1e6 * error:.3f} um apart")
+
+    assert bent > 2e-4 and error < 1e-3 * bent
+    stiff = export_model(calibrated_of(model, np.where([p.is_compliance for p in model.parameters], 2e-7, 0.0)), "mjcf")
+    assert any("rigid here" in note for note in stiff.notes)
 
 
 def test_mujoco_has_the_masses(kuka: Robot) -> None:

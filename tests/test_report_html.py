@@ -191,7 +191,7 @@ def test_next_steps_follow_from_what_is_wrong(run: Calibration) -> None:
     """What misses something is to be searched; outliers are to be looked at."""
     worse = replace(run, result=replace(run.result, chi2_p_value=1e-9, outliers=(3, 4)))
     steps = " ".join(map(str, next_steps(worse)))
-    assert "pincal discover" in steps and "2 rows" in steps
+    assert "pincal discover" in steps and "line 3, 4" in steps
     assert "Use it" in " ".join(map(str, next_steps(run)))
 
 

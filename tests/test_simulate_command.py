@@ -237,7 +237,7 @@ def test_wrong_effects_are_refused_with_what_is_known(text, words):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--tip", "hand"], "unknown tip link 'hand'"),
+        (["--tip", "hand"], "unknown link 'hand'"),
         (["--floor", "9"], "--no-floor"),
         (["--sensor", "sonar"], "position, pose, distance"),
         (["--effect", "base_drift:joint_1"], "whole arm"),

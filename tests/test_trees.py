@@ -112,7 +112,7 @@ def test_joints_off_a_path_move_what_it_bears() -> None:
 
 def test_links_that_are_not_there_or_locked_are_refused() -> None:
     """With what there is."""
-    with pytest.raises(RobotFileError, match=r"unknown tip link 'arm_left_8_link'.*arm_left_7_link"):
+    with pytest.raises(RobotFileError, match=r"unknown link 'arm_left_8_link'.*arm_left_7_link"):
         Robot.from_urdf("talos", start="base_link", tip="arm_left_8_link")
     with pytest.raises(RobotFileError, match="no moving joint between 'torso_2_link' and 'torso_2_link'"):
         Robot.from_urdf("talos", start="torso_2_link", tip="torso_2_link")

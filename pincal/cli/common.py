@@ -18,12 +18,15 @@ from pincal.cli.quantities import (
     LENGTH_UNITS,
     NoiseType,
     QuantityType,
+    beside,
     columns,
     resting,
     station_links,
     xacro_argument,
 )
+from pincal.errors import BadInputError
 from pincal.measure.fields import TABLE_ENDINGS, TableOptions
+from pincal.robot.cell import Beside
 from pincal.units import GRAVITIES, is_gravity
 
 Triple = tuple[float, float, float]
@@ -67,6 +70,15 @@ coupling_option = partial(
     name="--coupling",
 )
 sign_option = partial(option, "Joint whose sign is opposite to that of the URDF.", (), metavar="JOINT", name="--sign")
+beside_option = partial(
+    option,
+    "Further robot of the cell, and where its root link stands in the frame of the first robot's [m, rad]. Its links and "
+    "joints are called NAME_... where two robots have the same names.",
+    (),
+    metavar="[NAME=]URDF[@X,Y,Z,ROLL,PITCH,YAW]",
+    name="--beside",
+    type=beside,
+)
 model_argument = partial(argument, "MODEL.json", "Calibrated model, as written by calibrate or discover.")
 type_option = partial(
     option, "What is known of robots of this type, as fleet learn finds it: few poses are enough then.", metavar="TYPE.json"
@@ -166,7 +178,7 @@ class LinkOptions:
         type=station_links,
     )
     rest: tuple[tuple[str, float], ...] = option(
-        "Position of a joint that has no column and moves nothing that is read.",
+        "Position of a joint that has no column, as it stood still.",
         (),
         metavar="JOINT=POSITION",
         type=resting,
@@ -189,6 +201,7 @@ class InputOptions:
     tip: str | None = tip_option(words="from the joint columns")
     base: str | None = base_option(words="root of the URDF, or where the joints of the table begin")
     links: LinkOptions = group("Links")
+    beside: tuple[Beside, ...] = beside_option(words="its place as the readings tell")
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     mass: float | None = mass_option()
     couplings: tuple[str, ...] = coupling_option()
@@ -304,6 +317,19 @@ class FitOptions:
         """
         sizes: dict[str, float | str] = dict(pair(text, "NAME=SIZE, such as '*.theta=2mrad'") for text in self.prior)
         return sizes | dict.fromkeys(self.free, float("inf")) | dict.fromkeys(self.fix, 0.0)
+
+    @property
+    def unknown_zeros(self) -> tuple[str, ...]:
+        """The joints whose zeros are unknown, by names or patterns.
+
+        Raises:
+            BadInputError: for anything but "unknown" and joints.
+        """
+        word, _, names = ("unknown", "", "-") if self.zeros is None else self.zeros.partition(":")
+        if word.strip() != "unknown":
+            raise BadInputError(f"--zeros {self.zeros}; expected unknown, or unknown:JOINT,JOINT")
+        found = tuple(filter(None, (name.strip() for name in names.split(","))))
+        return () if self.zeros is None else found or ("*",)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.calibrated_robot import load_stations
+from pincal.calibration.located import located
 from pincal.calibration.placing import place_station, without_absent
 from pincal.calibration.validation import doubt_of
 from pincal.cli.common import (
@@ -23,7 +24,7 @@ from pincal.cli.common import (
 )
 from pincal.cli.motion_options import MotionOptions, input_files, load_sessions
 from pincal.cli.progress import log_step
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, nearest_first
 from pincal.fleet.robot_type import load_type
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.station import conditions_of
@@ -32,7 +33,7 @@ from pincal.measure.admit import check_table, usable_rows
 from pincal.measure.fields import TableOptions
 from pincal.measure.instruments import InstrumentNoise
 from pincal.measure.measurements import Measurements
-from pincal.measure.reader import links_of_rows
+from pincal.measure.reader import links_of_rows, of_path
 from pincal.measure.setup import KnownDistance, Setup, read_distances, read_points
 from pincal.measure.table import joint_columns, read_measurements, stations_of
 from pincal.model.catalogue.candidates import find_effect
@@ -42,10 +43,10 @@ from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.model.model import Model
 from pincal.motion.sessions import joints_of_session
 from pincal.robot.arm_of_tree import TreeRequest
+from pincal.robot.cell import NOWHERE, read_cell, robot_files
 from pincal.robot.mastering import remastered
 from pincal.robot.robot import Robot
-from pincal.robot.tree import MOVING_TYPES, UrdfTree
-from pincal.robot.urdf_file import find_file, read_urdf
+from pincal.robot.tree import MOVING_TYPES
 from pincal.units import readable_unit
 
 EFFECTS_OF = {"geometric": GEOMETRIC, "elastic": ELASTIC}
@@ -87,18 +88,21 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     """
     source.motion.check(source.table.joints, source.data)
     log_step("reading robot and tables")
-    robot = load_robot(source)
+    unplaced = replace(source, beside=tuple(replace(of, place=of.place or NOWHERE) for of in source.beside))
+    robot = load_robot(unplaced)
     tables = load_tables(robot, source.data, options=source.table.options, links=source.links, motion=source.motion)
     setup, motion = chosen.setup, source.motion
     others = (source.table.joints, motion.imu, motion.tracker, setup.points, setup.distances, setup.camera)
     given = [path for path in others if path is not None]
     options = options_of(chosen, tables)
+    if unplaced.beside != source.beside:
+        robot = load_robot(replace(source, beside=located(robot, source.beside, tables, options)))
     effects = named_effects(chosen.fit.add, options, robot=robot, tables=tables)
     options = replace(options, effects=(*options.effects, *effects))
     if chosen.fit.type is not None:
         options = replace(options, earlier=load_type(chosen.fit.type).prior_of(robot, options.effects))
         given.append(chosen.fit.type)
-    return Prepared(robot, tables, options, (*input_files(source.data), *given, Path(robot.source)))
+    return Prepared(robot, tables, options, (*input_files(source.data), *given, *robot_files(robot.source, source.beside)))
 
 
 def named_effects(
@@ -131,7 +135,7 @@ def as_stated(robot: Robot, *, signs: Sequence[str], couplings: Sequence[str]) -
 
 def _described(source: InputOptions) -> Robot:
     """Return the robot as its URDF has it: the joints between the links that the tables are about."""
-    tree = read_urdf(find_file(source.robot), xacro_args=dict(source.xacro_args))
+    tree = read_cell(source.robot, source.beside, xacro_args=dict(source.xacro_args))
     known = {joint.name for joint in tree.joints}
     tip, start = source.tip or source.links.to, source.links.start
     paths, recorded = list[tuple[str | None, str | None]](), dict[str, None]()
@@ -142,30 +146,34 @@ def _described(source: InputOptions) -> Robot:
         files, reading = [*files, Path(reading.joints)], replace(reading, joints=None)
     for path in files:
         session = joints_of_session(path)
-        joints[path] = joint_columns(session or path, known, reading)
-        recorded |= dict.fromkeys(joints[path])
         is_log = session is not None or path not in source.data
         pairs = [given[path.stem]] if path.stem in given else [(None, None)] if is_log else links_of_rows(path, reading)
+        above = [joint for _, last in pairs for joint in (tree.above(last or tip or "") if last or tip else ())]
+        way = [joint.name for joint in above if joint.kind in MOVING_TYPES]
+        joints[path] = joint_columns(session or path, known, of_path(session or path, way, reading))
+        recorded |= dict.fromkeys(joints[path])
         # The end of a chain that the columns of the table are of, if nothing says otherwise.
-        ends = [(first or start, last or tip or _tip_of(tree, joints[path])) for first, last in pairs]
+        ends = [(first or start, last or tip or tree.default_tip(joints[path] or None)) for first, last in pairs]
         paths += [pair for pair in ends if pair not in paths]
     paths += [pair for pair in given.values() if pair not in paths]
+    for option, link, named in (("--from", start, [pair[0] for pair in paths]), ("--to", tip, [pair[1] for pair in paths])):
+        if link is not None and link not in named:
+            raise BadInputError(f"{option} {link}, but the rows say {', '.join(map(str, named))}; leave one of them out")
     (start, tip), *others = paths
-    is_plain = not others and start is None
-    if is_plain and not (source.tip or source.links.to):
-        wanted = TreeRequest(base=source.base, joints=joints[files[0]] or None)
+    movable = [joint.name for joint in tree.joints if joint.kind in MOVING_TYPES]
+    rested = [name for name, _ in source.links.rest]
+    if unknown := [name for name in rested if name not in movable]:
+        raise BadInputError(f"--rest {unknown[0]}; expected one of {', '.join(nearest_first(unknown, movable)[:12])}")
+    if not others and start is None and not (source.tip or source.links.to):
+        on_way = [joint.name for joint in tree.above(str(tip)) if joint.name in rested]
+        wanted = TreeRequest(base=source.base, joints=(*joints[files[0]], *on_way) or None, others=rested)
         return Robot.from_tree(tree, wanted, mass=source.mass)
     base = source.base or tree.root
     further = [(first or base, str(last)) for first, last in others]
-    beyond = [name for name in recorded if any(joint.name == name and joint.kind in MOVING_TYPES for joint in tree.joints)]
+    beyond = [name for name in (*recorded, *rested) if name in movable]
     told = tuple(recorded) if tree.loops else None
     wanted = TreeRequest(tip, start, source.base, told, paths=further, others=beyond)
     return Robot.from_tree(tree, wanted, mass=source.mass)
-
-
-def _tip_of(tree: UrdfTree, joints: Sequence[str]) -> str:
-    """Return the link at the end of the chain of the joints that a table has, as far as they are one."""
-    return tree.default_tip(joints or None)
 
 
 def load_tables(
@@ -185,12 +193,17 @@ def load_tables(
             of a row has no column.
     """
     links, reading = links or LinkOptions(), options or TableOptions()
-    moving, held = load_sessions(robot, tuple(paths), reading, motion or MotionOptions())
+    paths = tuple(paths)
+    moving, held = load_sessions(robot, paths, reading, motion or MotionOptions())
     if motion is not None and motion.are_given:
         reading = replace(reading, joints=None)
     if len(held) > 1:
         reading = replace(reading, shares_log=True)
     tables = [(path.stem, load_table(robot, path, options=reading, links=links)) for path in held]
+    stations = {path.stem for path in paths}.union(*(of.station.tolist() for _, of in tables if of.station is not None))
+    if unknown := [name for name, *_ in links.stations if name not in stations]:
+        known = ", ".join(nearest_first(unknown, stations))
+        raise BadInputError(f"--station {unknown[0]}:FROM:TO: no table or station of this name; expected one of {known}")
     return stations_of([*((name, _between(table, name, links)) for name, table in tables), *moving.items()])
 
 
@@ -198,7 +211,7 @@ def _between(table: Measurements, name: str, links: LinkOptions) -> Measurements
     """Return a table with the links that the command line gives its rows."""
     names = np.full(len(table), name) if table.station is None else table.station
     for station, start, tip in links.stations:
-        if (rows := names == station).any():
+        if (rows := (names == station) | (name == station)).any():
             table = _with_links(table, rows, start, tip)
     return table
 
@@ -231,15 +244,15 @@ def load_table(
         there = set(joint_columns(path, robot.joint_names, reading))
         # What is known of an arm from contacts holds for what an instrument sees of it, too.
         ends = dict.fromkeys(end for pair in ((robot.path.start, robot.tip), *robot.links) for end in pair)
-        ways = ((None, None), *robot.links, *((robot.base, end) for end in ends if end != robot.base))
+        ways = ((robot.path.start, robot.tip), *robot.links, *((robot.base, end) for end in ends if end != robot.base))
         chosen = next((way for way in ways if there.issuperset(robot.joints_between(*way))), None)
         pairs = pairs if chosen is None else [chosen]
     needed = {name for pair in pairs for name in robot.joints_between(*pair)}
     own = [robot.joint_names[i] for i in robot.own_joints]
     resting = {name: 0.0 for name in own if name not in needed} | dict(links.rest)
+    reading = of_path(path, needed, reading)
     table = read_measurements(path, robot, **vars(reading), require=require, resting=resting)
-    is_default = chosen is None or chosen == (None, None)
-    return table if is_default else _with_links(table, np.ones(len(table), bool), *map(str, chosen or ()))
+    return table if chosen is None else _with_links(table, np.ones(len(table), bool), *chosen)
 
 
 def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -> Options:
@@ -262,7 +275,7 @@ def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -
         loss=fit.loss,
         length_bound=fit.length_bound,
         priors=fit.priors,
-        zeros=_unknown_zeros(fit.zeros),
+        zeros=fit.unknown_zeros,
         setup=Setup(
             points={} if setup.points is None else read_points(setup.points),
             distances=(*(KnownDistance(*gap) for gap in setup.gaps), *listed),
@@ -271,14 +284,6 @@ def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -
         ),
         stations={name: _known_of(setup, table, alone=len(tables) == 1) for name, table in tables.items()},
     )
-
-
-def _unknown_zeros(text: str | None) -> tuple[str, ...]:
-    """Return the joints whose zeros are unknown, by names or patterns."""
-    word, _, names = ("unknown", "", "-") if text is None else text.partition(":")
-    if word.strip() != "unknown":
-        raise BadInputError(f"--zeros {text}; expected unknown, or unknown:JOINT,JOINT")
-    return () if text is None else tuple(filter(None, (name.strip() for name in names.split(",")))) or ("*",)
 
 
 def _known_of(setup: SetupOptions, table: Measurements, *, alone: bool) -> StationOptions:

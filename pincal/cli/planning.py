@@ -19,6 +19,7 @@ from pincal.cli.common import (
     ModelOptions,
     Triple,
     base_option,
+    beside_option,
     coupling_option,
     sign_option,
     tip_option,
@@ -30,6 +31,7 @@ from pincal.cli.motion_options import DrivenOptions
 from pincal.cli.outputs import print_json, problem_report
 from pincal.cli.quantities import ANGLE, LENGTH, Masses
 from pincal.errors import Exit
+from pincal.robot.cell import Beside
 
 if TYPE_CHECKING:
     from pincal.design.health import HealthCheck
@@ -199,6 +201,7 @@ class DesignArguments:
     start: str | None = option(
         "Link from which the tip is seen, such as the other hand.", metavar="LINK", name="--from", words="the base"
     )
+    beside: tuple[Beside, ...] = beside_option()
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     couplings: tuple[str, ...] = coupling_option()
     signs: tuple[str, ...] = sign_option()
@@ -308,12 +311,12 @@ def _write(
 
 def _robot(arguments: DesignArguments) -> Robot:
     from pincal.cli.inputs import as_stated
+    from pincal.robot.arm_of_tree import TreeRequest
+    from pincal.robot.cell import read_cell
     from pincal.robot.robot import Robot
 
-    xacro_args = dict(arguments.xacro_args)
-    robot = Robot.from_urdf(
-        arguments.robot, tip=arguments.tip, base=arguments.base, start=arguments.start, xacro_args=xacro_args
-    )
+    tree = read_cell(arguments.robot, arguments.beside, xacro_args=dict(arguments.xacro_args))
+    robot = Robot.from_tree(tree, TreeRequest(arguments.tip, arguments.start, arguments.base))
     return as_stated(robot, signs=arguments.signs, couplings=arguments.couplings)
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any
 
 import click
 
 from pincal.cli.arguments import pair
+from pincal.robot.cell import Beside
 from pincal.units import LARGEST, SMALLEST, plain_number, unit_sizes
 
 LENGTH_UNITS = unit_sizes("um", "mm", "cm", "m")
@@ -107,6 +110,7 @@ def columns(text: str) -> dict[str, str]:
     return found
 
 
+BESIDE = "right=ur10.urdf@1.5m,0,0,0,0,180deg"
 LENGTH = QuantityType(LENGTH_UNITS, "0.05mm")
 ANGLE = QuantityType(ANGLES, "0.1mrad")
 
@@ -117,6 +121,19 @@ def station_links(text: str) -> tuple[str, str, str]:
     if len(words) != 3 or not all(words):
         raise click.BadParameter(f"{text!r}; expected NAME:FROM:TO, such as left:base_link:left_hand")
     return words
+
+
+def beside(text: str) -> Beside:
+    """Return a further robot of the cell, ``[NAME=]URDF[@X,Y,Z,ROLL,PITCH,YAW]``."""
+    given, at, numbers = text.partition("@")
+    name, sign, source = given.partition("=")
+    if not sign:
+        name, source = re.sub(r"\W", "_", Path(given).stem), given
+    units = [LENGTH_UNITS] * 3 + [ANGLES] * 3
+    place = [_signed(word.strip(), of) for word, of in zip(numbers.split(","), units, strict=False)] if at else None
+    if not (source and re.fullmatch(r"\w+", name)) or (place is not None and numbers.count(",") != 5):
+        raise click.BadParameter(f"{text!r}; expected [NAME=]URDF[@X,Y,Z,ROLL,PITCH,YAW], such as {BESIDE}")
+    return Beside(source, name, None if place is None else tuple(place))
 
 
 def resting(text: str) -> tuple[str, float]:

@@ -16,6 +16,7 @@ from pincal.cli.arguments import verb
 from pincal.cli.outputs import print_json, provenance, write_all, write_plain
 from pincal.cli.simulate_options import SimulateArguments, via_path
 from pincal.errors import BadInputError, Exit, OutputError, nearest_first
+from pincal.robot.cell import read_cell, robot_files
 
 if TYPE_CHECKING:
     from pincal.robot.robot import Robot
@@ -57,22 +58,17 @@ def simulate(arguments: SimulateArguments) -> Exit:
     """Simulate the measurement of a machine with chosen errors and hidden effects."""
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
+    from pincal.robot.arm_of_tree import TreeRequest
     from pincal.robot.robot import Robot
     from pincal.simulate.request import Stream
 
     arguments.check()
     given = arguments.machine
-    load = partial(
-        Robot.from_urdf,
-        arguments.robot,
-        tip=given.tip,
-        base=given.base,
-        start=given.start,
-        xacro_args=dict(given.xacro_args),
-    )
-    robot = load()
+    tree = read_cell(arguments.robot, given.beside, xacro_args=dict(given.xacro_args))
+    wanted = TreeRequest(given.tip, given.start, given.base)
+    robot = Robot.from_tree(tree, wanted)
     if given.also:
-        robot = load(paths=[(robot.base, link) for link in given.also])
+        robot = Robot.from_tree(tree, replace(wanted, paths=[(robot.base, link) for link in given.also]))
     machine = _machine(robot, arguments)
     if arguments.motion.path is not None:
         return _drive(robot, machine, arguments)
@@ -85,7 +81,7 @@ def simulate(arguments: SimulateArguments) -> Exit:
     if start != robot.base or robot.links:
         table |= {"from": np.repeat(start, rows), "to": np.repeat(robot.tip, rows)}
     found = _origin(robot, machine, arguments) | campaign.truth(machine, tip=robot.tip)
-    origin, beside = {"made_by": provenance([Path(robot.source)])}, arguments.sensor
+    origin, beside = {"made_by": provenance(robot_files(robot.source, given.beside))}, arguments.sensor
     named = campaign.setup.points
     points = {"point": np.array(list(named)), **dict(zip("xyz", np.array([*named.values()], float).T, strict=False))}
     write_all({
@@ -134,7 +130,7 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
         f"--out {name}": (arguments.out / f"{name}.csv", lambda path, table=table: write_table(path, table))  # type: ignore[misc]
         for name, table in tables.items()
     }
-    origin = {"made_by": provenance([Path(robot.source)])}
+    origin = {"made_by": provenance(robot_files(robot.source, arguments.machine.beside))}
     files["--truth"] = (arguments.truth, lambda path: write_plain(path, contents=found | origin))
     _make_folder(arguments.out)
     write_all(files)
@@ -309,6 +305,7 @@ def _of_arm(verb: str, arguments: SimulateArguments) -> str:
     machine, words = arguments.machine, [f"pincal {verb} {arguments.robot} {arguments.out}"]
     words += [f"--tip {machine.tip}"] if machine.tip else []
     words += [f"--base {machine.base}"] if machine.base else []
+    words += [f"--beside {of}" for of in machine.beside]
     return " ".join([*words, *(f"--xacro-arg {name}:={value}" for name, value in machine.xacro_args)])
 
 

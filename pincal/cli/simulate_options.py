@@ -16,6 +16,7 @@ from pincal.cli.common import (
     GeneralOptions,
     Triple,
     base_option,
+    beside_option,
     gravity_option,
     robot_argument,
     tip_option,
@@ -25,6 +26,7 @@ from pincal.cli.motion_options import MotionArguments
 from pincal.cli.quantities import ANGLES, LENGTH, Masses, NoiseType, QuantityType
 from pincal.errors import BadInputError, MeasurementError, OutputError
 from pincal.measure.fields import TABLE_ENDINGS
+from pincal.robot.cell import Beside
 
 if TYPE_CHECKING:
     from pincal.robot.robot import Robot
@@ -98,6 +100,7 @@ class MachineArguments:
         (),
         metavar="LINK",
     )
+    beside: tuple[Beside, ...] = beside_option()
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     errors: float = option("Size of the geometric errors: 1 is typical, 0 none.", 1.0, metavar="SCALE", type=_SCALE)
     type: Path | None = option(

@@ -16,10 +16,9 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.errors import BadInputError
 from pincal.export.exported import FORMATS, Exported, Format
-from pincal.io.urdf_export import rigid_notes, rigid_tips
-from pincal.model.augmented import joint_mounts, link_placements
+from pincal.io.urdf_export import rigid_joints, rigid_notes, rigid_tips
+from pincal.model.augmented import closure_frames, joint_mounts, link_placements
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family, Term
 from pincal.model.model import Model
@@ -32,6 +31,8 @@ _LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9
 # MuJoCo's own [s]: a spring that swings faster needs armature and damping to be stable.
 _TIME_STEP = 2e-3
 _CHECKED_POSES = 100
+# Equations of a closure that are about a place; and where on its axis a second place is [m].
+_PLACES, _ON_AXIS = 3, 0.1
 
 
 @dataclass(frozen=True)
@@ -43,12 +44,14 @@ class _Springs:
         axes: shape (n, 3, 3), these axes in columns, in the axes of the joint's moments.
         carried: the effects that they are of.
         refused: names of those among them that no spring has, since they yield against the load.
+        rigid: names of those of loops that no spring has, since it would share the loads of the loop.
     """
 
     compliances: np.ndarray
     axes: np.ndarray
     carried: tuple[Effect, ...]
     refused: tuple[str, ...]
+    rigid: tuple[str, ...]
 
 
 @FORMATS.register
@@ -65,8 +68,6 @@ class MujocoModel(Format):
         robot = model.chain.robot
         springs = _springs(model, values)
         placed, behind = link_placements(model, values)
-        if robot.closures:
-            raise BadInputError(f"{robot.name}: has closed loops, which --mjcf can't write; take --urdf")
         root = ET.Element("mujoco", model=robot.name)
         _add(root, "compiler", angle="radian", autolimits="true", balanceinertia="true")
         _add(root, "option", gravity=_numbers(model.chain.gravity))
@@ -80,21 +81,37 @@ class MujocoModel(Format):
         for link, joint, place in {end[0]: end for path in _paths(robot, model.chain.path) for end in path.ends}.values():
             if link != robot.base:
                 _add(bodies[joint], "site", name=link, **_pose(behind[joint + 1] @ place))
-        for mimic in robot.mimics:
-            equality = root.find("equality")
-            follows = _numbers(np.array([mimic.offset, mimic.multiplier, 0.0, 0.0, 0.0]))
-            _add(
-                _add(root, "equality") if equality is None else equality,
-                "joint",
-                joint1=mimic.joint,
-                joint2=mimic.source,
-                polycoef=follows,
-            )
+        constraints = [*_closed(model, values, bodies), *_followers(robot)]
+        equality = _add(root, "equality") if constraints else root
+        for tag, attributes in constraints:
+            _add(equality, tag, **attributes)
         ET.indent(root)
         notes = _notes(calibrated, springs)
         comment = "\n".join("  " + re.sub("-(?=-)", "- ", note) for note in notes)
         text = f"<!--\n{comment}\n-->\n{ET.tostring(root, encoding='unicode')}\n"
         return Exported({"": text.encode()}, notes, _error(model, values, text))
+
+
+def _followers(robot: Robot) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield what makes joints follow those that they mimic."""
+    for mimic in robot.mimics:
+        polynomial = _numbers(np.array([mimic.offset, mimic.multiplier, 0.0, 0.0, 0.0]))
+        yield "joint", {"joint1": mimic.joint, "joint2": mimic.source, "polycoef": polynomial}
+
+
+def _closed(model: Model, values: np.ndarray, bodies: Mapping[int, ET.Element]) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield what closes loops, between sites that are put on bodies: of each closure what its passive joints can meet.
+
+    What they can't, such as how far a planar loop is out of its plane, pulls at them to second order alone.
+    """
+    for closure, frames in closure_frames(model, values):
+        turns = max(closure.rows) >= _PLACES
+        tag = "weld" if turns and closure.kind == "pose" else "connect"
+        for along in (0.0, _ON_AXIS) if turns and closure.kind == "axis" else (0.0,):
+            names = [f"{closure.name}_{end}{'_axis' if along else ''}" for end in ("start", "end")]
+            for name, (_, joint, _), T in zip(names, closure.path.ends, frames, strict=True):
+                _add(bodies[joint], "site", name=name, **_pose(T @ translation(0.0, 0.0, along)))
+            yield tag, {"site1": names[0], "site2": names[1]}
 
 
 def _springs(model: Model, values: np.ndarray) -> _Springs:
@@ -113,6 +130,9 @@ def _springs(model: Model, values: np.ndarray) -> _Springs:
         for term, entry in zip(terms, entries, strict=True):
             matrices[entry] += float(values[span][term.parameter])
     compliances, axes = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1))
+    loops = {joint for closure in chain.robot.closures for joint, _ in closure.path.steps(chain.robot.parents)}
+    rigid = sorted(chain.robot.joint_names[i] for i in loops if matrices[i, :2, :2].any())
+    matrices[list(loops), :2, :2] = 0.0
     for i, matrix in enumerate(matrices):
         if matrix[0, 1]:
             compliances[i, :2], axes[i, :2, :2] = np.linalg.eigh(matrix[:2, :2])
@@ -121,7 +141,7 @@ def _springs(model: Model, values: np.ndarray) -> _Springs:
             compliances[i] = np.diag(matrix)
         names = ("k_across", "k_across", "k_z") if matrix[0, 1] else ("k_x", "k_y", "k_z")
         refused += [f"{chain.robot.joint_names[i]}.{names[c]}" for c in np.flatnonzero(compliances[i] < 0.0)]
-    return _Springs(np.maximum(compliances, 0.0), axes, tuple(carried), tuple(refused))
+    return _Springs(np.maximum(compliances, 0.0), axes, tuple(carried), tuple(refused), tuple(rigid))
 
 
 def _entry(term: Term, places: Mapping[int, tuple[int, int]]) -> tuple[int, int, int] | None:
@@ -201,6 +221,10 @@ def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
         notes += (f"masses behind {', '.join(below)}: negative, which is not physical; left out, so that moments differ",)
     if springs.refused:
         notes += (f"{', '.join(springs.refused)}: negative, which is not physical; left out",)
+    if springs.rigid:
+        notes += (f"bearings of {', '.join(springs.rigid)}: rigid here, as springs in a closed loop would share its loads",)
+    if robot.closures:
+        notes += ("loops are closed between sites, which old versions of MuJoCo can't read",)
     if np.any(springs.compliances):
         notes += (
             "springs have the arm's deflection at rest under its own weight; their armature and damping keep MuJoCo stable "
@@ -227,7 +251,7 @@ def _bent(calibrated: CalibratedModel) -> str:
 def _error(model: Model, values: np.ndarray, text: str) -> float:
     """Return how far the bodies of a file put the ends of paths from the calibrated geometry at most [m]."""
     robot, root = model.chain.robot, ET.fromstring(text)
-    q = robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0))
+    q = rigid_joints(model, values, robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0)))
     bodies = {body.get("name"): body for body in root.iter("body")}
     sites = {site.get("name"): _read(site) for site in root.iter("site")}
     paths = _paths(robot, model.chain.path)

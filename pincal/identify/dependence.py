@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -135,11 +136,15 @@ class _Seen:
 
     def left(self, turns: np.ndarray | None) -> np.ndarray:
         """Return what is left, as the fit weighs it, in units of its noise, shape (m, N), in one of the frames."""
+        return self._left if turns is None else turned_into(turns, self._left)
+
+    @cached_property
+    def _left(self) -> np.ndarray:
         station = self.station
-        left = station.whitened(station.residuals(self.values)) * station.weights / self.sigma
-        if station.serial is not None and station.serial.turns is not None:
-            left = turned_into(station.serial.turns.swapaxes(1, 2), left)
-        return left if turns is None else turned_into(turns, left)
+        left = np.asarray(station.whitened(station.residuals(self.values)) * station.weights / self.sigma)
+        if station.serial is None or station.serial.turns is None:
+            return left
+        return turned_into(station.serial.turns.swapaxes(1, 2), left)
 
     def dependence_in(self, turns: np.ndarray | None) -> float:
         """Return the same in one of the frames."""

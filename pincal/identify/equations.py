@@ -166,11 +166,15 @@ class Linearised:
         return replace(self, robust=robust, is_doubtful=False)
 
     def narrowed(self, free: np.ndarray) -> Linearised:
-        """Return the same point with fewer free parameters, shape (P,); of one station nothing is computed again."""
+        """Return the same point with fewer free parameters, shape (P,); normal equations that are known are not again."""
         if np.array_equal(free, self.free):
             return self
-        is_alone, kept = len(self.problem.stations) == 1, np.flatnonzero(free[self.free])
-        return replace(self, free=free, normals={0: self._normals[0].narrowed(kept)} if is_alone else {}, sums={})
+        found = replace(self, free=free, normals={}, sums={})
+        if [batch.first for batch in found._batches] == [batch.first for batch in self._batches]:
+            for k, normal in self.normals.items():
+                places = self._batches[k].places[0]
+                found.normals[k] = normal.narrowed(np.flatnonzero(free[places[self.free[places]]]))
+        return found
 
     def release(self) -> None:
         """Give up the memory of several stations' equations, which are computed again if they are asked for."""

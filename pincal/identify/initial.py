@@ -154,6 +154,12 @@ def place_setups(
     return [placed[name] for name in tables]
 
 
+def base_seen(robot: Robot, tables: Mapping[str, Measurements], options: Options) -> np.ndarray:
+    """Return where the nominal arm's path starts in the frame of the only station's instrument, shape (4, 4)."""
+    ((station, values),) = place_arm(_arm(robot, options), np.zeros(0), tables, options=options)
+    return _base_of(station, values)
+
+
 def _base_of(station: Station, values: np.ndarray) -> np.ndarray:
     """Return where a station has the link from which its path starts in the instrument's frame, shape (4, 4)."""
     index = {parameter.name: i for i, parameter in enumerate(station.parameters)}

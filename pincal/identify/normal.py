@@ -124,13 +124,15 @@ def _together(stations: Sequence[Station]) -> Station:
 
 def runs(stations: Sequence[Station]) -> Iterator[range]:
     """Yield the numbers of stations that can be evaluated together, small enough for it to be worth while."""
-    start, rows, key = 0, len(stations[0]), _key(stations[0])
-    is_plain = _is_plain(stations[0]) if len(stations) > 1 else False
+    start, rows, key, is_plain = 0, len(stations[0]), _key(stations[0]), None
     for i, station in enumerate(stations[1:], 1):
         rows, other = rows + len(station), _key(station)
-        if rows > PIECE or not is_plain or station.serial is not None or other != key:
+        is_alike = rows <= PIECE and station.serial is None and other == key
+        if is_alike and is_plain is None:
+            is_plain = _is_plain(stations[start])
+        if not (is_alike and is_plain):
             yield range(start, i)
-            start, rows, key, is_plain = i, len(station), other, _is_plain(station)
+            start, rows, key, is_plain = i, len(station), other, None
     yield range(start, len(stations))
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -132,10 +132,9 @@ class _Run:
         self.hard = isinstance(start, Linearised)
         if not isinstance(start, Linearised):
             self.point = self.linearised(start.astype(float), np.ones(len(problem)), None)
-        elif len(problem.stations) == 1:
-            self.point = start.narrowed(free)
         else:
-            self.point = self.linearised(start.values, start.robust, noise.known)
+            declared = None if np.isnan(noise.known).any() else noise.known
+            self.point = replace(start.narrowed(free), executor=course.executor, sigma=declared)
         self.judged = self.judge.at(self.point, hard=self.hard)
         self.iterations, self.wanted, self.is_short, self.held = 0, np.inf, False, np.zeros(int(free.sum()), bool)
         self.damping, self.was_refused = 0.0, False

@@ -10,14 +10,13 @@ import numpy as np
 
 from pincal.errors import PincalWarning, RobotFileError
 from pincal.io.urdf_text import Origin, append_frame, read_origins, rpy_of, write_origins
-from pincal.model.augmented import link_placements
+from pincal.model.augmented import closure_frames, link_placements
 from pincal.model.chain import Chain
 from pincal.model.effect import Family
 from pincal.model.effects import GEOMETRIC, Conditions
 from pincal.model.model import Model
 from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
-from pincal.robot.se3 import translation
 from pincal.robot.tree import MOVING_TYPES, UrdfJoint, UrdfTree
 from pincal.robot.urdf_file import parse_urdf
 
@@ -160,17 +159,14 @@ def _pin_origins(
 ) -> tuple[dict[str, Origin], list[str]]:
     """Return the new origins of what closes loops, and the names of closures that the URDF can't move."""
     chain, new, held = model.chain, dict[str, Origin](), list[str]()
-    placed = [(model.rigid_coordinates(x), link_placements(model, x)[1]) for x in (np.zeros(model.n_parameters), values)]
-    for closure in chain.robot.closures:
-        side = closure.pinned(chain.robot.parents)
-        pin = [chain.pin(chain.pins.index(closure), symbol) for symbol in "xy"] if side else []
-        for (link, joint, T), here, role in zip(closure.path.ends, (-1, 1), ("parent", "child"), strict=True):
-            shifts = [translation(x[pin[0]], x[pin[1]], 0.0) if side == here else np.eye(4) for x, _ in placed]
-            before, after = (behind[joint + 1] @ T @ shift for (_, behind), shift in zip(placed, shifts, strict=True))
+    frames = (closure_frames(model, x) for x in (np.zeros(model.n_parameters), values))
+    for (closure, nominal), (_, found) in zip(*frames, strict=True):
+        ends = zip(closure.path.ends, nominal, found, ("parent", "child"), strict=True)
+        for (link, _, _), before, after, role in ends:
             moved, name = after @ np.linalg.inv(before), f"{closure.name}.{role}_origin"
             way = _way_to(tree, chain.robot, link)
             on_link = _product(old, way)
-            if name in old or (here < 0 and closure.name in old):
+            if name in old or (role == "parent" and closure.name in old):
                 name = name if name in old else closure.name
                 T_old = old[name].matrix
                 new[name] = _moved(old[name], T_old, np.linalg.inv(on_link) @ moved @ on_link @ T_old)
@@ -262,10 +258,20 @@ def _check(text: bytes, tip: str, model: Model, values: np.ndarray, *, lost: Col
 
 def rigid_tips(model: Model, values: np.ndarray, q: np.ndarray, path: LinkPath | None = None) -> np.ndarray:
     """Return the tip of a path where it starts, shape (N, 3, 4), by the rigid part of the model, not by its placements."""
+    rigid, found = _rigid(model, values, path)
+    return rigid.predict(found, Conditions.at(q))
+
+
+def rigid_joints(model: Model, values: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Return joint positions, shape (N, n), with passive joints where the calibrated loops close."""
+    rigid, found = _rigid(model, values, None)
+    drives = rigid.chain.drives
+    return np.asarray(rigid.coordinates(found, Conditions.at(q))[:, drives] - rigid.rigid_coordinates(found)[drives])
+
+
+def _rigid(model: Model, values: np.ndarray, path: LinkPath | None) -> tuple[Model, np.ndarray]:
     robot = model.chain.robot
     chain = Chain.of(robot, moment_frame=model.chain.moment_frame, path=path)
-    rigid = Model(chain, GEOMETRIC)
-    deviations = model.rigid_coordinates(values) - model.chain.nominal
-    at = Conditions.at(q)
+    deviations, at = model.rigid_coordinates(values) - model.chain.nominal, Conditions.at(np.zeros((1, robot.n_joints)))
     found = [deviations[term.coordinate] for effect in GEOMETRIC for term in effect.terms(chain, at, None)]
-    return rigid.predict(np.array(found), at)
+    return Model(chain, GEOMETRIC), np.array(found)

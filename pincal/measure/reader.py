@@ -281,6 +281,21 @@ def joint_columns(path: str | os.PathLike[str], names: Iterable[str], options: T
     return tuple(dict.fromkeys(name for name, _ in filter(None, found)))
 
 
+def of_path(path: str | os.PathLike[str], names: Collection[str], options: TableOptions) -> TableOptions:
+    """Return how to read a table of joints, whose columns may lack a prefix that the names of all of them have.
+
+    Each of two robots alike has a controller that calls its joints as the other one does.
+    """
+    first = next(iter(names), "")
+    if "_" not in first or joint_columns(path, names, options):
+        return options
+    for end in (i + 1 for i, letter in enumerate(first) if letter == "_"):
+        own = {name[end:]: name for name in names if name.startswith(first[:end])}
+        if len(own) == len(names) and own.keys() <= set(joint_columns(path, own, options)):
+            return replace(options, columns={**options.columns, **own})
+    return options
+
+
 def links_of_rows(path: str | os.PathLike[str], options: TableOptions) -> list[tuple[str | None, str | None]]:
     """Return the pairs of links that the rows of a table are between, None where it names none, without its readings.
 

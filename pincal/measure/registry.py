@@ -110,7 +110,7 @@ def check_fields(fields: Collection[str], *, source: str) -> None:
         raise MeasurementError(f"{source}: two kinds of measurement ({found}); expected one, ignore the others")
     for sensor in sensors:
         main, *others = sensor.fields
-        given = [field for field in others if field.name in fields and field.name not in CONDITIONS]
+        given = [f for f in others if f.name in fields and f.name not in CONDITIONS and f.name not in read]
         if given and main.name not in fields:
             raise MeasurementError(f"{source}: {given[0]} without {main}; add what is missing, or ignore {given[0]}")
         missing = [field for field in others if field.name not in fields]

@@ -177,7 +177,11 @@ def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measure
             parts.setdefault(station, []).append(_rows_of(table, station))
     for name in whole.keys() & {name for name, found in parts.items() if found}:
         raise _same_name(name, whole[name], parts[name][0])
-    return {name: whole[name] if name in whole else _joined(name, found) for name, found in parts.items()}
+    stations: dict[str, Measurements] = {}
+    for name, found in parts.items():
+        # Rows of one station that came from several tables may be between several links.
+        stations |= {name: whole[name]} if name in whole else _by_links(name, _joined(name, found))
+    return stations
 
 
 def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurements]]:
@@ -187,13 +191,16 @@ def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurement
     found: list[tuple[list[str], Measurements]] = []
     for kind, part in parts:
         columns = [of for end in LINK_ENDS if (of := getattr(part, f"{end}_link")) is not None]
-        if not columns:
-            found.append(([kind], part))
+        if not columns or (len(part) and all((of == of[0]).all() for of in columns)):
+            found.append(([*(str(of[0]) for of in columns), kind], part))
             continue
         links, inverse = np.unique(np.array(columns), axis=1, return_inverse=True)
         # In the order in which they appear.
         found += [([*links[:, k], kind], part.select(inverse == k)) for k in dict.fromkeys(inverse.tolist())]
-    for own, rows in found:
+    # What sees from one link is one instrument, what sees from another link another one.
+    starts = ["" if rows.from_link is None or not len(rows) else str(rows.from_link[0]) for _, rows in found]
+    for (own, rows), start in zip(found, starts, strict=True):
+        shared = (name or _UNNAMED) if len(set(starts)) == 1 else f"{name or _UNNAMED}:{start}"
         # What all have in common needs no mention.
         marks = [
             mark
@@ -202,7 +209,8 @@ def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurement
         ]
         ending = "".join(f":{mark}" for mark in marks).removeprefix("" if name else ":")
         station = None if rows.station is None else np.array([f"{each}{ending}" for each in rows.station.tolist()])
-        yield f"{name}{ending}", replace(rows, station=station, setup=(name or _UNNAMED) if ending else rows.setup)
+        setup = shared if ending and starts.count(start) > 1 else rows.setup
+        yield f"{name}{ending}", replace(rows, station=station, setup=setup)
 
 
 def _rows_of(table: Measurements, station: str) -> Measurements:

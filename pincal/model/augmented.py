@@ -8,6 +8,7 @@ import numpy as np
 
 from pincal.model.chain import Chain
 from pincal.model.model import Model
+from pincal.robot.closure import Closure
 from pincal.robot.se3 import rotation, translation
 
 if TYPE_CHECKING:
@@ -87,6 +88,25 @@ def link_placements(model: Model, values: np.ndarray) -> tuple[np.ndarray, np.nd
     """
     placed, behind, _ = _placements(model.chain, model.rigid_coordinates(values), joint_mounts(model.chain))
     return placed, behind
+
+
+def closure_frames(model: Model, values: np.ndarray) -> list[tuple[Closure, tuple[np.ndarray, np.ndarray]]]:
+    """Return where the calibrated geometry puts the frames of what closes loops.
+
+    Returns:
+        For each closure its frames where its path starts and ends, shape (4, 4), each in the URDF's joint frame of the joint
+        that carries it, or in the base frame.
+    """
+    chain, behind, x, found = model.chain, link_placements(model, values)[1], model.rigid_coordinates(values), []
+    for closure in chain.robot.closures:
+        side = closure.pinned(chain.robot.parents)
+        along, across = (x[chain.pin(chain.pins.index(closure), symbol)] if side else 0.0 for symbol in "xy")
+        start, end = (
+            behind[joint + 1] @ T @ (translation(along, across, 0.0) if side == here else np.eye(4))
+            for (_, joint, T), here in zip(closure.path.ends, (-1, 1), strict=True)
+        )
+        found.append((closure, (start, end)))
+    return found
 
 
 def joint_mounts(chain: Chain) -> np.ndarray:

@@ -127,10 +127,7 @@ class Chain:
         """Return the same robot's chain between two links, see :meth:`pincal.robot.robot.Robot.between`."""
         if (start, tip) == (self.path.start, self.path.tip):
             return self
-        paths = self.kept.about("paths", self.robot, most=_MOST_PATHS)
-        if (start, tip) not in paths:
-            paths[start, tip] = self.robot.between(start, tip)
-        return replace(self, ends=paths[start, tip])
+        return replace(self, ends=self.robot.between(start, tip))
 
     def with_references(self, base_rotation: np.ndarray, tool_rotations: np.ndarray) -> Chain:
         """Return the same chain about other reference orientations of base and tools."""

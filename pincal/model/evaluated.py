@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from math import copysign
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -179,28 +179,45 @@ def coordinates_of(
     chain: Chain, by_row: RowValues, conditions: Conditions, terms: list[tuple[int, Term]], curves: list[Thin]
 ) -> Values:
     """Return the coordinates at some poses; terms come with the places of their parameters among all."""
+    slot = np.full(chain.size, -1)
+    slot[chain.drives] = np.arange(len(chain.drives))
+    return moved_by(Values(np.zeros(chain.size), slot, conditions.q.T), by_row, terms, curves, by=chain.nominal)
+
+
+def moved_by(
+    at: Values,
+    by_row: RowValues,
+    terms: list[tuple[int, Term]],
+    curves: Sequence[Thin] = (),
+    by: np.ndarray | None = None,
+) -> Values:
+    """Return coordinates moved by terms, which come with the places of their parameters among all, by curves and numbers."""
     values, varied = by_row
-    # Python adds its own numbers faster than those of an array.
-    constant = chain.nominal.tolist()
+    # Python adds its own numbers faster than those of an array. Candidates of a discovery stand at zero, hundreds of them.
+    added: list[Any] = [0.0] * len(at.constant) if by is None else by.tolist()
+    by_pose = list[tuple[int, float | np.ndarray]]()
     for p, term in terms:
         if term.basis is None and p not in varied:
-            constant[term.coordinate] += values[p]
-    varying: dict[int, np.ndarray] = {}
-    for i, k in enumerate(chain.drives.tolist()):
-        varying[k] = constant[k] + conditions.q[:, i]
-    for p, term in terms:
-        # Candidates of a discovery stand at zero, hundreds of them.
-        if p in varied or (term.basis is not None and values[p]):
-            k = term.coordinate
-            change = values[p] if term.basis is None else values[p] * term.basis
-            varying[k] = (varying[k] if k in varying else constant[k]) + change
-    for at, k, basis in curves:
-        heights = np.array([values[p] for p in at.tolist()])
+            added[term.coordinate] += values[p]
+        elif p in varied or values[p]:
+            by_pose.append((term.coordinate, values[p] if term.basis is None else values[p] * term.basis))
+    for places, k, basis in curves:
+        heights = np.array([values[p] for p in places.tolist()])
         if heights.any():
-            varying[k] = (varying[k] if k in varying else constant[k]) + sparse_across(basis, heights[:, None])[:, 0]
-    slot = np.full(len(constant), -1)
-    slot[list(varying)] = np.arange(len(varying))
-    return Values(np.array(constant), slot, stacked(list(varying.values()), len(conditions)))
+            by_pose.append((k, sparse_across(basis, heights[:, None])[:, 0]))
+    shift, slot, (before, n) = np.array(added), at.slot.copy(), at.varying.shape
+    constant, in_row = at.constant + shift, np.empty((before, 1))
+    (those,) = np.nonzero(slot >= 0)
+    in_row[slot[those], 0] = shift[those]
+    new = list(dict.fromkeys(k for k, _ in by_pose if slot[k] < 0))
+    varying = np.empty((before + len(new), n))
+    np.add(at.varying, in_row, out=varying[:before])
+    if new:
+        slot[new] = np.arange(before, before + len(new))
+        varying[before:] = constant[new, None]
+    for k, change in by_pose:
+        varying[slot[k]] += change
+    return Values(constant, slot, varying)
 
 
 def laden(chain: Chain, bodies: Sequence[Body], by_row: RowValues) -> Layout:

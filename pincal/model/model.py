@@ -20,6 +20,7 @@ from pincal.model.evaluated import (
     Thin,
     coordinates_of,
     laden,
+    moved_by,
     parameters_of_each,
     plain_terms,
     stacked,
@@ -119,11 +120,10 @@ class Model:
         if self.chain.on_path.all():
             return np.ones(self.n_parameters, bool)
         robot, moves, found = self.chain.robot, moves_tip(self.chain), np.zeros(self.n_parameters, bool)
-        state = Evaluation.at(self, np.zeros(self.n_parameters), Conditions.of_everything(robot.n_joints))
-        for p, term in state.terms:
-            found[p] |= moves[term.coordinate]
-        for curve in state.curves:
-            found[curve.parameters] |= moves[curve.coordinate]
+        anywhere, moments = Conditions.of_everything(robot.n_joints), np.zeros((1, 3 * robot.n_joints))
+        for of, effect in zip(self.spans, self.effects, strict=True):
+            for term in effect.terms(self.chain, anywhere, moments if effect.uses_moments else None):
+                found[of.start + term.parameter] |= moves[term.coordinate]
         for body in self.bodies:
             found[body.parameter] |= bool(self.chain.on_path[above(body.joint, robot.parents)].any())
         return found
@@ -281,7 +281,8 @@ class Evaluation:
         plain, curves = _plain(model, conditions)
         if by_row.varied:
             plain, curves = [*plain, *(term for curve in curves for term in curve.terms())], []
-        rigid = closed_loops(model.chain, coordinates_of(model.chain, by_row, conditions, plain, curves))
+        unloaded = coordinates_of(model.chain, by_row, conditions, plain, curves)
+        rigid = closed_loops(model.chain, unloaded)
         layout = laden(model.chain, model.bodies, by_row)
         if not any(effect.uses_moments for effect in model.effects):
             return cls(model, layout, plain, curves, by_row, rigid, rigid, np.empty((0, len(mass))), places, payload)
@@ -291,22 +292,12 @@ class Evaluation:
             static = kernels.static_moments(layout, deformed, payload, bending=not model.equilibrium)
             moments = borne_moments(model.chain, deformed, static + inertial)
             elastic = _elastic(model, conditions, moments.T)
-            deformed = closed_loops(model.chain, coordinates_of(model.chain, by_row, conditions, plain + elastic, curves))
+            deformed = closed_loops(model.chain, moved_by(unloaded, by_row, elastic))
             change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0
             if np.max(change, initial=0.0) < _EQUILIBRIUM_TOLERANCE:
                 break
-        return cls(
-            model,
-            layout,
-            plain + elastic,
-            curves,
-            by_row,
-            deformed if model.equilibrium else rigid,
-            deformed,
-            moments,
-            places,
-            payload,
-        )
+        loaded = deformed if model.equilibrium else rigid
+        return cls(model, layout, plain + elastic, curves, by_row, loaded, deformed, moments, places, payload)
 
     def kernel_terms(self, columns: np.ndarray, coordinates: list[int], first: int) -> Terms:
         """Return the terms of the parameters that have a column, and of coordinates, from column ``first`` on."""

@@ -12,6 +12,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.result import Result
 from pincal.calibration.result_tables import ParameterRow
 from pincal.discover.run import Discovery
+from pincal.errors import few
 from pincal.identify.explain import Cause, Status
 from pincal.io.discovery_file import Findings
 from pincal.model.catalogue import untestable
@@ -26,6 +27,8 @@ from pincal.validate.misfit import Verdict, tells
 _OVERFITTED = 1.3
 # Errors beyond the noise from which on they are mentioned [mm].
 _SHOWN_MM = 5e-4
+# Lines of outliers that are listed.
+_LISTED = 3
 
 
 @dataclass(frozen=True)
@@ -131,8 +134,14 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
         )
     elif not is_few and judgement is not Verdict.ADEQUATE and result.converged:
         steps.append("Run pincal discover on the same data: it identifies the effects that the model lacks.")
-    if n := len(result.outliers):
-        steps.append(f"Inspect the {n} rows that were rejected as outliers: a loose target or a slipping joint?")
+    if lines := result.outliers:
+        steps.append(f"Inspect the rejected outliers, line {few(lines, _LISTED)}: a loose target, or a slipping joint?")
+    if improved := result.improvement or ():
+        worst = max(improved, key=lambda region: region.after_mm)
+        steps.append(
+            f"No instrument saw the robot: {worst.link} is known to {worst.after_mm:.2g} mm at worst ({worst.region}). If "
+            "that is not enough, measure a few poses with one as well."
+        )
     error = result.error["calibrated"]
     if "test" not in error:
         steps.append("Hold rows out (--test-fraction) or measure more (--holdout): otherwise the accuracy is not validated.")

@@ -167,11 +167,17 @@ class Robot:
         Raises:
             RobotFileError: for an unknown link, or if a joint on the way is locked in this robot and may not be.
         """
-        start, tip = start or self.path.start, tip or self.path.tip
-        if (start, tip) == (self.path.start, self.path.tip):
-            return self.path
-        tree = parse_urdf(self.urdf, source=self.source)
-        return path_between(tree, self.joint_names, self.base, start, tip, at_rest=at_rest).on_links(self.T_link_joint)
+        key = start or self.path.start, tip or self.path.tip, at_rest
+        if key not in self._ways:
+            tree = parse_urdf(self.urdf, source=self.source)
+            way = path_between(tree, self.joint_names, self.base, *key[:2], at_rest=at_rest)
+            self._ways[key] = way.on_links(self.T_link_joint)
+        return self._ways[key]
+
+    @cached_property
+    def _ways(self) -> dict[tuple[str, str, bool], LinkPath]:
+        """Ways between its links that were asked for: the URDF is read for each but its own."""
+        return {(self.path.start, self.path.tip, at_rest): self.path for at_rest in (False, True)}
 
     @property
     def n_joints(self) -> int:
@@ -344,11 +350,9 @@ class Robot:
         import pinocchio as pin
 
         path = path or self.path
-
         model = self.pinocchio_model()
         data = model.createData()
-        frame = model.getFrameId(path.tip, pin.BODY)
-        base = model.getFrameId(path.start, pin.BODY)
+        base, frame = (model.getFrameId(link, pin.BODY) for link in (path.start, path.tip))
         out = np.empty((len(q), 4, 4))
         for i, row in enumerate(np.asarray(q, float)):
             pin.framesForwardKinematics(model, data, self.configuration(model, row))

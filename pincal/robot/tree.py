@@ -158,9 +158,9 @@ class UrdfTree:
         Raises:
             RobotFileError: if a link is unknown or ``base`` does not lie between the root and ``tip``.
         """
-        for role, link in (("base", base), ("tip", tip)):
+        for role, link in (("base link", base), ("link", tip)):
             if link not in self.links:
-                raise RobotFileError(f"{self.source}: unknown {role} link {link!r}; {known_links(link, self.links)}")
+                raise RobotFileError(f"{self.source}: unknown {role} {link!r}; {known_links(link, self.links)}")
         joints = self.above(tip)
         links = [joint.parent for joint in joints]
         if base != tip and base not in links:

@@ -1,0 +1,119 @@
+"""Where robots of one cell stand beside each other, as the readings tell, to begin a calibration from.
+
+An instrument that sees two robots without being moved has both in its frame. A point of one robot that is held at a point of
+the other, p on its hand (R_i, p_i) and s on the other's hand (S_i, s_i), satisfies
+
+    R (R_i p + p_i) + t = S_i s + s_i
+
+for the place (R, t) of the one beside the other: linear in t, p and s, so that only the three angles of R are searched for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from pincal.identify.initial import base_seen, links_of, starts_of
+from pincal.identify.options import Options
+from pincal.identify.station import Station
+from pincal.io.urdf_text import rpy_of
+from pincal.measure.measurements import Measurements
+from pincal.measure.sensors.pose import PlausiblePositions
+from pincal.measure.sensors.socket import Coincidences
+from pincal.robot.cell import Beside
+from pincal.robot.robot import Robot
+from pincal.robot.se3 import transform
+from pincal.robot.urdf_file import parse_urdf
+
+# Contacts that the search for a rotation looks at, and readings that have to be left over beside what is unknown.
+_MOST, _SPARE = 300, 12
+# Residuals of a place over those of the next best that make it the place, and what is another one [rad].
+_CLEAR, _ELSEWHERE = 0.5, 0.2
+
+
+def located(
+    robot: Robot, others: Sequence[Beside], tables: Mapping[str, Measurements], options: Options
+) -> tuple[Beside, ...]:
+    """Return the other robots of a cell with their places, those that are unknown as far as readings tell them.
+
+    Args:
+        robot: the cell, in which those of unknown place stand where the first one does.
+        others: the robots beside the first one.
+        tables: the readings of each station, by its name.
+        options: what is known of the stations.
+    """
+    found, unknown = [], [of for of in others if of.place is None]
+    for of in others:
+        T = None if of.place is not None else _seen(robot, of, tables, options, unknown)
+        if T is not None:
+            place = (*T[:3, 3].tolist(), *rpy_of(T[:3, :3], np.zeros(3)).tolist())
+            of = replace(of, place=place, is_found=True)
+        found.append(of)
+    return tuple(found)
+
+
+def _seen(
+    robot: Robot, of: Beside, tables: Mapping[str, Measurements], options: Options, unknown: Sequence[Beside]
+) -> np.ndarray | None:
+    """Return where a robot stands, shape (4, 4), if an instrument sees it and another one, or contacts join them."""
+    tree = parse_urdf(robot.urdf, source=robot.source)
+    holders = {link: {joint.name for joint in tree.above(link)} for link in tree.links}
+    nowhere = {one.joint for one in unknown}
+
+    def robot_of(link: str) -> bool | None:
+        """Return whether a link is of this robot, None for one of another robot whose place is unknown."""
+        its = holders[link] & nowhere
+        return None if its - {of.joint} else bool(its)
+
+    setups, contacts = dict[str, dict[bool, str]](), list[tuple[Station, list[str]]]()
+    for name, table in tables.items():
+        links, sensor = links_of(table, robot.path), table.sensor
+        sides = [robot_of(link) for link in links]
+        if sensor is None or None in sides:
+            continue
+        at = options.at(name)
+        at = replace(at, setup=at.setup.over(table))
+        if issubclass(sensor, Coincidences) and sides[0] != sides[1]:
+            station = starts_of(robot, table, at)[0][0]
+            contacts.append((station, [links[sides.index(True)], links[sides.index(False)]]))
+        elif table.setup and links[0] == robot.base and issubclass(sensor, PlausiblePositions):
+            setups.setdefault(table.setup, {}).setdefault(bool(sides[1]), name)
+    for both in setups.values():
+        if len(both) == 2:
+            first, second = (base_seen(robot, {both[k]: tables[both[k]]}, options) for k in (False, True))
+            return np.asarray(np.linalg.inv(first) @ second)
+    return _touched(robot, *max(contacts, key=lambda contact: len(contact[0]))) if contacts else None
+
+
+def _touched(robot: Robot, station: Station, links: Sequence[str]) -> np.ndarray | None:
+    """Return where a robot stands by contacts of the first link, which is its own, with the second; None if that is open."""
+    rows = np.unique(np.linspace(0, len(station) - 1, _MOST).astype(int))
+    few = station.select(rows)
+    of_sensor = isinstance(few.sensor, Coincidences) and few.sensor.index
+    is_tip = few.model.chain.path.tip == links[0]
+    points = [np.unique(of, return_inverse=True)[1] for of in (few.conditions.target, of_sensor)][:: 1 if is_tip else -1]
+    T, S = (robot.forward_kinematics(few.conditions.q, robot.between(robot.base, link, at_rest=True)) for link in links)
+    onehot = [np.eye(of.max() + 1)[of] for of in points]
+    n, of_other = len(rows), np.einsum("nij,nk->nikj", S[:, :3, :3], onehot[1]).reshape(3 * len(rows), -1)
+    free = np.tile(np.eye(3), (n, 1))
+
+    def solved(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        R = Rotation.from_rotvec(turn).as_matrix()
+        own = np.einsum("il,nlj,nk->nikj", R, T[:, :3, :3], onehot[0]).reshape(3 * n, -1)
+        A, b = np.hstack([free, own, -of_other]), (S[:, :3, 3] - T[:, :3, 3] @ R.T).ravel()
+        x = np.linalg.lstsq(A, b)[0]
+        return b - A @ x, x
+
+    if 3 * n < 6 + 3 * sum(of.shape[1] for of in onehot) + _SPARE:
+        return None
+    found = [least_squares(lambda turn: solved(turn)[0], start) for start in Rotation.create_group("O").as_rotvec()]
+    best = min(found, key=lambda one: float(one.cost))
+    here = Rotation.from_rotvec(best.x)
+    others = [one.cost for one in found if (here.inv() * Rotation.from_rotvec(one.x)).magnitude() > _ELSEWHERE]
+    if others and best.cost > _CLEAR * min(others):
+        return None
+    return transform(here.as_matrix(), solved(best.x)[1][:3])

@@ -1,0 +1,134 @@
+"""Robots of one cell, each with a URDF of its own, as one tree: the bases of the others are fixed to that of the first."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from lxml import etree
+
+from pincal.errors import RobotFileError
+from pincal.robot.packages import find_mesh
+from pincal.robot.tree import UrdfTree
+from pincal.robot.urdf_file import find_file, parse_urdf, parse_xml, read_urdf
+
+# What has a name that no other one has, and what gives a name or refers to it.
+_NAMED = ("link", "joint", "constraint")
+_NAMING = ("name", "link", "joint", "reference")
+NOWHERE = (0.0,) * 6
+"""Where a robot stands, for want of a better place, until readings tell it: where the first one does."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A further robot of a cell.
+
+    Attributes:
+        source: path of its URDF or xacro file, or its name in example-robot-data.
+        name: what its links and joints have before their names, ``NAME_``, if some are called as those of another robot.
+        place: where its root link stands in the frame of the first robot's root link: x, y, z [m], roll, pitch, yaw [rad];
+            None if that is unknown.
+        is_found: whether readings tell the place, not the user.
+    """
+
+    source: str
+    name: str
+    place: tuple[float, ...] | None = None
+    is_found: bool = False
+
+    def __str__(self) -> str:
+        at = "" if self.place is None else "@" + ",".join(f"{number:.6g}" for number in self.place)
+        return f"{self.name}={self.source}{at}"
+
+    @property
+    def joint(self) -> str:
+        """Name of the fixed joint that holds it."""
+        return f"{self.name}_placement"
+
+
+def read_cell(
+    source: str | os.PathLike[str], others: Sequence[Beside] = (), *, xacro_args: Mapping[str, str] | None = None
+) -> UrdfTree:
+    """Read a robot and those that stand beside it as one tree, whose root is that of the first.
+
+    Where another one stands is the origin of the fixed joint ``NAME_placement``. A calibration finds where it really does,
+    as of any second arm: the first joint of the arm has the six parameters of its mount.
+
+    Args:
+        source: path of the first robot's URDF or xacro file, or its name in example-robot-data.
+        others: the other robots.
+        xacro_args: values of the arguments of the first robot's xacro file.
+
+    Raises:
+        RobotFileError: as :func:`pincal.robot.urdf_file.read_urdf`, for two robots of one name, or an unknown place.
+    """
+    first = read_urdf(find_file(source), xacro_args=xacro_args)
+    if not others:
+        return first
+    root, notes = parse_xml(first.text, first.source), first.notes
+    for of in others:
+        tree, prefix = read_urdf(find_file(of.source)), f"{of.name}_"
+        if of.place is None:
+            raise RobotFileError(
+                f"{tree.source}: nothing tells where it stands beside {first.name}; expected contacts of the two, one "
+                f"station that sees both, or its place, as in --beside {of.name}={of.source}@1.5,0,0,0,0,3.14159"
+            )
+        if of.is_found:
+            at = ", ".join(f"{number:.4f}" for number in of.place)
+            notes += (f"{of.name} stands at {at} (x y z roll pitch yaw) in the frame of {first.root}, by the readings",)
+        its, taken = parse_xml(tree.text, tree.source), _names(root)
+        notes += tree.notes
+        if twice := sorted(_names(its) & taken):
+            _prefix(its, prefix, _names(its))
+            told = f"two robots have a {twice[0]}: links and joints of {of.source} are {prefix}{twice[0]} and so on"
+            notes += (told,)
+        _prefix(its, prefix, _names(its, "material") & _names(root, "material"))
+        if twice := sorted((_names(its) | {of.joint}) & taken):
+            raise RobotFileError(
+                f"{tree.source}: {twice[0]!r} is a name of another robot; expected another name than {of.name}"
+            )
+        for mesh in its.iter("mesh"):
+            here, there = (find_mesh(mesh.get("filename", ""), source) for source in (tree.source, first.source))
+            if here is not None and here != there:
+                mesh.set("filename", os.path.relpath(here, Path(first.source).resolve().parent))
+        root.extend([*its, _placement(of.joint, first.root, _root_of(its, tree), of.place)])
+        root.set("name", f"{root.get('name')}_{of.name}")
+    cell = parse_urdf(etree.tostring(root), source=first.source)
+    return replace(cell, notes=(*notes, *cell.notes))
+
+
+def robot_files(source: str | os.PathLike[str], others: Sequence[Beside]) -> list[Path]:
+    """Return the files of a robot and of those beside it."""
+    return [find_file(of) for of in (source, *(one.source for one in others))]
+
+
+def _names(root: Any, *tags: str) -> set[str]:
+    return {element.get("name", "") for tag in tags or _NAMED for element in root.iterfind(tag)}
+
+
+def _prefix(root: Any, prefix: str, names: set[str]) -> None:
+    """Put a prefix before some names, wherever they are used."""
+    for element in root.iter(etree.Element):
+        for key in _NAMING:
+            if element.get(key) in names:
+                element.set(key, prefix + element.get(key))
+        text = (element.text or "").strip().split("::")[-1]
+        if element.tag in ("parent", "child") and text in names:
+            element.text = prefix + text
+
+
+def _root_of(its: Any, tree: UrdfTree) -> str:
+    """Return the root link's name as it is now."""
+    return str(its.findall("link")[tree.links.index(tree.root)].get("name"))
+
+
+def _placement(name: str, parent: str, child: str, place: Sequence[float]) -> Any:
+    joint = etree.Element("joint", name=name, type="fixed")
+    xyz, rpy = (" ".join(f"{number!r}" for number in map(float, part)) for part in (place[:3], place[3:]))
+    etree.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
+    etree.SubElement(joint, "parent", link=parent)
+    etree.SubElement(joint, "child", link=child)
+    return joint
