@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -199,11 +200,22 @@ def test_an_imu_in_a_table_of_poses_is_refused() -> None:
         pincal.calibrate(ROBOT, table, GEOMETRY)
 
 
-def test_an_instrument_without_places_in_motion_is_refused(day: Path, tmp_path: Path) -> None:
-    """Only positions and poses have speeds by which a clock is found."""
-    (tmp_path / "tracker.csv").write_text("time,distance\n" + "".join(f"{0.01 * k},1.{k}\n" for k in range(999)))
+@pytest.mark.parametrize(
+    ("count", "header", "words"),
+    [
+        (2400, "distance", "distances do not change as these joints move"),
+        (999, "distance", "distances of 9.98 s of motion do not tell the offset"),
+        (999, "distance,anchor", "expected x y z.* or distance"),
+    ],
+)
+def test_an_instrument_that_does_not_follow_the_motion_is_refused(
+    day: Path, tmp_path: Path, count: int, header: str, words: str
+) -> None:
+    """Distances are those of one point, whose squares follow from the motion."""
+    rows = "".join(f"{0.01 * k},1.{k}{',a' if 'anchor' in header else ''}\n" for k in range(count))
+    (tmp_path / "tracker.csv").write_text(f"time,{header}\n{rows}")
     session = pincal.read_streams(ROBOT, joints=day / "joints.csv", tracker=tmp_path / "tracker.csv")
-    with pytest.raises(MeasurementError, match="expected x y z"):
+    with pytest.raises(MeasurementError, match=words):
         pincal.session_tables(ROBOT, [session])
 
 
@@ -243,3 +255,23 @@ def test_a_later_session_shows_whether_the_robot_has_changed(
     (tmp_path / "slow" / "tracker.csv").unlink()
     assert run("diagnose", model, tmp_path / "slow", "--out", tmp_path / "c", "--quiet") == Exit.BAD_INPUT
     assert "do not tell where the tool is" in capsys.readouterr().err
+
+
+def test_distances_are_read_in_motion(tmp_path: Path) -> None:
+    """A draw-wire sensor on a clock of its own, 1000 ppm off, leaves its noise; distances of another motion are refused."""
+    wire = ["--sensor", "distance", "--noise", "0.05mm", "--elastic", "0", "--log-rates", "80,80,50", "--path", "40s"]
+    for name, seed in (("day", "3"), ("other", "4")):
+        given = [*wire, "--seed", seed, "--clock-drift", "1000", "--truth", tmp_path / f"{name}.json", "--quiet"]
+        assert run("simulate", URDF, *given, "--out", tmp_path / name) == 0
+    (table,) = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, tmp_path / "day")]).values()
+    fit = pincal.calibrate(ROBOT, table, GEOMETRY)
+    true = json.loads((tmp_path / "day.json").read_text())["clocks"]["tracker"]
+
+    assert fit.solution.sigma[0] == pytest.approx(5e-5, rel=0.05)
+    assert table.moving is not None
+    offset, sigma, drift = clock_of(fit, "", table.moving)
+    assert abs(offset - true["offset"] - true["drift"] * (table.moving.middle - true["middle"])) < 4.0 * sigma < 1e-4
+    assert drift == pytest.approx(1e-3, abs=2e-6)
+    shutil.copy(tmp_path / "other" / "tracker.csv", tmp_path / "day" / "tracker.csv")
+    with pytest.raises(MeasurementError, match="distances do not change as these joints move"):
+        pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, tmp_path / "day")])

@@ -13,6 +13,7 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.measure.measurements import Measurements, measurements
+from pincal.measure.sensors.distance import DISTANCE
 from pincal.measure.sensors.imu import FORCE, RATE, Window
 from pincal.measure.sensors.pose import POSITION
 from pincal.motion.clocks import Clock
@@ -20,7 +21,7 @@ from pincal.motion.imu_rows import APART, ImuRows
 from pincal.motion.joint_path import JointPath
 from pincal.motion.moving_arm import MovingArm
 from pincal.motion.sessions import Session, Stream
-from pincal.motion.starts import aligned_forces, start_imu, start_positions
+from pincal.motion.starts import aligned_forces, start_distances, start_imu, start_positions
 from pincal.recorded import Moving
 from pincal.robot.robot import Robot
 
@@ -90,11 +91,14 @@ def ideal_imu_table(arm: MovingArm) -> Measurements:
 
 
 def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
-    if POSITION.name not in tracker.readings:
+    if POSITION.name in tracker.readings:
+        clock = start_positions(arm, tracker, tracker.readings[POSITION.name])
+    elif [*tracker.readings] == [DISTANCE.name]:
+        clock = start_distances(arm, tracker, tracker.readings[DISTANCE.name])
+    else:
         raise MeasurementError(
-            f"{tracker.name}: {', '.join(tracker.readings)} in motion; expected x y z, or x y z qx qy qz qw"
+            f"{tracker.name}: {', '.join(tracker.readings)} in motion; expected x y z, or x y z qx qy qz qw, or distance"
         )
-    clock = start_positions(arm, tracker, tracker.readings[POSITION.name])
     at = clock.to_joints(tracker.time)
     inside = arm.path.covers(at)
     readings = {name: values[inside] for name, values in tracker.readings.items()}
