@@ -60,7 +60,8 @@ def print_brief(
     _line(out, "robot", f"{_arm(calibration.robot)}; {rows}")
     for name, model in (("before", "nominal"), ("after", "calibrated")):
         _line(out, name, _errors(result.error[model], name))
-    _line(out, "noise", f"{_noise_of(result.noise, calibration.stations[0].train.kind)} ({result.noise['source']})")
+    kinds = " and ".join(dict.fromkeys(rows.train.kind for rows in calibration.stations))
+    _line(out, "noise", f"{_noise_of(result.noise, kinds)} ({result.noise['source']})")
     for clock in () if result.clocks is UNSET else result.clocks:
         _line(out, "clock", result_tables.clock_words(clock))
     if result.stations is not UNSET and (moved := result_tables.station_changes(result.stations)):
@@ -114,8 +115,9 @@ def _noise_of(noise: Mapping[str, Any], kind: str) -> str:
         >>> _noise_of({"sigma_m": 5e-5}, "position"), _noise_of({"sigma_m": 5e-5}, "distance")
         ('mean 0.0798 mm, 0.0500 mm per coordinate', 'mean 0.0399 mm, 0.0500 mm per coordinate')
     """
-    # Of several kinds the first is that of the figure.
-    size = next((block.size for block in blocks_of(kind.partition(" and ")[0])), 0)
+    # Of several kinds the first that reads lengths is that of the figure.
+    blocks = (block for each in kind.split(" and ") for block in blocks_of(each))
+    size = next((block.size for block in blocks if block.unit == "m"), 0)
     if "sigma_m" not in noise or size not in _MEAN_DISTANCE:
         return noise_words(noise)
     return f"mean {1e3 * noise['sigma_m'] * _MEAN_DISTANCE[size]:.4f} mm, {noise_words(noise)}"
