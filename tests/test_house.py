@@ -47,6 +47,7 @@ BOUNDS = {
     "identify.fit": "MOST_STEPS",
     "identify.initial": "_ROWS _SETTLED_ROWS _FEWEST_SETTLED_ROWS _ALIKE",
     "identify.jacobian": "_PADDING _AT_ONCE",
+    "identify.many_rows": "MANY EACH",
     "identify.noise": "_POLISHING _PARTS _STRONG _CORRECTIONS _COARSE _EXACT MOST_EXACT",
     "identify.normal": "_MOST_CHANGED",
     "identify.options": "LENGTH_BOUND",
@@ -54,7 +55,9 @@ BOUNDS = {
     "identify.problem": "_ROWS",
     "identify.quadratic": "SEEN ROUNDING NULL",
     "identify.prior_scale": "_SCALES _ROUNDS _ANYWHERE",
-    "identify.solve": "SETTLED _ROUGH _ROUNDED _STEADY _SETTLED _MEMORY _SLOW _FIRST _MORE _LESS _MOST _REPAIR _HALVINGS",
+    "identify.solve": (
+        "SETTLED _ROUGH _NEAR _ROUNDED _STEADY _SETTLED _MEMORY _SLOW _FIRST _MORE _LESS _MOST _REPAIR _HALVINGS"
+    ),
     "identify.split": "_BLOCKS",
     "identify.station": "PIECE",
     "identify.whitening": "_TILE",

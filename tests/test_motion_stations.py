@@ -15,6 +15,7 @@ import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.caveats import CaveatKind, findings_on_order
 from pincal.errors import Exit, MeasurementError
+from pincal.identify import many_rows
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.identify.whitening import Serial
@@ -137,6 +138,35 @@ def test_rows_in_motion_are_no_replicates(day: Path) -> None:
     assert table.moving is not None and parts.moving is not None and table.moving.q is not None
     np.testing.assert_array_equal(parts.moving.q, table.moving.q)
     assert parts.moving.clock == table.moving.clock
+
+
+def test_a_fit_begun_by_some_rows_is_that_of_all(day: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Values, their standard deviations and the rows left out are those of a fit to all rows from the start."""
+    tables = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])
+    position = tables["monday/tracker"].array("position").copy()
+    gross = np.arange(7, len(position), 50)
+    position[gross] += 0.01
+    tables["monday/tracker"] = tables["monday/tracker"].with_readings(position=position)
+    options = pincal.Options(moment_frame="auto")
+    whole = pincal.calibrate(ROBOT, tables, options)
+    n = len(whole.problem)
+    assert many_rows.some_of(whole.problem) is whole.problem and n < many_rows.MANY
+    monkeypatch.setattr(many_rows, "MANY", n // 5)
+    monkeypatch.setattr(many_rows, "EACH", 100)
+    assert 0.15 * n < len(many_rows.some_of(whole.problem)) < 0.25 * n
+    begun = pincal.calibrate(ROBOT, tables, options)
+
+    assert begun.problem.chain.moment_frame == whole.problem.chain.moment_frame and begun.stages != whole.stages
+    free = whole.solution.free
+    np.testing.assert_array_equal(begun.solution.free, free)
+    sigma = whole.estimate.sigma[free]
+    np.testing.assert_allclose((begun.values[free] - whole.values[free]) / sigma, 0.0, rtol=0.0, atol=0.1)
+    np.testing.assert_allclose(begun.estimate.sigma[free], sigma, rtol=0.02)
+    np.testing.assert_array_equal(begun.solution.weights, whole.solution.weights)
+    np.testing.assert_allclose(begun.solution.sigma, whole.solution.sigma, rtol=1e-3)
+    np.testing.assert_allclose(begun.nominal.estimated, whole.nominal.estimated, rtol=1e-3)
+    tracker = whole.problem.rows[list(tables).index("monday/tracker")]
+    assert set(gross) <= set(np.flatnonzero(begun.solution.weights[tracker] == 0.0))
 
 
 @pytest.mark.long

@@ -166,11 +166,15 @@ class Linearised:
         return replace(self, robust=robust, is_doubtful=False)
 
     def narrowed(self, free: np.ndarray) -> Linearised:
-        """Return the same point with fewer free parameters, shape (P,); of one station nothing is computed again."""
+        """Return the same point with fewer free parameters, shape (P,); what is kept of stations is not computed again."""
         if np.array_equal(free, self.free):
             return self
-        is_alone, kept = len(self.problem.stations) == 1, np.flatnonzero(free[self.free])
-        return replace(self, free=free, normals={0: self._normals[0].narrowed(kept)} if is_alone else {}, sums={})
+        found = replace(self, free=free, normals={}, sums={})
+        if self.are_kept and [of.rows for of in found._batches] == [of.rows for of in self._batches]:
+            may = [(free[of.places[0]], self.free[of.places[0]]) for of in self._batches]
+            pairs = zip(self._normals, may, strict=True)
+            found.normals.update(enumerate(normal.narrowed(np.flatnonzero(now[was])) for normal, (now, was) in pairs))
+        return found
 
     def release(self) -> None:
         """Give up the memory of several stations' equations, which are computed again if they are asked for."""
@@ -179,7 +183,7 @@ class Linearised:
                 kept.clear()
 
     @cached_property
-    def _are_kept(self) -> bool:
+    def are_kept(self) -> bool:
         """Whether the normal equations of each station are kept."""
         stations, blocks = len(self.problem.stations), len(self.problem.blocks)
         n_free = np.count_nonzero(self.free[self.problem.places[0]])
@@ -204,7 +208,7 @@ class Linearised:
 
     @cached_property
     def _squares(self) -> list[StationSquares]:
-        if self._are_kept and not self.is_doubtful:
+        if self.are_kept and not self.is_doubtful:
             return [normal.station_squares(batch.ends) for normal, batch in zip(self._normals, self._batches, strict=True)]
         if self.sigma is not None and not self.is_doubtful:
             return [found for _, found in self._contributions(self.sigma)]
@@ -292,7 +296,7 @@ class Linearised:
         free = [self.free[of.places[0]] for of in new]
         known = [Beforehand(of.own, sigma[of.blocks].reshape(len(of.stations), -1), self.sizes[of.places]) for of in new]
         found: Iterable[_Sums]
-        if self._are_kept:
+        if self.are_kept:
             every = self._normals
             normals = (every[k] for k, _, _ in todo)
             found = (
