@@ -199,6 +199,11 @@ def test_a_session_is_calibrated_by_commands(
     assert run("validate", out / "model.json", tmp_path / "tuesday", "--quiet", "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert found["mean_mm"] < 0.06 and {each["kind"] for each in found["stations"]} == {"imu", "position"}
+    imu, tracker = sorted(found["stations"], key=lambda each: each["kind"])
+    assert "path" not in imu and tracker["path"]["cycles"] == 1 and not any(key.startswith("RT") for key in tracker["path"])
+    assert 0.5 * tracker["error"]["max_mm"] < tracker["path"]["AT_mm"] <= tracker["error"]["max_mm"]
+    assert run("validate", out / "model.json", tmp_path / "tuesday", "--quiet") == 0
+    assert "path: AT 0." in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(
