@@ -345,7 +345,8 @@ def picture(seeds: int, duration: float) -> Iterator[str]:
             title=name, xscale="log", yscale="log", xlabel="noise, times 1 mg and 0.01 deg/s per $\\sqrt{\\mathrm{Hz}}$"
         )
         means = [np.mean(sizes, axis=0).round(3) for sizes in (alone, both)]
-        yield f"{name}: noise {factors}: alone {means[0]}, with 8 poses {means[1]} mm"
+        known = f"nominal {np.mean(nominal):.3f}, 8 poses {np.mean(poses):.3f}"
+        yield f"{name}: noise {factors}: alone {means[0]}, with 8 poses {means[1]} mm; {known}"
     panels[0].set_ylabel("mean error of the tool [mm]")
     panels[1].legend(fontsize=8, loc="lower right")
     figure.tight_layout()

@@ -17,6 +17,7 @@ from pincal.calibration.caveats import CaveatKind, findings_on_order
 from pincal.errors import Exit, MeasurementError
 from pincal.identify import many_rows
 from pincal.identify.fit import ModelFit
+from pincal.identify.options import PriorScale
 from pincal.identify.station import Station
 from pincal.identify.whitening import Serial
 from pincal.measure.measurements import concatenate
@@ -26,6 +27,7 @@ from pincal.recorded import Moving
 URDF = str(kuka_urdf_path())
 ROBOT = pincal.Robot.from_urdf(kuka_urdf_path())
 GEOMETRY = pincal.Options(effects=pincal.GEOMETRIC)
+GEOMETRY_NAMES = {"joint_offset", "link_geometry", "axis_distortion"}
 DRIVEN = ["--imu", "--sensor", "position", "--noise", "0.03mm", "--elastic", "0", "--clock-drift", "150", "--seed", "3"]
 
 
@@ -128,6 +130,19 @@ def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:
 
     freed = pincal.calibrate(ROBOT, table, pincal.Options(effects=pincal.GEOMETRIC, priors={"joint_2.a": "0.2mm"}))
     assert freed.values[freed.estimate.names.index("joint_2.a")] != 0.0
+
+
+@pytest.mark.parametrize("seed", ["4", "5"])
+def test_a_noisy_imu_alone_leaves_a_sound_robot_nearer_to_itself(tmp_path: Path, seed: str) -> None:
+    """Thirty times the usual noise, and a robot as its URDF has it: the prior gets as narrow as the readings show."""
+    arguments = ["--path", "100s", "--imu", "--imu-noise", "30mg,0.3deg/s", "--log-rates", "80,100,50", "--errors", "0"]
+    assert run("simulate", URDF, *arguments, "--elastic", "0", "--seed", seed, "--out", tmp_path / "day", "--quiet") == 0
+    tables = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, tmp_path / "day")])
+    wide, told = (pincal.calibrate(ROBOT, tables, replace(GEOMETRY, prior_scale=scale)) for scale in (PriorScale(), None))
+    angles = [k for k, p in enumerate(told.problem.parameters) if p.unit == "rad" and p.effect in GEOMETRY_NAMES]
+    off, off_of_told = (np.sqrt(np.mean(fit.values[angles] ** 2)) for fit in (wide, told))
+    assert told.options.prior_scale is not None and told.options.prior_scale.angles <= 0.3
+    assert off > 4e-4 and off_of_told < 0.75 * off
 
 
 def test_rows_in_motion_are_no_replicates(day: Path) -> None:

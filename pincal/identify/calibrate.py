@@ -25,7 +25,7 @@ from pincal.identify.initial import begin
 from pincal.identify.many_rows import over_all
 from pincal.identify.noise import is_exact, rounding
 from pincal.identify.options import Options, PriorScale, StationOptions, Tools
-from pincal.identify.prior_scale import has_instrument, prior_scale
+from pincal.identify.prior_scale import prior_scale, sees_places
 from pincal.identify.problem import Problem
 from pincal.identify.solve import SETTLED, Course, solve
 from pincal.measure.measurements import Measurements
@@ -91,7 +91,7 @@ def fit_tables(
     _refuse_too_few(tables, fit)
     fit = _by_all(replace(fit, nominal=_without_outliers(fit, executor)), problem, executor)
     fit = _in_best_frame(fit)
-    if options.prior_scale is None and options.earlier is None and not has_instrument(fit):
+    if options.prior_scale is None and options.earlier is None and not sees_places(fit):
         fit = _cautious(fit)
     return with_blocks(reweighted_by_order(fit) if options.serial and is_dependent(fit) else fit)
 
