@@ -14,7 +14,7 @@ from test_cli import run
 import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.caveats import CaveatKind, findings_on_order
-from pincal.errors import Exit, MeasurementError
+from pincal.errors import BadInputError, Exit, MeasurementError
 from pincal.identify import many_rows
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import PriorScale
@@ -247,6 +247,18 @@ def test_an_imu_in_a_table_of_poses_is_refused() -> None:
     table = pincal.measurements(ROBOT, ROBOT.random_configurations(40, rng), **read)
     with pytest.raises(MeasurementError, match="--joints LOG --imu LOG, which may be one file"):
         pincal.calibrate(ROBOT, table, GEOMETRY)
+
+
+def test_causes_are_not_looked_for_by_an_imu_alone(day: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever their number; what to add, or to run instead, is said."""
+    table = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]
+    for tables in (table, {"a": table, "b": table}):
+        with pytest.raises(BadInputError, match=r"tells no places, .* add a tracker in motion or some held poses"):
+            pincal.run_discovery(ROBOT, tables, GEOMETRY)
+    given = ["--joints", day / "joints.csv", "--imu", day / "imu.csv", "--out", tmp_path / "out"]
+    assert run("discover", URDF, *given, "--quiet") == Exit.BAD_INPUT
+    assert "or calibrate by it (pincal calibrate)" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_instrument_without_places_in_motion_is_refused(day: Path, tmp_path: Path) -> None:

@@ -27,7 +27,8 @@ log = logging.getLogger(__name__)
 SETTLED = 1e-3
 _ROUGH = 0.1
 # The same in standard deviations of parameters: of very many rows, these are known to less than a step may be that is short.
-_NEAR = 0.05
+# On a ridge that is known to rounding such steps may go on, so that after so many a short one will do.
+_NEAR, _LOOKS = 0.05, 8
 # The same where the noise is at its floor: steps there are rounding.
 _ROUNDED = 0.03
 # Relative change of the noise above which earlier steps say nothing about the next, as little as after one that they got
@@ -182,7 +183,7 @@ class _Run:
         self.is_short = (
             self.wanted < shortest or self.length(self.point.equations(self.judged.sigma).square(taken)) < shortest
         )
-        if self.course.ahead:
+        if self.course.ahead and self.iterations < _LOOKS:
             self.is_short = self.is_near()
 
     def is_near(self) -> bool:
