@@ -49,6 +49,16 @@ def test_one_cycle_has_accuracy_alone() -> None:
         assert not any(name.startswith("RT") for name in found)
 
 
+def test_an_arm_that_stands_still_is_off_in_any_direction() -> None:
+    """What is off along the path counts where the arm rests on it, and only there."""
+    time, q, path, outward, _ = circle(1)
+    forward = np.stack([-outward[:, 1], outward[:, 0], np.zeros(len(time))], axis=1)
+    rests = (time > 2.0) & (time < 4.0)
+    at = np.where(rests[:, None], path[np.argmax(rests)], path)
+    assert along_path(time, q, at, 3e-4 * forward.T)["AT_mm"] == pytest.approx(0.3, rel=1e-3)
+    assert along_path(time, q, path, 3e-4 * forward.T)["AT_mm"] < 1e-3
+
+
 @pytest.mark.parametrize("cycles", [2, 3, 10])
 def test_cycles_are_those_of_the_joints(cycles: int) -> None:
     """To a part of a sample, with the noise of encoders and something else before; one of what never comes again."""

@@ -26,6 +26,8 @@ CYCLES_OF_PATH = 10
 _SAME = 0.01
 # Part of it that the last cycle may lack.
 _SHORT = 0.02
+# Part of the usual speed below which an arm stands still.
+_SLOW = 0.01
 # Steps of time in which cycles are looked for, and moments that are asked, at most; steps that count as one; and how often
 # a lag is met, in parts of the commonest, for the shortest of several to be that of a cycle.
 _STEPS, _ASKED, _BESIDE, _OFTEN = 20_000, 1_000, 4, 0.5
@@ -61,7 +63,9 @@ def along_path(time: np.ndarray, q: np.ndarray, path: np.ndarray, residuals: np.
         residuals: attained minus commanded position [m], shape (3, N), or pose [m, rad], shape (6, N).
     """
     way = np.gradient(path, time, axis=0)
-    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+    speed = np.linalg.norm(way, axis=1, keepdims=True)
+    # An arm that stands still has no direction.
+    way /= np.maximum(speed, max(_SLOW * float(np.median(speed)), 1e-12))
     off = residuals.T.copy()
     off[:, :3] -= way * np.sum(off[:, :3] * way, axis=1, keepdims=True)
     begin, period, n = cycles_of(time, q)
