@@ -18,6 +18,7 @@ from pincal import (
     run_calibration,
 )
 from pincal.errors import MeasurementError
+from pincal.identify import many_rows
 from pincal.identify.calibrate import expected_fit, refit
 from pincal.identify.explain import explain
 from pincal.identify.noise import is_exact
@@ -175,6 +176,27 @@ def test_outliers_at_five_per_cent_are_found_and_cost_nothing(kuka, noisy, size)
 
     assert set(np.flatnonzero(screened.solution.weights == 0.0)) == set(bad)
     assert errors(screened, others).mean() < 1.2 * errors(fit, others).mean()
+
+
+def test_a_fit_begun_by_some_of_very_many_rows_is_that_of_all(kuka, monkeypatch):
+    """Values, standard deviations, outliers and "before" are those of a fit to all rows from the start."""
+    table, rng = paper_table(kuka, 2000, 1, 5e-5), np.random.default_rng(2)
+    bad = rng.choice(len(table), 60, replace=False)
+    position = table.position.copy()
+    position[bad] += rng.normal(size=(60, 3)) * 0.02
+    table = table.with_readings(position=position)
+    whole = calibrate(kuka, table, OPTIONS)
+    monkeypatch.setattr(many_rows, "MANY", 300)
+    monkeypatch.setattr(many_rows, "EACH", 100)
+    begun = calibrate(kuka, table, OPTIONS)
+
+    free, sigma = whole.solution.free, np.where(whole.estimate.sigma > 0.0, whole.estimate.sigma, np.inf)
+    np.testing.assert_array_equal(begun.solution.free, free)
+    np.testing.assert_allclose((begun.values - whole.values) / sigma, 0.0, rtol=0.0, atol=0.1)
+    np.testing.assert_allclose(begun.estimate.sigma, whole.estimate.sigma, rtol=0.02)
+    np.testing.assert_array_equal(begun.solution.weights, whole.solution.weights)
+    assert set(bad) <= set(np.flatnonzero(begun.solution.weights == 0.0))
+    np.testing.assert_allclose(begun.nominal.values, whole.nominal.values, rtol=0.0, atol=1e-7)
 
 
 def test_declared_noise_is_judged(kuka):

@@ -15,8 +15,10 @@ from test_cli import run
 import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.caveats import CaveatKind, findings_on_order
-from pincal.errors import Exit, MeasurementError
+from pincal.errors import BadInputError, Exit, MeasurementError
+from pincal.identify import many_rows
 from pincal.identify.fit import ModelFit
+from pincal.identify.options import PriorScale
 from pincal.identify.station import Station
 from pincal.identify.whitening import Serial
 from pincal.measure.measurements import concatenate
@@ -26,6 +28,7 @@ from pincal.recorded import Moving
 URDF = str(kuka_urdf_path())
 ROBOT = pincal.Robot.from_urdf(kuka_urdf_path())
 GEOMETRY = pincal.Options(effects=pincal.GEOMETRIC)
+GEOMETRY_NAMES = {"joint_offset", "link_geometry", "axis_distortion"}
 DRIVEN = ["--imu", "--sensor", "position", "--noise", "0.03mm", "--elastic", "0", "--clock-drift", "150", "--seed", "3"]
 
 
@@ -130,6 +133,19 @@ def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:
     assert freed.values[freed.estimate.names.index("joint_2.a")] != 0.0
 
 
+@pytest.mark.parametrize("seed", ["4", "5"])
+def test_a_noisy_imu_alone_leaves_a_sound_robot_nearer_to_itself(tmp_path: Path, seed: str) -> None:
+    """Thirty times the usual noise, and a robot as its URDF has it: the prior gets as narrow as the readings show."""
+    arguments = ["--path", "100s", "--imu", "--imu-noise", "30mg,0.3deg/s", "--log-rates", "80,100,50", "--errors", "0"]
+    assert run("simulate", URDF, *arguments, "--elastic", "0", "--seed", seed, "--out", tmp_path / "day", "--quiet") == 0
+    tables = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, tmp_path / "day")])
+    wide, told = (pincal.calibrate(ROBOT, tables, replace(GEOMETRY, prior_scale=scale)) for scale in (PriorScale(), None))
+    angles = [k for k, p in enumerate(told.problem.parameters) if p.unit == "rad" and p.effect in GEOMETRY_NAMES]
+    off, off_of_told = (np.sqrt(np.mean(fit.values[angles] ** 2)) for fit in (wide, told))
+    assert told.options.prior_scale is not None and told.options.prior_scale.angles <= 0.3
+    assert off > 4e-4 and off_of_told < 0.75 * off
+
+
 def test_rows_in_motion_are_no_replicates(day: Path) -> None:
     """They are never averaged, and what follows them goes along when they are chosen or joined."""
     table = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]
@@ -138,6 +154,35 @@ def test_rows_in_motion_are_no_replicates(day: Path) -> None:
     assert table.moving is not None and parts.moving is not None and table.moving.q is not None
     np.testing.assert_array_equal(parts.moving.q, table.moving.q)
     assert parts.moving.clock == table.moving.clock
+
+
+def test_a_fit_begun_by_some_rows_is_that_of_all(day: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Values, their standard deviations and the rows left out are those of a fit to all rows from the start."""
+    tables = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])
+    position = tables["monday/tracker"].array("position").copy()
+    gross = np.arange(7, len(position), 50)
+    position[gross] += 0.01
+    tables["monday/tracker"] = tables["monday/tracker"].with_readings(position=position)
+    options = pincal.Options(moment_frame="auto")
+    whole = pincal.calibrate(ROBOT, tables, options)
+    n = len(whole.problem)
+    assert many_rows.some_of(whole.problem) is whole.problem and n < many_rows.MANY
+    monkeypatch.setattr(many_rows, "MANY", n // 5)
+    monkeypatch.setattr(many_rows, "EACH", 100)
+    assert 0.15 * n < len(many_rows.some_of(whole.problem)) < 0.25 * n
+    begun = pincal.calibrate(ROBOT, tables, options)
+
+    assert begun.problem.chain.moment_frame == whole.problem.chain.moment_frame and begun.stages != whole.stages
+    free = whole.solution.free
+    np.testing.assert_array_equal(begun.solution.free, free)
+    sigma = whole.estimate.sigma[free]
+    np.testing.assert_allclose((begun.values[free] - whole.values[free]) / sigma, 0.0, rtol=0.0, atol=0.1)
+    np.testing.assert_allclose(begun.estimate.sigma[free], sigma, rtol=0.02)
+    np.testing.assert_array_equal(begun.solution.weights, whole.solution.weights)
+    np.testing.assert_allclose(begun.solution.sigma, whole.solution.sigma, rtol=1e-3)
+    np.testing.assert_allclose(begun.nominal.estimated, whole.nominal.estimated, rtol=1e-3)
+    tracker = whole.problem.rows[list(tables).index("monday/tracker")]
+    assert set(gross) <= set(np.flatnonzero(begun.solution.weights[tracker] == 0.0))
 
 
 @pytest.mark.long
@@ -170,6 +215,11 @@ def test_a_session_is_calibrated_by_commands(
     assert run("validate", out / "model.json", tmp_path / "tuesday", "--quiet", "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert found["mean_mm"] < 0.06 and {each["kind"] for each in found["stations"]} == {"imu", "position"}
+    imu, tracker = sorted(found["stations"], key=lambda each: each["kind"])
+    assert "path" not in imu and tracker["path"]["cycles"] == 1 and not any(key.startswith("RT") for key in tracker["path"])
+    assert 0.5 * tracker["error"]["max_mm"] < tracker["path"]["AT_mm"] <= tracker["error"]["max_mm"]
+    assert run("validate", out / "model.json", tmp_path / "tuesday", "--quiet") == 0
+    assert "path: AT 0." in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(
@@ -198,6 +248,18 @@ def test_an_imu_in_a_table_of_poses_is_refused() -> None:
     table = pincal.measurements(ROBOT, ROBOT.random_configurations(40, rng), **read)
     with pytest.raises(MeasurementError, match="--joints LOG --imu LOG, which may be one file"):
         pincal.calibrate(ROBOT, table, GEOMETRY)
+
+
+def test_causes_are_not_looked_for_by_an_imu_alone(day: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever their number; what to add, or to run instead, is said."""
+    table = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]
+    for tables in (table, {"a": table, "b": table}):
+        with pytest.raises(BadInputError, match=r"tells no places, .* add a tracker in motion or some held poses"):
+            pincal.run_discovery(ROBOT, tables, GEOMETRY)
+    given = ["--joints", day / "joints.csv", "--imu", day / "imu.csv", "--out", tmp_path / "out"]
+    assert run("discover", URDF, *given, "--quiet") == Exit.BAD_INPUT
+    assert "or calibrate by it (pincal calibrate)" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

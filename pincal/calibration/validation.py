@@ -24,6 +24,7 @@ from pincal.validate.accuracy import error_summary, pose_error_sizes
 from pincal.validate.agreement import belongs_to_other_robot, mix_up, nominal_displacements
 from pincal.validate.lack_of_fit import LackOfFit, replicate_statistics
 from pincal.validate.misfit import Misfit, NoiseTest, Verdict, has_moved, judge, misfit_at, tells
+from pincal.validate.path_accuracy import path_accuracy
 
 Placement = Literal["as calibrated", "refitted"]
 # Residuals over what is expected of them from which on that is worth a note; UR10 tables of one series have up to 1.1.
@@ -108,6 +109,11 @@ class Validation:
     def values(self) -> np.ndarray:
         """Values of the station's parameters, shape (P,)."""
         return self.model.values
+
+    @property
+    def path_accuracy(self) -> dict[str, Any] | None:
+        """Accuracy and repeatability along the path of a session in motion, by ISO 9283; None for held poses."""
+        return path_accuracy(self.station, self.values, self.table)
 
     def replicate_statistics(self) -> tuple[dict[str, Any] | None, LackOfFit | None]:
         """Return accuracy and repeatability, and lack of fit; None where the rows hold no replicates."""

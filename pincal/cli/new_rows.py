@@ -122,7 +122,7 @@ def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
         "curves": [curve for part, _ in ranges for curve in part["curves"]],
     }
     # Entries of a single station are repeated at the top.
-    alone = {key: stations[0][key] for key in ("iso9283", "lack_of_fit") if len(found) == 1 and key in stations[0]}
+    alone = {key: stations[0][key] for key in ("iso9283", "path", "lack_of_fit") if len(found) == 1 and key in stations[0]}
     notes = doubts_first([*(note for each in found for note in each.notes), *(n for _, part in ranges for n in part)])
     contents = {
         "verdict": worst(each.verdict for each in found),
@@ -143,6 +143,7 @@ def _station(found: Validation) -> dict[str, Any]:
     contents |= {"misfit": {"ratio": found.misfit.ratio, "p_value": found.misfit.p_value}, "doubt": found.doubt or None}
     contents |= {"verdict": found.verdict}
     contents |= {} if iso is None else {"iso9283": iso}
+    contents |= {} if (path := found.path_accuracy) is None else {"path": path}
     return contents | ({} if lack is None else {"lack_of_fit": asdict(lack)})
 
 
@@ -152,6 +153,7 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
     from pincal.cli.progress import console
     from pincal.cli.screen import print_doubts, print_replicates
     from pincal.result_table import hanging
+    from pincal.validate.path_accuracy import path_words
 
     out = console()
     print_doubts(notes, out)
@@ -168,6 +170,8 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
         out.print(error_table({"calibrated": parts} if len(found) > 1 else result["error"]))
     for each in found:
         print_replicates(*each.replicate_statistics(), out)
+        if (path := each.path_accuracy) is not None:
+            out.print(hanging("path:", path_words(path)))
 
 
 def _place_words(found: Validation) -> str:

@@ -22,9 +22,10 @@ from pincal.identify.dependence import is_dependent, serial_noise, with_blocks, 
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import FitStage, ModelFit, Solution, carried
 from pincal.identify.initial import begin
+from pincal.identify.many_rows import over_all
 from pincal.identify.noise import is_exact, rounding
 from pincal.identify.options import Options, PriorScale, StationOptions, Tools
-from pincal.identify.prior_scale import has_instrument, prior_scale
+from pincal.identify.prior_scale import prior_scale, sees_places
 from pincal.identify.problem import Problem
 from pincal.identify.solve import SETTLED, Course, solve
 from pincal.measure.measurements import Measurements
@@ -63,6 +64,7 @@ class Tolerance(Enum):
 
     ROUGH = "close to convergence, outliers only down-weighted"
     CLOSE = "to within the resolution of a test, without further features"
+    NEAR = "to convergence, with features excited only by deviations if the data require them where it begins"
     SETTLED = "to convergence, with features excited only by deviations if the data require them"
 
 
@@ -70,6 +72,7 @@ class Tolerance(Enum):
 _LAST_STAGES = {
     Tolerance.ROUGH: (),
     Tolerance.CLOSE: ("final",),
+    Tolerance.NEAR: ("final",),
     Tolerance.SETTLED: ("final", "with features excited only by deviations"),
 }
 
@@ -83,10 +86,12 @@ def fit_tables(
     """
     tables = {name: by_pose(table) for name, table in tables_of(measurements).items()}
     options = _completed(robot, options, tables)
-    fit = with_bearings(_rescaled(_fitted(robot, tables, options, executor)))
+    some, problem = begin(robot, tables, options, executor)
+    fit = with_bearings(_rescaled(_begun(some, executor)))
     _refuse_too_few(tables, fit)
-    fit = _in_best_frame(replace(fit, nominal=_without_outliers(fit, executor)))
-    if options.prior_scale is None and options.earlier is None and not has_instrument(fit):
+    fit = _by_all(replace(fit, nominal=_without_outliers(fit, executor)), problem, executor)
+    fit = _in_best_frame(fit)
+    if options.prior_scale is None and options.earlier is None and not sees_places(fit):
         fit = _cautious(fit)
     return with_blocks(reweighted_by_order(fit) if options.serial and is_dependent(fit) else fit)
 
@@ -157,9 +162,18 @@ def _tools(options: Options, table: Measurements) -> Tools | None:
     return {**known, **(options.tools or {})} if known else options.tools
 
 
-def _fitted(robot: Robot, tables: dict[str, Measurements], options: Options, executor: Executor | None) -> ModelFit:
-    fit = begin(robot, tables, options, executor)
+def _begun(fit: ModelFit, executor: Executor | None) -> ModelFit:
     return _solved(fit, fit.problem.beliefs.recalled(fit.values), executor=executor)
+
+
+def _by_all(fit: ModelFit, problem: Problem, executor: Executor | None) -> ModelFit:
+    """Return a fit to some rows of a problem, done with, fitted to all of them; itself if these are all."""
+    if len(fit.problem) == len(problem):
+        return fit
+    log.info("all %d rows, from the fit to %d of them", len(problem), len(fit.problem))
+    whole = over_all(fit, problem, executor)
+    found = with_bearings(_solved(whole, whole.solution, until=Tolerance.NEAR, executor=executor))
+    return replace(found, nominal=_without_outliers(found, executor), stages=(*fit.stages, *found.stages))
 
 
 def _rescaled(fit: ModelFit) -> ModelFit:
@@ -201,7 +215,8 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
     """
     tables = {name: by_pose(table) for name, table in tables_of(measurements).items()}
     options = _completed(robot, options, tables)
-    fit = _in_best_frame(_fitted(robot, tables, options, None))
+    some, whole = begin(robot, tables, options, None)
+    fit = _in_best_frame(_by_all(_begun(some, None), whole, None))
     problem, nominal, fitted = fit.problem, fit.nominal, fit.solution
     free = released_of(problem, options) & excited_of(problem)
     found = Linearised(problem, nominal.values, free, fitted.weights, fit.priors.sizes).equations(fitted.sigma)
@@ -292,7 +307,10 @@ def _solved(
         missed, begun = _is_missed(replace(fit, solution=fitted), released)
         if missed or name == "final":
             short = _CLOSE if until is Tolerance.CLOSE else SETTLED
-            fitted = solved(name, begun, released if missed else fitted.free, short=short)
+            fitted = solved(name, begun, released if missed else fitted.free, short=short, ahead=until is Tolerance.NEAR)
+        if not missed and fitted.iterations == 1:
+            # It ends where it was asked.
+            break
     return replace(fit, solution=fitted, stages=tuple(stages))
 
 

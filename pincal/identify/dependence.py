@@ -122,7 +122,18 @@ class _Seen:
     @property
     def dependence(self) -> float:
         """By how much more than chance what is left agrees at rows near each other, as the fit weighs it."""
-        return max((self.dependence_in(turns) for turns in self.frames), default=0.0)
+        begun = self.begun
+        return max((begun.dependence_in(turns) for turns in begun.frames), default=0.0)
+
+    @property
+    def begun(self) -> _Seen:
+        """It with as many rows that count, the first in the order, as dependence is looked for by."""
+        station = self.station
+        if station.position is None or station.sensor.is_whole or np.count_nonzero(self.counted) <= _ROWS:
+            return self
+        order = np.argsort(station.position, kind="stable")
+        rows = np.sort(order[: int(np.searchsorted(np.cumsum(self.counted[order]), _ROWS)) + 1])
+        return replace(self, station=station.select(rows), counted=self.counted[rows])
 
     @property
     def frames(self) -> tuple[np.ndarray | None, ...]:
@@ -176,28 +187,30 @@ class _Seen:
     def serial(self) -> Serial | None:
         """Return how the noise is correlated along the rows as they were read; None where it is not."""
         seen = replace(self, station=replace(self.station, serial=None))
-        station, position = seen.station, seen.station.position
-        if position is None or station.sensor.is_whole or seen.dependence < CRITERIA.dependent:
+        begun, position = seen.begun, seen.station.position
+        if position is None or begun.station.sensor.is_whole or begun.dependence < CRITERIA.dependent:
             return None
-        if len(np.unique(seen.poses)) < len(station):
+        if len(np.unique(seen.poses)) < len(seen.station):
             # Several readings of a pose hang together by the pose, which is another noise.
             return None
-        some = seen.first(_READINGS)
-        every, places = seen.columns(some)
+        some = begun.first(_READINGS)
+        every, places = begun.columns(some)
+        assert begun.station.position is not None
+        near = begun.station.position[some]
         priors = seen.sizes[seen.free][places] ** -2.0, seen.values[seen.free][places]
-        ends, likeliest, gained = np.cumsum([0, *station.block_sizes]).tolist(), None, 0.0
-        for turns in seen.frames:
-            if seen.dependence_in(turns) < CRITERIA.dependent or seen.follows_joints(some, turns):
+        ends, likeliest, gained = np.cumsum([0, *begun.station.block_sizes]).tolist(), None, 0.0
+        for turns, everywhere in zip(begun.frames, seen.frames, strict=True):
+            if begun.dependence_in(turns) < CRITERIA.dependent or begun.follows_joints(some, turns):
                 continue
             columns, gains = every if turns is None else turned_into(turns[some], every), 0.0
             phi, share = np.zeros(ends[-1]), np.zeros(ends[-1])
             for a, b in pairwise(ends):
-                found = _likeliest(columns[:, a:b], position[some], *priors)
+                found = _likeliest(columns[:, a:b], near, *priors)
                 if found is not None:
                     gain, phi[a:b], share[a:b] = found
                     gains += gain
             if gains > gained:
-                likeliest, gained = Serial(phi, share, position, seen.counted, turns), gains
+                likeliest, gained = Serial(phi, share, position, seen.counted, everywhere), gains
         return likeliest
 
     def follows_joints(self, rows: np.ndarray, turns: np.ndarray | None) -> bool:

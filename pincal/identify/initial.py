@@ -12,6 +12,7 @@ from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.beliefs import bounds_of, declared_noise, is_frame, priors_of, released_of, require_named, sensors_own
 from pincal.identify.believed import Earlier
 from pincal.identify.fit import ModelFit, Priors
+from pincal.identify.many_rows import some_of
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Problem, effects_at
 from pincal.identify.solve import Course, likeliest_values, solve
@@ -37,8 +38,10 @@ _FEWEST_SETTLED_ROWS = 40
 _ALIKE = 1.0 + 1e-6
 
 
-def begin(robot: Robot, tables: Mapping[str, Measurements], options: Options, executor: Executor | None) -> ModelFit:
-    """Return the fit of base and tool alone."""
+def begin(
+    robot: Robot, tables: Mapping[str, Measurements], options: Options, executor: Executor | None
+) -> tuple[ModelFit, Problem]:
+    """Return the fit of base and tool alone, by some rows if they are very many, and the problem of all."""
     if len(tables) == 1:
         tables = {"": next(iter(tables.values()))}
     placed = place(robot, tables, options)
@@ -49,7 +52,8 @@ def begin(robot: Robot, tables: Mapping[str, Measurements], options: Options, ex
         if table.readings_per_row is not None and options.at(name).sigma is not None:
             station = replace(station, weights=station.weights * np.sqrt(table.readings_per_row))
         stations.append(station)
-    problem = Problem(tuple(stations), None if options.earlier is None else Earlier.of(options.earlier))
+    whole = Problem(tuple(stations), None if options.earlier is None else Earlier.of(options.earlier))
+    problem = some_of(whole)
     require_named(problem, options)
     values = _joined(problem, placed)
     priors, noise = priors_of(problem, options), declared_noise(problem, options)
@@ -60,7 +64,7 @@ def begin(robot: Robot, tables: Mapping[str, Measurements], options: Options, ex
     if np.any(lens & ~frames):
         free = frames & released | lens
         nominal = solve(problem, nominal.values, free, priors, noise, replace(course, label="camera"))
-    return ModelFit(problem, nominal, nominal, priors, noise, (), options)
+    return ModelFit(problem, nominal, nominal, priors, noise, (), options), whole
 
 
 def _joined(problem: Problem, placed: Sequence[tuple[Station, np.ndarray]]) -> np.ndarray:

@@ -191,7 +191,7 @@ class Judge:
             estimated = np.sqrt(medians / middle)
         estimated = np.maximum(estimated, rounding(self.problem))
         sigma = self.noise.resolved(estimated, counted)
-        return Judgement(sigma, estimated, self._weigh(point, sigma, hard=hard))
+        return Judgement(sigma, estimated, self.weights(point, sigma, hard=hard))
 
     def counted(self, robust: np.ndarray) -> np.ndarray:
         """Return the number of readings that count in each block, shape (blocks,)."""
@@ -217,7 +217,8 @@ class Judge:
         spent = counted * (shared / counted.sum() + (np.minimum(numbers, most * whole) / whole)[of])
         return np.asarray(np.maximum(counted - spent, 1.0))
 
-    def _weigh(self, point: Linearised, sigma: np.ndarray, *, hard: bool) -> np.ndarray:
+    def weights(self, point: Linearised, sigma: np.ndarray, *, hard: bool) -> np.ndarray:
+        """Return the rows' weights by noise of each block, shape (blocks,); further arguments as of :meth:`at`."""
         if self.loss == "none":
             return np.ones(len(self.problem))
         spans = self.problem.block_spans

@@ -88,7 +88,7 @@ class Options:
             that match, the last counts.
         zeros: joints with unknown zeros, by names or patterns such as ``"*"``.
         prior_scale: factors on the priors of a robot's lengths, angles, drive compliances and other compliances, those in
-            ``priors`` left out; default: 1, or where no station has an instrument as large as the readings allow.
+            ``priors`` left out; default: 1, or where no instrument tells places as large as the readings allow.
         serial: whether to test for noise that is correlated along the rows, and weight rows accordingly.
     """
 

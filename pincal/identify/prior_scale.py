@@ -11,6 +11,9 @@ gradient b of the readings about offsets x from the nominal, and priors of covar
     \quad A = H + P^{-1}, \; \tilde b = b - P^{-1} x
 
 Each factor is the largest that is not excluded, so that readings which hardly tell it leave the prior wide.
+
+An IMU alone sees angles, and no place: a noisy one tells little of some, where a prior that is wider than the robot's
+deviations makes them larger than they were.
 """
 
 from __future__ import annotations
@@ -37,6 +40,11 @@ _ANYWHERE = 10.0
 def has_instrument(fit: ModelFit) -> bool:
     """Return whether something beside the robot and what it touches tells where any of its targets are."""
     return any(station.sensor.base_symbols or station.sensor.is_on_tool for station in fit.problem.stations)
+
+
+def sees_places(fit: ModelFit) -> bool:
+    """Return whether an instrument tells where targets are, which an IMU does not."""
+    return has_instrument(fit) and any(station.sensor.reads_place for station in fit.problem.stations)
 
 
 def prior_scale(fit: ModelFit) -> PriorScale:

@@ -26,6 +26,9 @@ log = logging.getLogger(__name__)
 # does one that had to be halved down to this: along a bent ridge there is nothing left to gain.
 SETTLED = 1e-3
 _ROUGH = 0.1
+# The same in standard deviations of parameters: of very many rows, these are known to less than a step may be that is short.
+# On a ridge that is known to rounding such steps may go on, so that after so many a short one will do.
+_NEAR, _LOOKS = 0.05, 8
 # The same where the noise is at its floor: steps there are rounding.
 _ROUNDED = 0.03
 # Relative change of the noise above which earlier steps say nothing about the next, as little as after one that they got
@@ -54,6 +57,7 @@ class Course:
             weighs them down; "none" takes every row as it is.
         rough: whether another fit follows, so that this one may end early and its outliers only be weighed down.
         short: how far a step that ends the fit may move predictions, root mean square, in units of the noise.
+        ahead: whether it ends before a step that moves no parameter by much of its standard deviation, without taking it.
         label: what the fit is called in the log; it is not logged without a name.
         executor: computes what stations contribute, where there are several; default: one after the other, here.
     """
@@ -61,6 +65,7 @@ class Course:
     loss: Loss = "screen"
     rough: bool = False
     short: float = SETTLED
+    ahead: bool = False
     label: str = ""
     executor: Executor | None = None
 
@@ -177,6 +182,14 @@ class _Run:
         self.is_short = (
             self.wanted < shortest or self.length(self.point.equations(self.judged.sigma).square(taken)) < shortest
         )
+        if self.course.ahead and self.iterations < _LOOKS:
+            self.is_short = self.is_near()
+
+    def is_near(self) -> bool:
+        """Return whether the next step would move no parameter by more than a small part of its standard deviation."""
+        equations, free = self.point.equations(self.judged.sigma), self.free
+        step, _ = equations.step(self.priors.bounds[free])
+        return equations.square(step) + float(np.sum((step / self.priors.sizes[free]) ** 2)) < _NEAR**2
 
     def accelerated(self, step: np.ndarray, metric: np.ndarray) -> np.ndarray:
         """Return the step to take where Gauss-Newton wants ``step``, both of shape (F,).

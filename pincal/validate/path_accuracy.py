@@ -1,0 +1,143 @@
+r"""Path accuracy and path repeatability by ISO 9283 of an arm that drives one path n times.
+
+With x_c(s) the commanded path, and x_j(s) where cycle j crosses the plane through x_c(s) and perpendicular to the path,
+
+.. math:: AT_p = \max_s |\bar x(s) - x_c(s)|, \quad RT_p = \max_s \, (\bar l(s) + 3 S_l(s)), \quad
+          AT_a = \max_s |\bar a(s) - a_c(s)|, \quad RT_a = \max_s \, 3 S_a(s)
+
+(ISO 9283:1998, 8.2 and 8.3; l_j is the distance of cycle j from the mean of all, S with n - 1; a, b, c turn about x, y, z).
+As with poses, the commanded path is the one that the model predicts for the joints that were read. Of one cycle there is
+accuracy alone, the noise of the instrument included.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pincal.identify.station import Station
+from pincal.measure.measurements import Measurements
+
+CYCLES_OF_PATH = 10
+"""Cycles of a path that ISO 9283 asks for."""
+
+# Joints are where they were if they are nearer than this part of how far they move, root mean square.
+_SAME = 0.01
+# Part of it that the last cycle may lack.
+_SHORT = 0.02
+# Part of the usual speed below which an arm stands still.
+_SLOW = 0.01
+# Steps of time in which cycles are looked for, and moments that are asked, at most; steps that count as one; and how often
+# a lag is met, in parts of the commonest, for the shortest of several to be that of a cycle.
+_STEPS, _ASKED, _BESIDE, _OFTEN = 20_000, 1_000, 4, 0.5
+
+
+def path_accuracy(station: Station, values: np.ndarray, table: Measurements) -> dict[str, Any] | None:
+    """Return accuracy and repeatability along the path of a session in motion.
+
+    Args:
+        station: a model over the rows.
+        values: shape (P,), its parameters.
+        table: the rows.
+
+    Returns:
+        Number of cycles and of points of the path, ``AT_mm`` and, of poses, ``AT_a_mrad``, ``AT_b_mrad``, ``AT_c_mrad``; of
+        more than one cycle ``RT_mm`` and so on, too. None for held poses, or where no position is measured.
+    """
+    if table.moving is None or table.time is None or not station.sensor.reads_pose:
+        return None
+    order = np.argsort(table.time, kind="stable")
+    of_model, _ = station.split(values)
+    path = station.model.predict(of_model, station.conditions)[order, :, 3]
+    return along_path(table.time[order], table.q[order], path, station.residuals(values)[:, order])
+
+
+def along_path(time: np.ndarray, q: np.ndarray, path: np.ndarray, residuals: np.ndarray) -> dict[str, Any]:
+    """Return what :func:`path_accuracy` does.
+
+    Args:
+        time: shape (N,), increasing [s].
+        q: joints, shape (N, n).
+        path: commanded positions, shape (N, 3) [m].
+        residuals: attained minus commanded position [m], shape (3, N), or pose [m, rad], shape (6, N).
+    """
+    way = np.gradient(path, time, axis=0)
+    speed = np.linalg.norm(way, axis=1, keepdims=True)
+    # An arm that stands still has no direction.
+    way /= np.maximum(speed, max(_SLOW * float(np.median(speed)), 1e-12))
+    off = residuals.T.copy()
+    off[:, :3] -= way * np.sum(off[:, :3] * way, axis=1, keepdims=True)
+    begin, period, n = cycles_of(time, q)
+    cycles = off[None]
+    if n > 1:
+        points = round(period / float(np.median(np.diff(time))))
+        along = begin + period * np.arange(points) / points
+        at = along[along + (n - 1) * period <= time[-1]] + period * np.arange(n)[:, None]
+        cycles = np.stack([np.interp(at, time, component) for component in off.T], axis=2)
+    mean = cycles.mean(axis=0)
+    found: dict[str, Any] = {"cycles": n, "points": len(mean), "standard": CYCLES_OF_PATH}
+    found |= {"AT_mm": 1e3 * float(np.linalg.norm(mean[:, :3], axis=1).max())}
+    found |= {f"AT_{a}_mrad": 1e3 * float(np.abs(of).max()) for a, of in zip("abc", mean[:, 3:].T, strict=False)}
+    if n > 1:
+        distance = np.linalg.norm(cycles[:, :, :3] - mean[:, :3], axis=2)
+        found |= {"RT_mm": 1e3 * float((distance.mean(axis=0) + 3.0 * distance.std(axis=0, ddof=1)).max())}
+        spread = 3e3 * cycles[:, :, 3:].std(axis=0, ddof=1).T
+        found |= {f"RT_{a}_mrad": float(of.max()) for a, of in zip("abc", spread, strict=False)}
+    return found
+
+
+def cycles_of(time: np.ndarray, q: np.ndarray) -> tuple[float, float, int]:
+    """Return when joints, shape (N, n), begin to do the same again and again [s], how long it takes [s], and how often.
+
+    What is before and after may be something else. Of joints that never do the same again it is all, once.
+    """
+    from scipy.spatial import KDTree
+
+    count = min(len(time), _STEPS)
+    even, step = np.linspace(time[0], time[-1], count, retstep=True)
+    once = float(time[0]), float(time[-1] - time[0]), 1
+    z = np.stack([np.interp(even, time, joint) for joint in q.T])
+    near = _SAME * float(np.sqrt(z.var(axis=1).sum()))
+    # How long after some moments the joints are where they were.
+    asked = np.arange(0, count, max(count // _ASKED, 1))
+    found = KDTree(z.T).query_ball_point(z.T[asked], near) if near else np.empty(0, object)
+    lags = np.concatenate([np.asarray(hits) - i for hits, i in zip(found, asked, strict=False)] or [np.zeros(0, int)])
+    often = np.convolve(np.bincount(lags[lags > 0], minlength=count), np.ones(2 * _BESIDE + 1), "same")
+    away = int(np.argmin(often))
+    if not often[away:].any():
+        return once
+    first = away + int(np.argmax(often[away:] > _OFTEN * often[away:].max()))
+    most = first + int(np.argmax(often[first : first + 4 * _BESIDE]))
+    period = float(step) * float(np.mean(lags[np.abs(lags - most) <= 2 * _BESIDE]))
+    later = np.stack([np.interp(even + period, even, joint) for joint in z])
+    same = (np.sum((later - z) ** 2, axis=0) < near**2) & (even + period <= even[-1])
+    # The longest run of rows that come again.
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
+    if not len(edges):
+        return once
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    start, end = edges[2 * longest : 2 * longest + 2]
+    n = 1 + int((end - start) * step / period + _SHORT)
+    return (float(even[start]), period, n) if n > 1 else once
+
+
+def path_words(found: dict[str, Any]) -> str:
+    """Return accuracy and repeatability in words.
+
+    Example:
+        >>> path_words({"cycles": 1, "points": 9, "standard": 10, "AT_mm": 0.25})
+        'AT 0.2500 mm; one cycle, the noise of the instrument included: repeat the path, ISO 9283 asks for 10 cycles'
+    """
+    sizes = [
+        f"{name.split('_')[0]} {found[name]:.4f} mm"
+        if name.endswith("_mm")
+        else f"{name[:4].replace('_', ' ')} {found[name]:.4f} mrad"
+        for name in found
+        if name[:3] in ("AT_", "RT_")
+    ]
+    n, asked = found["cycles"], found["standard"]
+    rest = f"one cycle, the noise of the instrument included: repeat the path, ISO 9283 asks for {asked} cycles"
+    if n > 1:
+        rest = f"{n} cycles" + (f"; ISO 9283 asks for {asked}" if n < asked else "")
+    return f"{', '.join(sizes)}; {rest}"
