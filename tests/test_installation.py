@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pincal.builtin import kuka_urdf_path
-from pincal.cli import planning
+from pincal.cli import outputs
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -66,9 +66,9 @@ def test_the_rest_needs_none_of_them(tmp_path: Path) -> None:
 
 def test_the_report_of_a_problem_names_what_is_absent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not installed is a version, too."""
-    monkeypatch.setattr(planning, "_PACKAGES", ("numpy", "no-such-package"))
+    monkeypatch.setattr(outputs, "_PACKAGES", ("numpy", "no-such-package"))
 
-    assert list(planning._problem_report(["check"], []))[1].endswith(", no-such-package not installed")
+    assert list(outputs.problem_report(["check"], []))[1].endswith(", no-such-package not installed")
 
 
 def test_meshes_that_can_not_be_read_are_told_with_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -567,10 +567,10 @@ def test_messages_give_the_line(tmp_path: Path) -> None:
         Robot.from_urdf(path)
 
 
-@pytest.mark.parametrize("role", ["tip", "base"])
-def test_an_unknown_link_names_the_nearest(role: str) -> None:
+@pytest.mark.parametrize(("role", "words"), [("tip", "link"), ("base", "base link")])
+def test_an_unknown_link_names_the_nearest(role: str, words: str) -> None:
     """A misspelt tip or base is answered with the links there are, the nearest first."""
-    with pytest.raises(RobotFileError, match=rf"unknown {role} link 'tool_0'; known ones: tool0,"):
+    with pytest.raises(RobotFileError, match=rf"unknown {words} 'tool_0'; known ones: tool0,"):
         Robot.from_urdf("ur10", **{role: "tool_0"})
 
 

@@ -134,7 +134,7 @@ def design_motion(
 
     Example:
         >>> found = design_motion(Robot.from_urdf("ur5"), 20.0)
-        >>> found.error < found.before, found.time[0]
+        >>> found.error < found.before, float(found.time[0])
         (True, 0.0)
     """
     for name, given, unit in (

@@ -183,7 +183,7 @@ class Linearised:
                 kept.clear()
 
     @cached_property
-    def are_kept(self) -> bool:
+    def _are_kept(self) -> bool:
         """Whether the normal equations of each station are kept."""
         stations, blocks = len(self.problem.stations), len(self.problem.blocks)
         n_free = np.count_nonzero(self.free[self.problem.places[0]])
@@ -208,7 +208,7 @@ class Linearised:
 
     @cached_property
     def _squares(self) -> list[StationSquares]:
-        if self.are_kept and not self.is_doubtful:
+        if self._are_kept and not self.is_doubtful:
             return [normal.station_squares(batch.ends) for normal, batch in zip(self._normals, self._batches, strict=True)]
         if self.sigma is not None and not self.is_doubtful:
             return [found for _, found in self._contributions(self.sigma)]
@@ -296,7 +296,7 @@ class Linearised:
         free = [self.free[of.places[0]] for of in new]
         known = [Beforehand(of.own, sigma[of.blocks].reshape(len(of.stations), -1), self.sizes[of.places]) for of in new]
         found: Iterable[_Sums]
-        if self.are_kept:
+        if self._are_kept:
             every = self._normals
             normals = (every[k] for k, _, _ in todo)
             found = (
