@@ -16,7 +16,7 @@ from pincal import Limits, Options, Robot
 from pincal.design import motion_design
 from pincal.design.motion_design import MotionDesign, design_motion
 from pincal.design.reach import Reach
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, PincalWarning
 from pincal.simulate.moving import ViaPath
 
 # Between so many poses a choice takes a second; a prime number.
@@ -120,7 +120,23 @@ def test_the_command_writes_a_motion_that_simulate_drives(tmp_path: Path, capsys
     capsys.readouterr()
     assert run("design", "ur5", "--motion", "20s", "--model", "geometric", "--out", out, "--json") == 0
     assert json.loads(capsys.readouterr().out)["poses"] == len(out.read_text().splitlines()) - 1
-    assert run("design", "ur5", "--motion", "20s", "--poses", "5", "--out", out) == 2
+    for other in (
+        ("--poses", "5"),
+        ("--payload", "3"),
+        ("--socket", "0.5", "0", "0.2"),
+        ("--candidates", "50"),
+        ("--type", out),
+    ):
+        assert run("design", "ur5", "--motion", "20s", *other, "--out", out) == 2
+        assert f"{other[0]} is of poses that are held" in capsys.readouterr().err
+
+
+def test_a_motion_that_ends_too_soon_is_told(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between three poses there are six moves, each driven once."""
+    monkeypatch.setattr(motion_design, "_POSES", 3)
+    with pytest.warns(PincalWarning, match=r"the motion ends after .* s of 900 s: no further move is left"):
+        found = design_motion(robot, 900.0, GEOMETRY)
+    assert len(found.time) <= 7
 
 
 def test_a_table_without_times_is_no_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -59,6 +59,8 @@ An effect is NAME[:JOINT][:KEY=VALUE,...], as in discover. Neither the paths fro
 around the robot are considered: check them before the robot moves.
 """
 _COUNT = click.IntRange(min=1)
+# What of an instrument beside the robot a motion before an IMU does not depend on.
+_OF_RIG = ("sensor", "sockets", "tool", "payload")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,9 +272,13 @@ def _check(arguments: DesignArguments) -> Exit:
 def _motion(arguments: DesignArguments, duration: float) -> Exit:
     from pincal.design.motion_design import design_motion
 
-    wanted = {"poses": arguments.poses, "accuracy": arguments.accuracy, "measured": arguments.measured}
-    if other := next((name for name, value in wanted.items() if value is not None), None):
-        raise click.UsageError(f"--{other} is of poses that are held; leave it out, or --motion")
+    rig, constraints = arguments.instrument, arguments.constraints
+    of_poses = ("poses", "accuracy", "task", "measured", "type", "tell_apart", "candidates", "start")
+    wanted = {name: getattr(arguments, name) for name in of_poses} | {name: getattr(rig, name) for name in _OF_RIG}
+    wanted |= {"instrument": constraints.instrument, "normal": constraints.normal}
+    if other := next((name for name, value in wanted.items() if value not in (None, ())), None):
+        flag = {"start": "from", "sockets": "socket"}.get(other, other.replace("_", "-"))
+        raise click.UsageError(f"--{flag} is of poses that are held; leave it out, or --motion")
     robot, driven = _robot(arguments), arguments.driven
     found = design_motion(
         robot,

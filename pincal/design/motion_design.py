@@ -23,7 +23,7 @@ import numpy as np
 from pincal.design.design_model import DesignModel
 from pincal.design.exchange import covariance, value
 from pincal.design.reach import Draw, Limits, Reach, SensorSetup
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, warn
 from pincal.identify.beliefs import priors_of, released_of
 from pincal.identify.initial import place
 from pincal.identify.options import Options
@@ -166,9 +166,15 @@ def design_motion(
         sets = [Conditions.at(robot.random_configurations(poses, rng)) for _ in range(_SETS)]
         both = [[one.foreseen(measured, cared) for one in (design, replace(design, known=known))] for measured in sets]
         needed[poses] = tuple(np.median(both, axis=0).tolist())
+    times = np.array([0.0, *accumulate(moves.seconds[walk].tolist())])
+    if times[-1] < duration:
+        warn(
+            f"the motion ends after {times[-1]:.0f} s of {duration:.0f} s: no further move is left between these {_POSES} "
+            "poses; expected fewer constraints or less time"
+        )
     return MotionDesign(
         robot,
-        np.array([0.0, *accumulate(moves.seconds[walk].tolist())]),
+        times,
         drawn.q[[moves.first[walk[0]], *moves.last[walk]]],
         drawn,
         worth.error([]),
