@@ -221,8 +221,10 @@ def _variable(effect: Effect, moved: np.ndarray, at: PoseSet) -> tuple[str, np.n
         return f"{follows} [{unit}]" if unit else follows, values
     if effect.is_sighted and at.conditions.sighted is not None:
         x, y, z = at.conditions.sighted.T
-        if effect.locus.acts_on == "range":
-            return "x of the target [m]", x
+        if effect.locus.acts_on in ("range", "directions"):
+            ways = (x,) if effect.locus.acts_on == "range" else (x, y, z)
+            k = int(np.argmax([abs(np.corrcoef(moved, way)[0, 1]) for way in ways]))
+            return f"{'xyz'[k]} of the target [m]", ways[k]
         angle = np.arctan2(y, x) if effect.locus.acts_on == "azimuth" else np.arctan2(z, np.hypot(x, y))
         return f"{'azimuth' if effect.locus.acts_on == 'azimuth' else 'elevation'} of the target [deg]", np.rad2deg(angle)
     felt = at.moments.std(axis=0) > _FELT * at.moments.std(axis=0).max()

@@ -13,6 +13,7 @@ from tracker_cases import NOISE, seen, standing
 from pincal import load_model
 from pincal import simulate as sim
 from pincal.calibration.calibrated_robot import Fit, calibrate
+from pincal.calibration.placing import place_station
 from pincal.discover.candidate_tests import variants
 from pincal.discover.loop import discover_effects
 from pincal.discover.steps import History
@@ -25,6 +26,7 @@ from pincal.model.catalogue import (
     InstrumentAzimuth,
     InstrumentElevation,
     InstrumentRange,
+    InstrumentStretch,
     InstrumentTilt,
     untestable,
 )
@@ -70,6 +72,11 @@ PAIRS: dict[str, tuple[ReadingEffect, Effect, list[float]]] = {
         [1e-5, 2e-5, 3e-5, 4e-5, 5e-5, -6e-5],
     ),
     "range": (sim.InstrumentRange(size=1e-5), InstrumentRange(), [1e-5]),
+    "stretch": (
+        sim.InstrumentStretch(size=1e-5, towards=(4.0, 3.0, 0.0)),
+        InstrumentStretch(),
+        [0.64e-5, 0.36e-5, 0.48e-5, 0.0, 0.0],
+    ),
 }
 
 
@@ -141,6 +148,29 @@ def test_an_eccentric_circle_of_the_tracker_is_not_the_robots(kuka: Robot) -> No
     assert [step.effect.name for step in steps] == ["instrument_azimuth"]
 
 
+def test_what_stretches_coordinates_is_found_anew_on_another_day(kuka: Robot) -> None:
+    """Two in ten thousand: named, known to its interval, and on another day that of the instrument that stands there."""
+    stretched = sim.InstrumentStretch(size=2e-4, towards=(4.0, 3.0, 0.0))
+    fit = calibrate(kuka, seen(stretched), Options(effects=(*GEOMETRIC, InstrumentStretch()), sigma=NOISE))
+    days = [seen(*hidden, seed=1, place=standing(2.0, 1.0), poses=60) for hidden in ((stretched,), ())]
+    placed = [place_station(fit, day) for day in days]
+
+    for model, size in ((fit, 2e-4), (placed[0].model, 2e-4), (placed[1].model, 0.0)):
+        own = model.estimate.take([f"instrument.stretch_{axes}" for axes in ("x", "y", "xy", "xz", "yz")])
+        assert np.all(np.abs(own.values - size * np.array([0.64, 0.36, 0.48, 0.0, 0.0])) < 3.5 * own.sigma)
+    assert all(one.misfit.ratio < 1.15 and not one.notes for one in placed)
+
+
+@pytest.mark.long
+def test_stretched_coordinates_are_named(kuka: Robot) -> None:
+    """Of a robot that is sound: by the instrument's name alone."""
+    table = seen(sim.InstrumentStretch(size=2e-4))
+    steps = searched(calibrate(kuka, table, Options(effects=GEOMETRIC, sigma=NOISE)), {"": table}).steps
+
+    assert [step.effect.name for step in steps] == ["instrument_stretch"]
+
+
+@pytest.mark.long
 def test_two_places_tell_the_instrument_from_the_robot(kuka: Robot) -> None:
     """One circle at both stations, its values by station; a gear of the robot is still found as the robot's."""
     places = {"east": standing(0.5), "north": standing(2.0, 1.0)}

@@ -41,6 +41,7 @@ EFFECTS: list[HiddenEffect] = [
     sim.InstrumentElevation(size=2e-5),
     sim.InstrumentTilt(size=2e-5),
     sim.InstrumentRange(size=2e-5),
+    sim.InstrumentStretch(size=1e-4),
     sim.JointScatter(joint="joint_2", size=1e-4),
     sim.JointLag(joint="joint_2", size=1e-3),
     sim.FrictionWindup(joint="joint_2", size=1e-4),

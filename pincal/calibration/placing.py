@@ -1,7 +1,7 @@
 """A calibrated robot at a new set-up: where instrument and targets stand, found from its rows.
 
-The robot's own parameters stay as they were calibrated; base frame, targets and what else the instrument has to be asked for
-are found anew. What belonged to another station (a drift, a scale) does not come along.
+The robot's own parameters stay as they were calibrated; base frame, targets, how the instrument misreads positions and what
+else it has to be asked for are found anew. What belonged to another station (a drift, a scale) does not come along.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from pincal.measure.admit import check_placeable
 from pincal.measure.measurements import Measurements
 from pincal.measure.registry import blocks_of
 from pincal.measure.sensor import Block
+from pincal.model.effect import Effect
 from pincal.parameters import FRAME_SYMBOLS, Estimate, estimate_of
 from pincal.robot.se3 import placed as frame_at
 from pincal.robot.se3 import rotation_vectors
@@ -137,13 +138,18 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
     setup = replace(known.setup, points={name: known.setup.points.get(name) for name in points})
     check_placeable(measurements, setup)
     measurements, as_recorded = known.of_its_day(measurements), measurements
-    arm = known.with_effects(lambda effect: effect.scope == "robot")
+    reads = measurements.position is not None
+
+    def comes_along(effect: Effect) -> bool:
+        return effect.scope == "robot" or (reads and effect.is_sighted and effect.locus.station is None)
+
+    arm = known.with_effects(comes_along)
     options = known.options(setup=setup)
     ((station, start),) = place_arm(arm.model, arm.model_values, {"": measurements}, options=options)
     problem = Problem((station,))
     free = station.is_own.copy()
     station.split(free)[1][:] = ~station.sensor.fixed
-    unknown, notes = _of_another_session(known, station, as_recorded)
+    unknown, notes = _of_another_session(known, station, as_recorded, set(arm.model.effects))
     in_metres = [block.unit == "m" for block in station.sensor.blocks]
     noise = expected_noise(known, station.sensor.blocks, measurements)
     sigma = np.where(in_metres, np.hypot(noise, unknown), noise) if unknown else noise
@@ -162,7 +168,9 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
     return Placed(model, station, solution, moved(known, model), notes)
 
 
-def _of_another_session(known: CalibratedModel, station: Station, rows: Measurements) -> tuple[float, tuple[str, ...]]:
+def _of_another_session(
+    known: CalibratedModel, station: Station, rows: Measurements, along: set[Effect]
+) -> tuple[float, tuple[str, ...]]:
     """Return what a model does not know of rows of another day or set-up, per axis [m], and that in words.
 
     It is as much as effects that are not taken along, and those that follow what the rows lack, did to the target.
@@ -177,6 +185,7 @@ def _of_another_session(known: CalibratedModel, station: Station, rows: Measurem
             effect.scope == "station"
             and effect.locus.station is None
             and effect.locus.acts_on not in ("base", "tool", "clock")
+            and effect not in along
         )
     ]
     at = known.of_its_day(replace(station.conditions, target=np.zeros(len(station), int))) if left else None

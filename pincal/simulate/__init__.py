@@ -59,6 +59,7 @@ from pincal.simulate.state import Poses as Poses
 from pincal.simulate.tracker import InstrumentAzimuth as InstrumentAzimuth
 from pincal.simulate.tracker import InstrumentElevation as InstrumentElevation
 from pincal.simulate.tracker import InstrumentRange as InstrumentRange
+from pincal.simulate.tracker import InstrumentStretch as InstrumentStretch
 from pincal.simulate.tracker import InstrumentTilt as InstrumentTilt
 from pincal.simulate.tracker import MeasurementScale as MeasurementScale
 from pincal.simulate.typical import hidden_effect as hidden_effect

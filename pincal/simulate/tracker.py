@@ -139,6 +139,24 @@ class InstrumentRange(ReadingEffect):
         return cartesian(azimuth, elevation, distance + self.size)
 
 
+@dataclass(frozen=True, kw_only=True)
+class InstrumentStretch(ReadingEffect):
+    """Instrument whose coordinates are stretched along one direction; ``size`` is by what part [-].
+
+    Attributes:
+        towards: The direction, of any length.
+    """
+
+    effect: ClassVar[str] = "instrument_stretch"
+    unit: ClassVar[str] = "1"
+    typical_size: ClassVar[float] = 1e-3
+    towards: tuple[float, float, float] = (0.8, 0.0, 0.6)
+
+    def as_read(self, position: np.ndarray) -> np.ndarray:
+        along = np.array(self.towards) / np.linalg.norm(self.towards)
+        return np.asarray(position + self.size * np.outer(position @ along, along))
+
+
 def spherical(position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return azimuth and elevation [rad] and range [m] of positions, shape (N, 3)."""
     x, y, z = position.T

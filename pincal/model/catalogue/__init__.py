@@ -29,7 +29,13 @@ from pincal.model.catalogue.elasticity import (
     PayloadError,
 )
 from pincal.model.catalogue.environment import BaseDrift, MeasurementScale, ThermalExpansion
-from pincal.model.catalogue.instrument import InstrumentAzimuth, InstrumentElevation, InstrumentRange, InstrumentTilt
+from pincal.model.catalogue.instrument import (
+    InstrumentAzimuth,
+    InstrumentElevation,
+    InstrumentRange,
+    InstrumentStretch,
+    InstrumentTilt,
+)
 from pincal.model.catalogue.link_bending import LinkBending
 from pincal.model.catalogue.masses import LinkMass
 from pincal.model.catalogue.motion import FrictionWindup, InstrumentClock, JointLag
@@ -74,6 +80,7 @@ _IN_ORDER: tuple[type[Effect], ...] = (
     InstrumentElevation,
     InstrumentTilt,
     InstrumentRange,
+    InstrumentStretch,
     InstrumentClock,
     Unnamed,
 )

@@ -1,4 +1,4 @@
-r"""Effects of a laser tracker: its encoders, its axes, its distance meter.
+r"""Effects of an instrument that reads positions: encoders, axes and distance meter of a tracker; stretched coordinates.
 
 A tracker reads azimuth A, elevation E and range r of its target; the table has what it makes of them,
 
@@ -8,7 +8,7 @@ An error of a reading moves the target across or along the line of sight, by wha
 reading itself, or from the model where nothing was read yet. All of them belong to the station. They ask for positions in
 the tracker's own frame: its origin where the axes of the tracker meet, its z along the standing axis. In a frame that was
 moved (onto the robot, or onto points of the hall) they are other functions; where its origin is where no tracker can stand,
-they are not tested.
+they are not tested. What stretches coordinates is the same in any frame.
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ from pincal.errors import BadInputError
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, PoseSet
 from pincal.model.effect import Candidate, Discoverable, Locus, Term
-from pincal.model.effect_bases import TILT, parameters_of, waves
+from pincal.model.effect_bases import RATIO, TILT, parameters_of, waves
 from pincal.model.model import Model
 from pincal.parameters import Parameter, Scope
 
 Orders = Literal[1, 2]
 _ORDERS: tuple[Orders, ...] = (1, 2)
+_STRETCHED = ("x", "y", "xy", "xz", "yz")
 # Nearer to the standing axis, or to the tracker, than this no direction across it is told [m].
 _AT_AXIS = 1e-9
 
@@ -70,7 +71,7 @@ class Sight(NamedTuple):
 
 
 class _Reading(ABC):
-    """What errors of a tracker's reading share."""
+    """What errors of an instrument's reading share."""
 
     name: ClassVar[str]
     scope: ClassVar[Scope] = "station"
@@ -250,6 +251,42 @@ class InstrumentRange(_Reading, Discoverable):
 
     def _moves(self, sight: Sight) -> Sequence[np.ndarray]:
         return (sight.along,)
+
+
+@dataclass(frozen=True)
+class InstrumentStretch(_Reading, Discoverable):
+    r"""Instrument whose coordinates are stretched: it reads lengths in one direction longer than in another.
+
+    :math:`\Delta p = E p`, with E symmetric: by how much lengths along x and y are read longer than along z, and the shears
+    xy, xz and yz. Where all directions are longer alike, that is ``measurement_scale``.
+
+    Distinguished by:
+        a length standard in several directions, or the same poses with the instrument turned: the directions turn with the
+        instrument, what the robot does stays with the robot.
+
+    Source:
+        affine distortion of reconstructions by cameras with wrong parameters (Hartley and Zisserman, 2004); 1 to 3 in a
+        thousand on a real camera tracker.
+    """
+
+    name: ClassVar[str] = "instrument_stretch"
+    meaning: ClassVar[str] = "the instrument reads lengths in one direction longer than in another"
+    locus: ClassVar[Locus] = Locus(acts_on="directions")
+
+    @classmethod
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
+        """Yield it once."""
+        unread = "no positions in an instrument frame" if situation.conditions.sighted is None else ""
+        yield Candidate(cls(), obstacle=unread)
+
+    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
+        """Stretches of x and y beyond that of z, and shears [1]."""
+        return parameters_of(self, "instrument", [f"stretch_{axes}" for axes in _STRETCHED], unit="1", size=RATIO)
+
+    def _moves(self, sight: Sight) -> Sequence[np.ndarray]:
+        p, unit = sight.range * sight.along, np.eye(3)
+        pairs = (["xyz".index(axis) for axis in (axes[0], axes[-1])] for axes in _STRETCHED)
+        return [np.outer(unit[i], p[j]) + (i != j) * np.outer(unit[j], p[i]) for i, j in pairs]
 
 
 def _obstacle(situation: PoseSet) -> str:
