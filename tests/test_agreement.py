@@ -149,6 +149,7 @@ def test_what_nothing_cures_is_not_to_be_used(
     assert run(*command, "--noise", "10mm") == 0
 
 
+@pytest.mark.long
 def test_a_strange_table_costs_a_fixed_number_of_fits(
     kuka: Robot, table: Measurements, monkeypatch: pytest.MonkeyPatch
 ) -> None:

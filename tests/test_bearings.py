@@ -198,6 +198,7 @@ def test_files_of_old_have_bearings_where_they_were() -> None:
         read(short)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 @pytest.mark.parametrize(("seed", "is_last"), [(98711, True), pytest.param(98704, False, marks=pytest.mark.long)])
 def test_of_bearings_and_names_what_explains_more_enters_first(seed: int, is_last: bool) -> None:

@@ -81,6 +81,7 @@ def as_it_was(browser: Any) -> Any:
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["plain", "hostile", "found"])
 def test_it_loads_in_silence_and_by_itself(browser: Any, pages: dict[str, Path], name: str) -> None:
     """Nothing on the console, nothing asked of the network, every image decoded."""
@@ -95,6 +96,7 @@ def test_it_loads_in_silence_and_by_itself(browser: Any, pages: dict[str, Path],
     assert decoded is True
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["plain", "hostile", "found"])
 @pytest.mark.parametrize("size", SIZES)
 def test_it_fits_and_can_be_read(browser: Any, pages: dict[str, Path], name: str, size: str) -> None:
@@ -106,6 +108,7 @@ def test_it_fits_and_can_be_read(browser: Any, pages: dict[str, Path], name: str
     assert cut == [] and small == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["plain", "found"])
 def test_light_and_dark_differ_and_both_have_contrast(browser: Any, pages: dict[str, Path], name: str) -> None:
     """Every text, those in figures too, has a contrast of 4.5 to 1 at least in both schemes."""
@@ -117,6 +120,7 @@ def test_light_and_dark_differ_and_both_have_contrast(browser: Any, pages: dict[
     assert seen[0] != seen[1]
 
 
+@pytest.mark.long
 def test_hostile_names_appear_as_text(browser: Any, pages: dict[str, Path]) -> None:
     """No script of a name has run, no element was made of one, and it is there to be read."""
     show(browser, pages["hostile"])
@@ -129,6 +133,7 @@ def test_hostile_names_appear_as_text(browser: Any, pages: dict[str, Path]) -> N
     assert HOSTILE.split("\n")[0] in text and "{{ 7 * 7 }}" in text
 
 
+@pytest.mark.long
 def test_it_prints_in_light(browser: Any, pages: dict[str, Path]) -> None:
     """On paper the page is light even for a reader who prefers dark, and no wider than the sheet."""
     show(browser, pages["found"], "desk", "dark")

@@ -54,6 +54,7 @@ def ur10() -> Robot:
     return Robot.from_urdf("ur10")
 
 
+@pytest.mark.long
 def test_the_page_shows_the_robot_and_its_layers(
     browser: Any, ur10: Robot, rng: np.random.Generator, tmp_path: Path
 ) -> None:
@@ -89,6 +90,7 @@ def test_the_page_shows_the_robot_and_its_layers(
     assert bright(browser) == pytest.approx(shown, rel=0.05)
 
 
+@pytest.mark.long
 def test_the_slider_moves_the_robot_to_the_measured_points(
     browser: Any, ur10: Robot, rng: np.random.Generator, tmp_path: Path
 ) -> None:
@@ -158,6 +160,7 @@ def test_names_that_mean_something_to_the_page_are_names(
     assert errors(browser) == []
 
 
+@pytest.mark.long
 def test_the_program_moves_the_robot_in_an_open_page(browser: Any, rng: np.random.Generator) -> None:
     """The page that a server serves follows it."""
     scene = build_scene(machine(small_robot(), rng), grid=30)

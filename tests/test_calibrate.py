@@ -268,6 +268,7 @@ def _longer(robot, by):
     return change
 
 
+@pytest.mark.long
 def test_two_columns_swapped_are_named(kuka):
     """A table whose header mixes up two joints is refused with their names."""
     table = paper_table(kuka, 60, 0, 5e-5)
@@ -338,6 +339,7 @@ def test_simulated_elastic_arms_are_predicted(shared_data, folder, moment_frame,
     assert np.sqrt(np.mean(errors(fit, held) ** 2)) * 1e6 <= limit_um
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("folder", "frame"), [("elastic_after", "after"), ("elastic_paper", "paper")])
 def test_the_convention_of_moments_that_fits_best_is_taken_and_named(shared_data, folder, frame):
     """Left open, it is found from a part of the rows, said where it is not the paper's, and expected of a check, too."""
@@ -363,6 +365,7 @@ def test_the_papers_convention_is_taken_among_equals(kuka):
         assert fit.options.moment_frame == fit.model.chain.moment_frame == "paper"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("robot_name", "file", "limit_mm"),
     [("ur5", "ur5_tracker/grid.csv", 0.096), ("ur10", "ur10_tmac/series_B.csv", 0.37)],

@@ -105,6 +105,7 @@ WAYS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("way", WAYS)
 def test_exact_readings_are_explained_wherever_things_stand(way: str, machine: sim.TrueMachine, kuka: Robot) -> None:
     """Without a first guess of camera, targets, probe or planes, exact readings are predicted on rows held out."""
@@ -159,6 +160,7 @@ def test_planes_come_out_where_they_are(machine: sim.TrueMachine, kuka: Robot) -
     np.testing.assert_allclose(np.abs(found @ found.T), np.abs(true @ true.T), rtol=0, atol=2e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("way", ["images, camera unknown", "dial"])
 def test_the_model_file_reads_further_rows(way: str, machine: sim.TrueMachine, kuka: Robot, tmp_path: Path) -> None:
     """A model that comes back from its file has the camera and the planes."""

@@ -89,6 +89,7 @@ def test_json_goes_to_stdout_and_progress_to_stderr(tmp_path, table, capsys):
     assert "iteration" in printed.err
 
 
+@pytest.mark.long
 def test_quiet_says_nothing_on_stderr(tmp_path, table, capsys):
     """``--quiet`` silences progress and notes."""
     assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--quiet") == 0
@@ -102,6 +103,7 @@ def test_text_fits_a_hundred_columns(tmp_path, table, capsys):
     assert max(len(line) for line in lines if not line.startswith(("note: ", "written to "))) <= 100
 
 
+@pytest.mark.long
 def test_ten_lines_come_first(tmp_path, table, capsys):
     """Before, after, noise as the mean distance it makes, verdict and next step; the tables only with --verbose."""
     assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--noise", "0.05mm", "--quiet") == 0
@@ -120,6 +122,7 @@ def test_ten_lines_come_first(tmp_path, table, capsys):
     assert "Pose accuracy" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_max_error_is_a_gate(tmp_path, table):
     """Exit 5 where the held-out mean exceeds the limit; the files are written all the same."""
     assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--max-error", "1um", "--quiet") == 5
@@ -398,6 +401,7 @@ def test_a_broken_model_file_is_refused(results, tmp_path, capsys):
     assert "cut.json" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_report_of_a_problem_says_what_was_run_and_not_what_was_measured(table, capsys):
     """Versions, command, files and names of columns are there, also of a table that is refused; no row of it is."""
     assert run("check", URDF, table, *COM, "--report", "--quiet") == 0

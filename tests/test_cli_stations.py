@@ -125,6 +125,7 @@ def test_the_report_shows_each_station(results: Path) -> None:
     assert 'href="#stations"' in page and "tracker: mean error" in page and "sockets: mean error" in page
 
 
+@pytest.mark.long
 def test_a_column_does_what_files_do(tmp_path: Path, machine: sim.TrueMachine, capsys: pytest.CaptureFixture[str]) -> None:
     """One table whose rows name their stations gives the numbers of two files, and says how far the tracker moved."""
     days = {"mo": tracked(machine, np.eye(4), poses=30), "tu": tracked(machine, TURNED, poses=30, seed=1)}
@@ -187,6 +188,7 @@ def days(tmp_path_factory: pytest.TempPathFactory, elastic_machine: sim.TrueMach
     return written(tmp_path_factory.mktemp("days"), tables)
 
 
+@pytest.mark.long
 def test_a_station_is_predicted_by_the_others(days: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each by a model that never saw it, up to the place of tracker and target: as SciPy's least squares finds that."""
     assert run("calibrate", URDF, *days, "--split", "station", "--quiet", "--out", tmp_path) == 0

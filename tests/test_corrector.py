@@ -68,6 +68,7 @@ def states_of(at: Conditions, own: np.ndarray) -> str:
 # --- the formulas -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", ["gear", "elastic", "everything", "gantry", "few"])
 def test_the_page_predicts_and_compensates_as_the_model_does(kuka: Robot, case: str, tmp_path: Path) -> None:
     """In JavaScript as in Python to 1e-12, geometry, elasticity on the bent arm, every effect, joints that follow others."""
@@ -199,6 +200,7 @@ def test_a_table_of_joints_comes_back_with_other_numbers_alone(made: Made, tmp_p
     assert np.abs(made.arrived(q) - made.meant).max() < 1e-8
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "names", [("A", "B", "C"), ("W", "P", "R"), ("rx", "ry", "rz"), ("qx", "qy", "qz", "qw"), ("q1", "q2", "q3", "q4")]
 )
@@ -285,6 +287,7 @@ def test_no_request_leaves_the_page(made: Made, tmp_path: Path) -> None:
     assert sorted(blocked) == ["connect-src", "img-src"] and fetched == []
 
 
+@pytest.mark.long
 def test_a_dropped_file_is_shown_and_saved(made: Made, tmp_path: Path) -> None:
     """The page takes a file, lists each point with its error and its change, and saves the corrected text."""
     if CHROMIUM is None:
@@ -342,6 +345,7 @@ def test_the_command_writes_the_page(made: Made, tmp_path: Path, capsys: pytest.
     assert (tmp_path / "corrector.html").read_text(encoding="utf-8") == made.page
 
 
+@pytest.mark.long
 def test_the_view_on_a_phone_shows_the_robot(made: Made, tmp_path: Path) -> None:
     """The picture stands above the panel and fills its part of the screen, and the viewer's own menu is not there."""
     if CHROMIUM is None:

@@ -110,6 +110,7 @@ def compared(jobs: list[Job], made: tuple[Path, str], folder: Path, capsys: Any)
     return corrected, refused
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("languages", "count", "broken"),
     [(tuple(LANGUAGES), 2, 3), *(pytest.param((name,), COUNT, 30, marks=pytest.mark.long) for name in LANGUAGES)],
@@ -132,6 +133,7 @@ def test_the_page_writes_what_the_command_writes(
         print(f"\n{', '.join(languages)}: {corrected} programs equal byte for byte, {refused} refused by both")
 
 
+@pytest.mark.long
 def test_the_page_leaves_what_the_command_leaves(
     made: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -41,6 +41,7 @@ def links_of(page: Path) -> Iterator[str]:
     yield from re.findall(r"\]\(([^)\s]+)\)", text)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["commands.md", "files.md", "effects.md", "python.md"])
 def test_reference_pages_are_those_of_the_program(name: str) -> None:
     """Made anew, a page is as it stands, and no cell of its tables is empty; ``python docs/pages.py`` writes them."""

@@ -62,6 +62,7 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
     sys.modules.pop("hose_pull", None)
 
 
+@pytest.mark.long
 def test_an_effect_goes_through_every_verb(scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:
     """Its detectable size is told; it is found, named and reported; its model validates, predicts and is drawn."""
     scene.run("check", "robot.urdf", "fit.csv", "--noise", "0.05mm", "--verbose")
@@ -79,6 +80,7 @@ def test_an_effect_goes_through_every_verb(scene: Scene, capsys: pytest.CaptureF
     assert "hose_pull" in (scene.folder / "view.html").read_text()
 
 
+@pytest.mark.long
 def test_an_effect_from_outside_is_fitted_on_request(scene: Scene) -> None:
     """``--add`` puts it into a calibration, and the file of the model says which module it comes from."""
     fit = ("calibrate", "robot.urdf", "fit.csv", "--out", "out", "--model", "geometric", "--add", "hose_pull:joint_5")

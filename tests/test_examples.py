@@ -134,6 +134,7 @@ def test_any_arm_leaves_nothing_behind_without_a_folder(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("effect", ["gear_eccentricity", pytest.param("backlash", marks=pytest.mark.long)])
 def test_a_hidden_effect_is_named_and_the_gap_closes(tmp_path: Path, effect: str) -> None:
     """Geometry alone is off by a millimetre; what is found has the name and the size of what was hidden."""
@@ -265,6 +266,7 @@ def test_real_robot_is_calibrated(shared_data: Path, tmp_path: Path) -> None:
     assert told[0] == pytest.approx([elastic[0]], abs=0.01) and told[1] == pytest.approx([after], abs=0.01)
 
 
+@pytest.mark.long
 def test_real_robot_says_where_its_measurements_come_from(tmp_path: Path) -> None:
     """A path without a file is answered with the origin of the data and the columns, not with a traceback."""
     message = run("ur10_tracker.py", "nowhere.csv", folder=tmp_path, exit_code=3)
@@ -286,6 +288,7 @@ def test_a_robots_life_is_told_by_its_figures(tmp_path: Path) -> None:
     assert missed > 10.0 * calibrated and max(mended, kept) < 1.3 * calibrated
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("decimals", "most"), [(6, 1e-6), pytest.param(12, 1e-11, marks=pytest.mark.long)])
 def test_a_controller_gives_its_calibration_away(tmp_path: Path, decimals: int, most: float) -> None:
     """What the controller reports, to the digits that it reports, is predicted to 1e-6 m at other poses."""

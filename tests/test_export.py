@@ -397,6 +397,7 @@ def test_names_of_a_robot_are_no_code(tmp_path: Path, monkeypatch: pytest.Monkey
     assert not (tmp_path / "ran").exists()
 
 
+@pytest.mark.long
 def test_a_python_file_says_what_it_needs(kuka: Robot) -> None:
     """Missing columns, wrong shapes and targets are named."""
     source = loaded(export_model(everything(kuka), "python").text)

@@ -331,6 +331,7 @@ def test_what_may_be_mistaken_is_not_guessed(tmp_path: Path, names: tuple[str, .
         assert part in str(caught.value)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cell", ["1", "hot"])
 def test_a_header_without_end_has_a_short_answer(tmp_path: Path, cell: str) -> None:
     """Twenty thousand columns that nobody knows are refused in less than two thousand letters, and can be ignored."""

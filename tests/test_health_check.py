@@ -142,6 +142,7 @@ def test_a_check_with_sockets_holds_the_tool_point_in_them() -> None:
     assert not {"joint_3.theta"} & {name for change in found.absorbed for name in change.parameters}
 
 
+@pytest.mark.long
 def test_sockets_are_asked_for() -> None:
     """A check with sockets needs their places, and one without has none."""
     robot, request = Robot.from_urdf(kuka_urdf_path()), CheckRequest(candidates=60, draws=2)

@@ -26,6 +26,7 @@ def run_without(package: str, *words: object, folder: Path) -> subprocess.Comple
     return subprocess.run(command, capture_output=True, text=True, cwd=folder, env=os.environ)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("package", "words", "advice"),
     [
@@ -56,6 +57,7 @@ def test_programs_of_controllers_need_a_parser(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr and not (tmp_path / "b.src").exists()
 
 
+@pytest.mark.long
 def test_the_rest_needs_none_of_them(tmp_path: Path) -> None:
     """A table can be simulated and checked."""
     absent = "example_robot_data,matplotlib,meshcat,trimesh,yourdfpy"

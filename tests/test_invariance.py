@@ -167,6 +167,7 @@ def test_a_bearing_is_found_where_it_is() -> None:
     assert np.abs(places + np.eye(6)[0] * slid - true).max() < 8e-3 and (sigma > 0.0).sum() >= 5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("verb", "name"),
     [

@@ -242,6 +242,7 @@ def test_the_jacobian_is_exact(looped: Robot, name: str, moment_frame: MomentFra
     np.testing.assert_allclose(jacobian / unit, numeric / unit, rtol=0.0, atol=1e-8 * np.abs(jacobian / unit).max())
 
 
+@pytest.mark.long
 def test_moments_that_follow_the_bent_arm_have_slopes_to_second_order(looped: Robot, rng: np.random.Generator) -> None:
     """At equilibrium only the product of two elastic rotations is left out of the columns: a millionth at 1 mrad."""
     model = Model(chain_of(looped), EFFECTS["all"], equilibrium=True)

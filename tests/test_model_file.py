@@ -167,6 +167,7 @@ def test_limits_that_are_not_there_and_odd_bytes_survive(calibrated: CalibratedM
     assert np.array_equal(again.upper, odd.upper)
 
 
+@pytest.mark.long
 def test_a_model_predicts_where_no_urdf_and_no_pinocchio_is(tmp_path: Path) -> None:
     """Another process, with the URDF deleted and its text taken out of the file, predicts the same."""
     urdf = tmp_path / "robot.urdf"
@@ -223,6 +224,7 @@ def test_a_model_is_that_of_its_fit(fit: ModelFit, calibrated: CalibratedModel) 
     assert np.array_equal(calibrated.sigma, fit.solution.sigma)
 
 
+@pytest.mark.long
 def test_uncertainty_is_that_of_values_drawn_from_the_covariance(calibrated: CalibratedModel) -> None:
     """The spread of predictions with 4000 drawn sets of values is the stated sigma, to the accuracy of a sample.
 

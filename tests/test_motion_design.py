@@ -107,6 +107,7 @@ def test_what_can_not_be_driven_is_refused(robot: Robot, given: dict[str, object
         design_motion(robot, **{"duration": 10.0} | given)  # type: ignore[arg-type]
 
 
+@pytest.mark.long
 def test_the_command_writes_a_motion_that_simulate_drives(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From the choice to a calibrated model, in four words each."""
     out, day = tmp_path / "motion.csv", tmp_path / "day"
@@ -151,6 +152,7 @@ def test_a_table_without_times_is_no_motion(tmp_path: Path, capsys: pytest.Captu
         assert "column time that increases from 0" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_noise_of_an_instrument_beside_it_is_none_of_the_imu(robot: Robot) -> None:
     """Positions ten times as exact change what poses promise, and nothing of the motion."""
     rough, fine = (design_motion(robot, 10.0, Options(effects=GEOMETRY.effects, sigma=s)) for s in (5e-5, 5e-6))

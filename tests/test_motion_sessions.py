@@ -240,6 +240,7 @@ def read(folder: Path, tables: dict[str, Table]) -> Session:
         return read_session(ROBOT, folder)
 
 
+@pytest.mark.long
 def test_an_arm_that_rests_tells_nothing_of_the_mount(tmp_path: Path) -> None:
     """Rates of an arm at rest are noise, by which a mount seems to be anyhow; the motion's are those of one mount."""
     tables, imu = driven(1, rests=True)
@@ -285,6 +286,7 @@ def test_streams_that_do_not_fit_the_motion_are_refused(
         start_positions(arm, session.tracker, position(session.tracker))
 
 
+@pytest.mark.long
 def test_swapped_imus_are_told_by_name(logs: tuple[dict[str, Table], ImuSetup], tmp_path: Path) -> None:
     """An IMU of another session is refused with the session that it is of; an arm that it is not of, without."""
     one, two = logs[0], driven(2)[0]

@@ -133,6 +133,7 @@ def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:
     assert freed.values[freed.estimate.names.index("joint_2.a")] != 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", ["4", "5"])
 def test_a_noisy_imu_alone_leaves_a_sound_robot_nearer_to_itself(tmp_path: Path, seed: str) -> None:
     """Thirty times the usual noise, and a robot as its URDF has it: the prior gets as narrow as the readings show."""
@@ -156,6 +157,7 @@ def test_rows_in_motion_are_no_replicates(day: Path) -> None:
     assert parts.moving.clock == table.moving.clock
 
 
+@pytest.mark.long
 def test_a_fit_begun_by_some_rows_is_that_of_all(day: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Values, their standard deviations and the rows left out are those of a fit to all rows from the start."""
     tables = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])

@@ -117,6 +117,7 @@ PINHOLE = '"fx": 1, "fy": 1, "u0": 0, "v0": 0'
 SLOW = ("images, known object", "images, known camera")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", [pytest.param(case, marks=[pytest.mark.long] * (case in SLOW)) for case in TABLES])
 def test_exact_readings_are_explained_wherever_things_stand(case: str, machine: sim.TrueMachine, kuka: Robot) -> None:
     """Without a first guess of where anything is, exact readings of every kind are predicted on rows held out."""
@@ -177,6 +178,7 @@ def test_sockets_that_the_fit_never_saw_are_judged_by_their_mean(machine: sim.Tr
     assert largest(fit, table) == pytest.approx(max(largest(fit, table.select(new)), largest(fit, table.select(~new))))
 
 
+@pytest.mark.long
 def test_real_panda_keeps_its_ball_in_a_socket(shared_data: Path) -> None:
     """Two placements of the artefact fitted, the third held out: within 0.20 mm of the socket's mean, nominally 2.7."""
     with warnings.catch_warnings():
@@ -272,6 +274,7 @@ def test_what_a_kind_of_data_cannot_tell_is_said(machine: sim.TrueMachine, kuka:
     assert "do not determine the scale" in said(near) and said(near, Setup(points=GRID)) == ""
 
 
+@pytest.mark.long
 def test_another_camera_than_the_given_one_is_noticed(machine: sim.TrueMachine, kuka: Robot) -> None:
     """Images that the given camera can't have made say so; its parameters are found on request."""
     table = seen(machine, kuka, poses=16, pixels=True, noise=0.1)
@@ -336,6 +339,7 @@ def test_cross_validation_leaves_out_what_one_fold_alone_has_seen(machine: sim.T
     assert np.abs(found.residuals[:, 1:]).max() < 1e-3
 
 
+@pytest.mark.long
 def test_distances_to_unknown_points_are_refused(machine: sim.TrueMachine, kuka: Robot) -> None:
     """A misspelt socket is named, with what it may have been; a distance to itself or of nothing is none."""
     table = contacts(machine, kuka, each=12)

@@ -101,6 +101,7 @@ def test_a_curve_that_was_not_seen_everywhere_is_said_to_be_so() -> None:
     assert 0.4 < found.found.curves.joints[0].seen < 0.7
 
 
+@pytest.mark.long
 def test_an_update_finds_what_is_named_anew_and_keeps_the_rest(first: CalibratedModel, worn: Measurements) -> None:
     """On rows that it never saw it leaves half of what the old model does, and the curve that stayed stays as it was."""
     updated = pincal.update(first, worn, anew=[f"transmission_error:{DRIVES[0]}"])
@@ -153,6 +154,7 @@ def test_gross_rows_of_a_sound_robot_are_no_changes(
     assert said.is_doubt and said.text.startswith(f"{len(gross)} of {len(new)} held-out rows")
 
 
+@pytest.mark.long
 def test_rows_of_which_many_are_gross_tell_nothing(
     same: tuple[CalibratedModel, Measurements, Measurements], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -175,6 +177,7 @@ def test_rows_of_which_many_are_gross_tell_nothing(
     assert "can't show" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.long
 def test_a_touched_instrument_is_no_change(first: CalibratedModel) -> None:
     """Half of the rows shifted by 2 mm: the line is told, and nothing is said to have changed."""
     robot = first.model.chain.robot
@@ -186,6 +189,7 @@ def test_a_touched_instrument_is_no_change(first: CalibratedModel) -> None:
     assert not found.changed
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("curve", [7, pytest.param(1, marks=pytest.mark.long)])
 def test_discovery_over_two_days_names_the_drive_whose_curve_changed(curve: int) -> None:
     """With the day, beside the curves that both days have; where none has changed, no day has one of its own."""

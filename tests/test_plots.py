@@ -129,6 +129,7 @@ def test_the_same_figure_is_the_same_text(evidence: RowErrors) -> None:
     assert first == second
 
 
+@pytest.mark.long
 def test_no_display_and_no_pyplot_is_touched() -> None:
     """Importing the figures imports no pyplot, whose state is everybody's."""
     code = (

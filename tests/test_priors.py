@@ -115,6 +115,7 @@ def test_tables_are_read_from_files(kuka: Robot, table: Measurements, tmp_path: 
     assert read.score(tmp_path / "monday.csv") == read.score(table)
 
 
+@pytest.mark.long
 def test_the_command_takes_priors(kuka: Robot, table: Measurements, tmp_path: Path) -> None:
     from pincal.builtin import kuka_urdf_path
     from pincal.measure.table import write_table

@@ -109,6 +109,7 @@ def off_line(told: list[np.ndarray], meant: list[np.ndarray], fk: Callable[[np.n
     return worst
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("language", ["KRL", "RAPID", "URScript"])
 def test_points_are_inserted_where_a_line_is_not_straight(
     language: str,

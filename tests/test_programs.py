@@ -148,6 +148,7 @@ def test_without_errors_a_program_stays_as_it_is(
         assert len(result["points"]) == len(case.points), (case.name, result["left"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("language", "count"), SIZES)
 def test_the_real_arm_arrives_where_the_program_meant(
     language: str,
@@ -236,6 +237,7 @@ def mutated(content: bytes, other: bytes, rng: np.random.Generator) -> bytes:
     return b"\n".join(lines)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("language", "count"),
     [*((n, 15) for n in LANGUAGES), *(pytest.param(n, MUTATIONS, marks=pytest.mark.long) for n in LANGUAGES)],

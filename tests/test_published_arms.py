@@ -75,6 +75,7 @@ def test_a_joint_that_mimics_another_moves_with_it(rng: np.random.Generator) -> 
     np.testing.assert_allclose(robot.gathered(J), J @ step.T, atol=1e-12)
 
 
+@pytest.mark.long
 def test_a_measured_column_moves_both_joints(tmp_path: Path) -> None:
     """A table without the joint that follows calibrates as one with it; both joints have errors that are found."""
     robot = Robot.from_urdf(FIVE)

@@ -116,6 +116,7 @@ def test_colours_of_figures_are_the_pages(page: str) -> None:
     assert "#1b1f24" not in page[page.index("</style>") :] and "prefers-color-scheme: dark" in page
 
 
+@pytest.mark.long
 def test_a_hostile_name_is_text() -> None:
     """Names of robot, link, joint and table that would be mark-up stay text, in figures, too."""
     run = hostile_run()
@@ -138,6 +139,7 @@ def test_seven_joints_make_a_page() -> None:
     assert all(f"Error against the position of panda_joint{i}" in page for i in range(1, 8))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "words"), [("pose", "orientation error"), ("distance", "distance error")])
 def test_other_readings_make_a_page(kuka: Robot, kind: str, words: str) -> None:
     """Errors of orientation have figures of their own, distances are no positions."""
@@ -165,6 +167,7 @@ def test_a_section_is_a_function(run: Calibration, no_figures: None) -> None:
     assert page.index('id="summary"') < page.index('id="ranges"')
 
 
+@pytest.mark.long
 def test_a_discovery_is_told_step_by_step(found: Discovery) -> None:
     """Where, which, how sure, what else, and a figure of the gap and of each effect."""
     page = report_page(Subject(found.calibration, ORIGIN, discovery=found))

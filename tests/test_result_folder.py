@@ -174,6 +174,7 @@ def fork() -> Iterator[multiprocessing.context.BaseContext]:
     yield multiprocessing.get_context("fork")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kills", [30, pytest.param(100, marks=pytest.mark.long)])
 @pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")

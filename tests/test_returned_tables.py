@@ -176,6 +176,7 @@ def test_false_targets_stand_in_the_tables_own_units(made: Made, tmp_path: Path,
     assert "joint columns" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_command_the_page_and_the_python_file_write_the_same(made: Made, tmp_path: Path) -> None:
     """A table of joints, byte for byte."""
     import subprocess

@@ -266,6 +266,7 @@ def rounded_arms(draw: st.DrawFn) -> list[Joint]:
     ]
 
 
+@pytest.mark.long
 @given(rounded_arms())
 @settings(max_examples=150, deadline=None, derandomize=True)
 def test_rounded_angles_make_no_long_links(joints: list[Joint]) -> None:

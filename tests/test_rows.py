@@ -130,6 +130,7 @@ def test_rows_in_any_order_of_a_table_are_one_fit(kuka: Robot) -> None:
     np.testing.assert_allclose(fits[1].values, fits[0].values, atol=1e-6)
 
 
+@pytest.mark.long
 def test_correlated_noise_is_estimated_and_left_white(kuka: Robot) -> None:
     """An autoregression of 0.9 is told to 0.05, median of 8 tables, and nothing is left once rows are weighed by it."""
     found = []
@@ -281,6 +282,7 @@ def test_outliers_gather_or_do_not(kuka: Robot) -> None:
         assert gathering_of(fit.station, anywhere) is None
 
 
+@pytest.mark.long
 def test_a_bump_of_a_drive_is_told_by_its_joint_and_place(kuka: Robot) -> None:
     """.15 mrad on ten neighbouring rows of 300; of 50 draws without, half of them with gross errors, none has one."""
     rng = np.random.default_rng(3)
@@ -307,6 +309,7 @@ def test_a_bump_of_a_drive_is_told_by_its_joint_and_place(kuka: Robot) -> None:
     assert set(found.rows) <= set(near) and len(found.rows) >= 5
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 @pytest.mark.parametrize(("kind", "seed", "words"), [("tool_exchanged", 45002, "tool"), ("remastered", 45001, "axis_2")])
 def test_names_beside_a_change_midway_are_taken_back(kind: str, seed: int, words: str) -> None:

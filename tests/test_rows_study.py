@@ -61,6 +61,7 @@ def test_lambda_by_the_covariance_of_an_autoregression_is_that_of_its_innovation
     assert np.sum((W @ signal) ** 2) == pytest.approx((signal[0] ** 2 + innovations) / SIGMA**2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["ar_random", "repeats"])
 def test_a_hidden_effect_has_the_strength_that_is_asked_for(kind: str) -> None:
     """Lambda over the true noise, and what a discovery can see of it is less."""

@@ -86,6 +86,7 @@ def scene(tmp_path: Path, known_sensors: None, monkeypatch: pytest.MonkeyPatch) 
     return Scene(tmp_path, tips[POSES:])
 
 
+@pytest.mark.long
 def test_a_laser_goes_through_every_verb(scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:
     """Checked, calibrated, validated, predicted with, discovered with, drawn and reported; the truth comes out."""
     scene.run("check", "robot.urdf", "fit.csv", "--model", "geometric")
@@ -108,6 +109,7 @@ def test_a_laser_goes_through_every_verb(scene: Scene, capsys: pytest.CaptureFix
     assert (scene.folder / "view.html").stat().st_size > 10_000
 
 
+@pytest.mark.long
 def test_predicted_tips_read_as_the_laser_does(scene: Scene) -> None:
     """The calibrated model, its laser and its plane give the ranges that the true robot would read, to the noise."""
     scene.run("calibrate", "robot.urdf", "fit.csv", "--out", "out", "--model", "geometric")
@@ -121,6 +123,7 @@ def test_a_laser_is_good_for_discovery(scene: Scene) -> None:
     assert scene.read("found/discovery.json")["effects"] == []
 
 
+@pytest.mark.long
 def test_without_the_plugin_the_message_names_it(scene: Scene) -> None:
     """A table and a model of an unknown sensor are refused; the model says which module to name."""
     scene.run("calibrate", "robot.urdf", "fit.csv", "--out", "out", "--model", "geometric")

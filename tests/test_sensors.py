@@ -201,6 +201,7 @@ ALLOWED = ("measure/sensors/", "measure/registry.py", "measure/sensing.py", "mea
 SIMULATED = ("cli/simulate.py", "cli/simulate_options.py")
 
 
+@pytest.mark.long
 def test_no_sensor_is_recognised_outside_its_own_file() -> None:
     """No other module names the class of a sensor, or compares with what one of them measures."""
     classes = {kind.__name__ for kind in KNOWN_BEFORE.values()}

@@ -67,6 +67,7 @@ def test_logs_are_of_the_path_by_their_clocks(tmp_path: Path) -> None:
         np.testing.assert_allclose(np.column_stack([imu[letter + axis] for axis in "xyz"]), expected, rtol=0.0, atol=1e-4)
 
 
+@pytest.mark.long
 def test_the_same_seed_drives_the_same_path(tmp_path: Path) -> None:
     """Byte for byte; another pose seed drives the same machine along another path, with the same IMU."""
     (_, one), _, (_, other) = (

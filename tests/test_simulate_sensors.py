@@ -308,6 +308,7 @@ def test_points_at_the_back_are_left_out_and_their_scale_can_be_off():
 # All of them
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ASKED)
 def test_every_kind_is_read_again_and_repeats(tmp_path, kind):
     """The reader knows the table by its kind; the same seed makes the same files; conditions go through."""

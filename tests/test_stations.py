@@ -346,6 +346,7 @@ def test_one_table_by_a_name_needs_no_name(machine: sim.TrueMachine, kuka: Robot
         np.testing.assert_array_equal(other.values, plain.values)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("pixels", [False, True])
 def test_tracker_and_camera_know_more_together(pixels: bool, machine: sim.TrueMachine, kuka: Robot) -> None:
     """A tracker table and a camera table of one arm in one fit predict better than either, and know how well."""

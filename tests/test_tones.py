@@ -135,6 +135,7 @@ def test_a_power_of_two_is_an_encoder_beside_the_ripple_that_it_looks_like(machi
     assert ("encoder_subdivision", pytest.approx(64.0, abs=0.15)) in could_be
 
 
+@pytest.mark.long
 def test_once_and_twice_a_line_are_one_encoder(machine: sim.TrueMachine) -> None:
     """Both waves that an encoder makes come in by themselves and go out for it; an order half a wave off is none."""
     for order, found in ((64.0, [("encoder_subdivision", "joint_2", 64.0)]), (64.5, ["gear_ripple"] * 2)):
@@ -143,6 +144,7 @@ def test_once_and_twice_a_line_are_one_encoder(machine: sim.TrueMachine) -> None
         assert names == found or [name for name, *_ in names] == found
 
 
+@pytest.mark.long
 def test_what_the_span_does_not_tell_apart_is_one_line(machine: sim.TrueMachine) -> None:
     """Two waves 1.5 over the span apart are a line that waxes and wanes, its order as sure as the span; further ones two."""
     span = np.ptp(measured(machine).q[:, 1]) / (2.0 * np.pi)

@@ -44,6 +44,7 @@ def trees() -> list[str]:
     return [name for path, name in found.items() if len(tips_of(read_urdf(str(path)))) > 1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.long) for n in trees()])
 def test_any_two_links_stand_to_each_other_as_pinocchio_has_them(name: str, rng: np.random.Generator) -> None:
     """From the root to every tip and from tip to tip, as a robot of its own and as a path of the whole tree."""

@@ -102,6 +102,7 @@ def test_few_poses_are_not_judged(poses: int, cycles: int, sigma: float) -> None
     assert "dominated by the prior" in result.warnings[0].text and result.warnings[0].is_doubt
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("poses", "noise"), [(["8"], "0.05mm"), (["10", "--cycles", "3"], "0.002mm")])
 def test_few_poses_are_searched_and_not_judged(poses: list[str], noise: str, tmp_path: Path, capsys: Capture) -> None:
     """Halves of eight poses tell next to nothing of what a fit does not take; that ended as an internal error."""
@@ -112,6 +113,7 @@ def test_few_poses_are_searched_and_not_judged(poses: list[str], noise: str, tmp
     assert "verdict  not judged." in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_estimated_noise_is_no_judge_of_a_search_either() -> None:
     """The same table, nothing found: not judged where the noise was estimated, adequate where it was declared."""
     robot = Robot.from_urdf(URDF)
@@ -127,6 +129,7 @@ def shifted() -> Calibration:
     return run_calibration(Robot.from_urdf(URDF), rows(100, shift_from=50), Options(effects=GEOMETRIC))
 
 
+@pytest.mark.long
 def test_a_doubt_stands_first_everywhere(shifted: Calibration) -> None:
     """On the page, in the notebook and in the file the shift comes before any error, and the model is not adequate."""
     words = "readings are shifted by 2"
@@ -141,6 +144,7 @@ def test_a_doubt_stands_first_everywhere(shifted: Calibration) -> None:
     assert notebook.index(words) < notebook.index("Calibration(")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("more", [[], ["--verbose"]])
 def test_a_shift_is_for_the_user_to_decide(more: list[str], tmp_path: Path, capsys: Capture) -> None:
     """Exit code 4 with the line, files written, the doubt in the first line; 0 if the user takes it."""

@@ -36,6 +36,7 @@ def table(kuka: Robot) -> Measurements:
     return measured(machine, kuka, poses=70, turn=0.9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", ["one zero 90 deg", "five zeros 4-6 deg", "one sign", "J3 minus J2"])
 def test_what_differs_from_the_urdf_is_found_and_named(case: str) -> None:
     """A draw each of a KUKA with typical errors and compliances; held-out poses are met as under the true description."""
@@ -80,6 +81,7 @@ def test_another_zero_and_sign_describe_the_same_arm(kuka: Robot) -> None:
     np.testing.assert_allclose(again.lower, [*kuka.lower[:1], -kuka.upper[1], *kuka.lower[2:]])
 
 
+@pytest.mark.long
 def test_unknown_zeros_have_no_prior(table: Measurements, kuka: Robot) -> None:
     """All of them or some; joints by names that the robot has."""
     off = replace(table, q=table.q - np.deg2rad([0, 1.5, 0, -1.5, 0, 0]))
@@ -135,6 +137,7 @@ def load_model_of(fit, folder: Path):
     return load_model(folder / "plain.json")
 
 
+@pytest.mark.long
 def test_what_is_stated_is_taken(table: Measurements, kuka: Robot, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """--coupling, --sign and --zeros; without them the default says what it found, and goes on."""
     q = table.q * [1, 1, 1, -1, 1, 1]
