@@ -23,7 +23,9 @@ from pincal.identify.station import Station
 from pincal.identify.whitening import Serial
 from pincal.measure.measurements import concatenate
 from pincal.measure.poses import by_pose
+from pincal.measure.sensors.pose import PositionSensor
 from pincal.recorded import Moving
+from pincal.validate.gathered import bump_in, gathering_of
 
 URDF = str(kuka_urdf_path())
 ROBOT = pincal.Robot.from_urdf(kuka_urdf_path())
@@ -117,6 +119,21 @@ def test_what_follows_the_motion_is_no_change_of_the_setup(fit: pincal.Fit) -> N
         serial = Serial(np.full(m, 0.9), np.full(m, 0.5), np.arange(n, dtype=float), np.ones(n, bool))
         told.append([found.kind for found in findings_on_order(replace(station, serial=serial))])
     assert told == [[], [CaveatKind.LEFT_IN_MOTION], [CaveatKind.DEPENDENT_ROWS]]
+
+
+def test_what_is_off_for_a_moment_is_no_place_of_a_joint(fit: pincal.Fit) -> None:
+    """A tenth of a second in which all readings are off lies in a narrow window of each joint; of held poses it is told."""
+    _, tracker = fit.problem.stations
+    values = fit.values[fit.problem.places[1]]
+    rejected = np.zeros(len(tracker), bool)
+    rejected[300:330] = True
+    sensor = tracker.sensor
+    assert isinstance(sensor, PositionSensor)
+    off = replace(tracker, sensor=replace(sensor, position=sensor.position + 1e-3 * np.outer(rejected, [0.6, 0.0, 0.8])))
+    held = replace(off, conditions=replace(off.conditions, inertial=None))
+
+    assert gathering_of(off, rejected) is None and bump_in(off, values) is None
+    assert gathering_of(held, rejected) is not None and bump_in(held, values) is not None
 
 
 def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:

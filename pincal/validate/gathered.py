@@ -147,6 +147,9 @@ def gathering_of(station: Station, rejected: np.ndarray) -> Gathering | None:
         station: all rows.
         rejected: shape (N,), which of them were rejected.
     """
+    if station.conditions.inertial is not None:
+        # An arm that moves passes a place within a moment: what follows on from a wrong reading is that one again.
+        rejected = rejected & ~np.append(False, rejected[:-1])
     if not _FEWEST <= np.count_nonzero(rejected) <= min(_MOST, len(rejected) // 2):
         return None
     names = (*station.model.chain.robot.joint_names, "line")
@@ -168,11 +171,14 @@ def gathering_of(station: Station, rejected: np.ndarray) -> Gathering | None:
 def bump_in(station: Station, values: np.ndarray) -> Gathering | None:
     """Return where in a joint's travel all targets are off alike, as by a bump of its drive; None if nowhere.
 
+    Of an arm that moves nothing is told: what is off for a moment is off in a narrow window of each joint.
+
     Args:
         station: the calibrated model over N rows, rejected ones among them.
         values: shape (P,), of its parameters.
     """
-    if not station.sensor.reads_pose or station.serial is not None or len(station) * _PART < _IN_BUMP:
+    is_moving = station.conditions.inertial is not None
+    if is_moving or not station.sensor.reads_pose or station.serial is not None or len(station) * _PART < _IN_BUMP:
         return None
     off, fields = station.displacements(values), list(fields_of_joints(station, values))
     bumps = [_highest(field, station, off) for field in fields]
