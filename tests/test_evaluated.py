@@ -7,6 +7,7 @@ import pytest
 
 from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Model, Options, calibrate, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
+from pincal.discover.locate import _taking
 from pincal.discover.score_tests import score_test
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import without
@@ -192,31 +193,30 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
     ((_, residuals, jacobian),) = problem.stations[0].linearise(values, free)
     A, r = (of.reshape(*of.shape[:-2], -1) / fit.solution.estimated[0] for of in (jacobian, residuals))
     scale = np.sqrt(np.diag(A @ A.T))
-    cross, products = tests.products.cross, tests.products
-    S = np.block([[tests.model.rows.H, cross], [cross.T, products.inner]])
+    cross = tests.cross
+    S = np.block([[tests.model.rows.H, cross], [cross.T, tests.inner]])
     np.testing.assert_allclose(S / np.outer(scale, scale), A @ A.T / np.outer(scale, scale), atol=1e-12)
-    np.testing.assert_allclose(np.append(tests.model.rows.g, products.g) / scale, A @ r / scale, rtol=1e-9, atol=1e-9)
-    whole = replace(tests, products=replace(products, blocks_inner=products.inner[None], is_partial=False))
-    assert np.count_nonzero(products.blocks_inner) < np.count_nonzero(products.inner)
+    np.testing.assert_allclose(np.append(tests.model.rows.g, tests.g) / scale, A @ r / scale, rtol=1e-9, atol=1e-9)
+    whole = replace(tests, blocks_H=np.vstack([cross, tests.inner])[None], is_partial=False)
+    assert np.count_nonzero(tests.H[len(cross) :]) < np.count_nonzero(tests.inner)
     for which in ([7], [0, 6], [1, 5, 7]):
         assert tests.gain(which) == pytest.approx(whole.gain(which), rel=1e-8)
-        np.testing.assert_allclose(
-            tests.within(which)[1], tests.projected[0][np.ix_(*[products.places(which)] * 2)], rtol=1e-6
-        )
+        np.testing.assert_allclose(tests.within(which)[1], tests.projected[0][np.ix_(*[tests.places(which)] * 2)], rtol=1e-6)
     fewer = tests.among([5, 1, 7], fit.names_of([own[0]]))
     told = whole.among([5, 1, 7], fit.names_of([own[0]]))
-    np.testing.assert_allclose(fewer.products.inner, told.products.inner, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(fewer.inner, told.inner, rtol=1e-9, atol=1e-9)
     n, m = cross.shape
     for i in (1, 6):
-        taking, j = products.taking(i), products.columns[i]
-        expected, size = np.vstack([cross, products.inner[j]]), np.append(scale[:n], scale[n + j])
+        j, others = tests.columns[i], [k for k in range(len(candidates)) if k != i]
+        taking, left = _taking(tests, i), tests.places(others)
+        expected, size = np.vstack([cross, tests.inner[j]])[:, left], np.append(scale[:n], scale[n + j])
         np.testing.assert_allclose(
-            taking.cross / np.outer(size, scale[n:]), expected / np.outer(size, scale[n:]), atol=1e-12
+            taking.cross / np.outer(size, scale[n + left]), expected / np.outer(size, scale[n + left]), atol=1e-12
         )
-        steps, own_steps = np.zeros((n + len(j), 1)), np.zeros((m, 1))
-        steps[n:] = own_steps[j] = rng.normal(size=(len(j), 1))
-        for part, before in zip(taking.parts, products.parts, strict=True):
-            moved = before.moved(np.zeros((n, 1)), own_steps)
-            np.testing.assert_allclose(part.moved(steps, np.zeros((m, 1))), moved, rtol=1e-12)
-            back = part.among(np.arange(n + len(j) + 1), np.arange(m + 1), np.append(steps, 0.0))
+        steps, own_steps = np.zeros(n + m), np.zeros(n + m)
+        steps[n : n + len(j)] = own_steps[n + j] = rng.normal(size=len(j))
+        for part, before in zip(taking.parts, tests.parts, strict=True):
+            moved = before.moved(own_steps[:, None])
+            np.testing.assert_allclose(part.moved(steps[:, None]), moved, rtol=1e-12)
+            back = part.among(np.arange(n + m + 1), steps)
             np.testing.assert_allclose(back.residuals, before.residuals + moved[0], rtol=1e-12)

@@ -116,14 +116,14 @@ def told(tests: ScoreTests, of_model: np.ndarray, of_candidates: np.ndarray, squ
     """Return tests of other residuals, given their products with the columns, at the minimum beside priors, and squares."""
     blocks = replace(tests.model.blocks, g=(of_model - tests.model.prior.g)[None])
     model = replace(tests.model, blocks=blocks)
-    return replace(tests, model=model, products=replace(tests.products, blocks_g=of_candidates[None]), squares=squares)
+    return replace(tests, model=model, blocks_g=of_candidates[None], squares=squares)
 
 
 def test_a_bootstrap_of_noise_has_any_chance_alike(found: Discovery) -> None:
     """Of sixty tables of nothing but noise the p-values are uniform."""
     tests = score_test(found.trail.final, found.trail.last.effects[:12])
-    model, cross = tests.model, tests.products.cross
-    rng, root = np.random.default_rng(5), root_of(np.block([[model.rows.H, cross], [cross.T, tests.products.inner]]))
+    model, cross = tests.model, tests.cross
+    rng, root = np.random.default_rng(5), root_of(np.block([[model.rows.H, cross], [cross.T, tests.inner]]))
     root, unseen = root[:, np.linalg.norm(root, axis=0) > 0.0], tests.readings
     chances = []
     for seed in range(60):
@@ -162,12 +162,12 @@ def test_standard_deviations_pay_for_what_is_not_in_the_model(found: Discovery) 
 def test_candidates_weigh_as_likely_as_they_are(found: Discovery) -> None:
     """One that should have been accepted counts whole, those that explain nothing not at all."""
     tests = score_test(found.trail.final, found.trail.last.effects[:25])
-    products, chosen = tests.products, tests.columns[3][0]
+    chosen = tests.columns[3][0]
 
     def left(gain: float) -> ScoreTests:
         """Residuals that are the third candidate's, of so large a gain."""
         size = np.sqrt(gain / tests.projected[0][chosen, chosen])
-        return told(tests, size * products.cross[:, chosen], size * products.inner[:, chosen], tests.dof + gain)
+        return told(tests, size * tests.cross[:, chosen], size * tests.inner[:, chosen], tests.dof + gain)
 
     assert of_candidates(left(0.0)) == pytest.approx(0.0, abs=1e-9)
     assert of_candidates(left(3.0)) < 0.5

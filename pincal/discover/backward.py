@@ -7,7 +7,7 @@ times their values, to the residuals. So all are named from the same tests of al
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial, reduce
 
@@ -166,9 +166,30 @@ def _worths(state: SearchState, search: Search) -> dict[SearchStep, float]:
         # Nor does the place of a bearing that is not compliant matter.
         places = [e for e in own if e.locus.acts_on == "place"]
         still = state.fit.names_of([*heavy, *places]) if step.is_elastic else ()
-        losses = tests.losses_by_block(set(state.fit.names_of(own)) - set(still), still)
+        losses = losses_by_block(tests, set(state.fit.names_of(own)) - set(still), still)
         found[step] = standard_errors(losses)
     return found
+
+
+def losses_by_block(tests: ScoreTests, names: Collection[str], still: Collection[str] = ()) -> np.ndarray:
+    """Return by how much the squared error on each block left out grows without some of the model, shape (B,).
+
+    Their values are held at zero and all others refitted, to first order, without each block.
+
+    Args:
+        tests: those against the model.
+        names: parameters of the model.
+        still: others that stay as they are, as what they do is done by way of those that go.
+    """
+    j = np.array([i for i, name in enumerate(tests.names) if name in names or name in still], int)
+    goes = np.array([tests.names[i] in names for i in j], bool)
+    units, losses = np.eye(tests.n_model)[:, j], np.zeros(len(tests.model.blocks.H))
+    for k, (factor, step) in enumerate(tests.model.without_block if len(j) else ()):
+        columns = factor.solve(units)
+        held = step - columns @ np.linalg.solve(columns[j], step[j] + goes * tests.values[j])
+        H, g = tests.model.blocks.H[k], tests.model.blocks.g[k]
+        losses[k] = held @ H @ held - step @ H @ step - 2.0 * g @ (held - step)
+    return losses
 
 
 def named_given(fit: ModelFit, effects: Sequence[Effect], search: Search) -> Iterator[tuple[ModelFit, Decision | None]]:

@@ -129,7 +129,7 @@ def locate(fit: ModelFit, sigma: np.ndarray) -> Location:
     # What a refit leaves of readings and priors; masses are known as they are.
     known = float(np.sum((fit.values / fit.priors.sizes) ** 2)) + fit.problem.beliefs.square(fit.values, fit.priors.sizes)
     squares = tests.squares + known - float(tests.model.slope @ tests.model.slope)
-    tests = replace(tests, doubt=None, squares=squares)
+    tests = replace(tests, unsure=np.zeros_like(tests.unsure), squares=squares)
     left, dof, excess = _left(tests), tests.dof, tests.squares - tests.dof
     p_value = float(chdtrc(dof, tests.squares))
     while len(places) < WHERE.places and (best := _best(tests)) is not None:
@@ -146,22 +146,21 @@ def locate(fit: ModelFit, sigma: np.ndarray) -> Location:
 
 def _taking(tests: ScoreTests, best: int) -> ScoreTests:
     """Return the tests of the other motions once one is a part of the model."""
-    products, model, n = tests.products, tests.model, tests.n_model
-    j, sizes = products.columns[best], tests.sizes
-    cross, own = products.blocks_cross[:, :, j], products.blocks_inner[:, j[:, None], j]
-    rows = np.block([[model.blocks.H, cross], [cross.swapaxes(1, 2), own]])
-    blocks = Form.of(rows, np.concatenate([model.blocks.g, products.blocks_g[:, j]], axis=1))
-    prior = Form.of(block_diag(model.prior.H, tests.prior([best])), np.append(model.prior.g, np.zeros(len(j))))
-    beside, effect = Information(blocks, prior), tests.effects[best]
-    assert isinstance(effect, MovedPlace)
+    model, n, j, H = tests.model, tests.n_model, tests.columns[best], tests.blocks_H.copy()
+    mine, every = n + j, n + np.arange(len(tests.g))
+    H[0, mine] = sum(part.products(mine, every) for part in tests.parts)
+    others = [i for i in range(len(tests.effects)) if i != best]
+    nothing, cross = np.zeros(len(j)), H[0, :n, j].T
+    rows = np.block([[model.rows.H, cross], [cross.T, H[0, mine[:, None], j]]])
+    blocks = Form.of(rows[None], np.append(model.rows.g, tests.g[j])[None])
+    prior = Form.of(block_diag(model.prior.H, tests.prior([best])), np.append(model.prior.g, nothing))
+    beside = Information(blocks, prior)
     return replace(
-        tests,
-        effects=tuple(other for other in tests.effects if other is not effect),
-        names=(*tests.names, *(f"{effect.joint}.{effect.acts_on}.{k}" for k in range(len(j)))),
-        values=np.append(tests.values, np.zeros(len(j))),
-        sizes=np.concatenate([sizes[:n], sizes[n + j], sizes[n:]]),
+        replace(tests, blocks_H=H).rearranged(np.append(np.arange(n), mine), others, np.zeros(n + len(every))),
+        names=(*tests.names, *(f"{best}.{k}" for k in j)),
+        values=np.append(tests.values, nothing),
+        unsure=np.append(tests.unsure, nothing > 0.0),
         model=beside,
-        products=products.taking(best),
         squares=tests.squares + float(model.slope @ model.slope - beside.slope @ beside.slope),
         spent=tests.spent + tests.score([best], 1).rank,
     )

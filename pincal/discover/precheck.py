@@ -283,7 +283,7 @@ def _sizes(fit: ModelFit, found: ScoreTests, i: int, alpha: float, groups: int) 
         if not np.isfinite(detectable_noncentrality(test)):
             yield Detectable(effect, measure, shown, reason=_too_few(found))
             continue
-        whole = found.products.inner_of([i])[np.ix_(own, own)]
+        whole = found.inner_of([i])[np.ix_(own, own)]
         signal = scale.T @ found.within([i])[1][np.ix_(own, own)] @ scale
         size, best = _size_at(np.maximum(np.linalg.eigvalsh(signal), 0.0), test)
         absorbed = float(np.clip(1.0 - np.trace(signal) / np.trace(scale.T @ whole @ scale), 0.0, 1.0))
