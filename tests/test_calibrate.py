@@ -92,7 +92,7 @@ def test_noisy_paper_machine_has_chi_square_one_and_intervals_that_cover(kuka):
         problem = fit.readings(others)
         free = fit.solution.free
         _, J = fit.model.linearise(fit.values, problem.conditions, free=free)
-        sigma = np.sqrt(np.einsum("nij,jk,nik->ni", J, fit.solution.posterior.covariance, J))
+        sigma = np.sqrt(np.einsum("nij,jk,nik->ni", J, fit.solution.known.covariance, J))
         inside_prediction.append(np.abs(problem.residuals(fit.values).T) < 1.96 * sigma)
         told = fit.solution.posterior
         sizes = fit.priors.sizes[free]

@@ -12,7 +12,7 @@ from pincal.discover.score_tests import score_test
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import without
 from pincal.identify.jacobian import Jacobian, SharedColumns
-from pincal.identify.posterior import Balance, posterior
+from pincal.identify.posterior import Posterior
 from pincal.identify.problem import extended
 from pincal.identify.quadratic import Form
 from pincal.model.catalogue.drives import GearEccentricity
@@ -137,11 +137,11 @@ def test_parameters_spent_are_found_without_the_posterior() -> None:
     known = np.zeros((9, 9))
     known[4:6, 4:6] = [[2.0, -1.0], [-1.0, 1.0]]
     H = J @ J.T + known
-    found = posterior(Form.of(H), sizes)
-    of_data = found.shared_effective - float(np.sum(found.covariance * known))
-    balance = Balance(Form.of(H), sizes, np.zeros(9))
-    assert balance.spent() == pytest.approx(found.shared_effective, rel=1e-9)
-    assert balance.spent(known) == pytest.approx(of_data, rel=1e-9)
+    found = Posterior(Form.of(H), sizes, np.zeros(9))
+    spent = float(found.frame_rank + np.sum(found.information / (1.0 + found.information)))
+    of_data = spent - float(np.sum(found.covariance * known))
+    assert found.effective == pytest.approx(spent, rel=1e-9)
+    assert Posterior(Form.of(H), sizes, np.zeros(9), believed=known).effective == pytest.approx(of_data, rel=1e-9)
 
 
 @pytest.mark.parametrize("blocks", [1, 4])
@@ -156,7 +156,7 @@ def test_tests_without_an_effect_follow_from_those_with_it(blocks: int) -> None:
     fit = calibrate(ROBOT, table, Options(effects=(*GEOMETRIC, gone), sigma=5e-5))
     of, few = fit.solution, fit.solution.free & (np.arange(len(fit.values)) % 5 > 0)
     point, alone = (Linearised(fit.problem, of.values, free, of.weights, fit.priors.sizes) for free in (of.free, few))
-    narrow, expected = point.narrowed(few).equations(of.sigma), alone.equations(of.sigma)
+    narrow, expected = point.narrowed(few).posterior(of.sigma), alone.posterior(of.sigma)
     scale = expected.metric
     assert np.allclose(narrow.form.H / np.outer(scale, scale), expected.form.H / np.outer(scale, scale), atol=1e-12)
     assert np.allclose(narrow.form.g / scale, expected.form.g / scale, atol=1e-9)

@@ -149,7 +149,7 @@ def test_what_is_there_is_no_chance(case: Case, found: Discovery) -> None:
 def test_standard_deviations_pay_for_what_is_not_in_the_model(found: Discovery) -> None:
     """By one factor in the noise, priors left alone; values, the noise and what is identified stay."""
     fit, last = found.calibration.fit, found.trail.final
-    ratio = fit.solution.posterior.covariance.diagonal() / last.solution.posterior.covariance.diagonal()
+    ratio = fit.solution.known.covariance.diagonal() / last.solution.known.covariance.diagonal()
     others = fit.readings(found.calibration.test).conditions
 
     assert np.all(ratio > 1.0 - 1e-9) and 1.05 < ratio.max() < 2.0

@@ -20,7 +20,7 @@ from pincal.errors import BadInputError
 from pincal.identify.beliefs import declared_noise, priors_of
 from pincal.identify.believed import Earlier
 from pincal.identify.options import Options
-from pincal.identify.posterior import Posterior, posterior
+from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
 from pincal.identify.station import Station
@@ -172,7 +172,7 @@ class DesignModel:
 
     def posterior(self, H: np.ndarray) -> Posterior:
         """Return the posterior of information in units of noise and priors, shape (F, F), with the priors left out of it."""
-        return posterior(Form.of(H / np.outer(self.units, self.units)), self.sizes)
+        return Posterior(Form.of(H / np.outer(self.units, self.units)), self.sizes, np.zeros(self.n_free))
 
     def _jacobian(self, problem: Station) -> np.ndarray:
         parts = [jacobian for _, _, jacobian in problem.linearise(self.values, self.free)]

@@ -219,8 +219,8 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
     fit = _in_best_frame(_by_all(_begun(some, None), whole, None))
     problem, nominal, fitted = fit.problem, fit.nominal, fit.solution
     free = released_of(problem, options) & excited_of(problem)
-    found = Linearised(problem, nominal.values, free, fitted.weights, fit.priors.sizes).equations(fitted.sigma)
-    outlook = replace(fitted, values=nominal.values, equations=found, free=free, at_bound=np.zeros(len(free), bool))
+    found = Linearised(problem, nominal.values, free, fitted.weights, fit.priors.sizes).posterior(fitted.sigma)
+    outlook = replace(fitted, values=nominal.values, posterior=found, free=free, at_bound=np.zeros(len(free), bool))
     return replace(fit, solution=outlook)
 
 
@@ -336,11 +336,11 @@ def _is_missed(fit: ModelFit, released: np.ndarray) -> tuple[bool, Linearised]:
     found = Linearised(problem, fitted.values, fitted.free | held, fitted.weights, sizes)
     if not held.any():
         return False, found
-    wide = found.equations(np.maximum(fitted.sigma, rounding(problem)))
+    wide = found.posterior(np.maximum(fitted.sigma, rounding(problem)))
     if is_exact(wide.whole, sizes[found.free]):
         # The least deviation counts, and is lost in the rounding of H.
         return bool(np.any(fitted.estimated > rounding(problem))), found
-    gain = wide.gain(np.ones(len(wide.shared), bool)) - wide.gain(fitted.free[found.free])
+    gain = wide.gain(np.ones(len(wide.is_shared), bool)) - wide.gain(fitted.free[found.free])
     return bool(gain > chdtri(int(held.sum()), CRITERIA.unexcited)), found
 
 

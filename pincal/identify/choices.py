@@ -57,7 +57,7 @@ def required_features(fit: ModelFit, least: float = 0.0) -> Called:
     free = near.free.copy()
     free[list(places.values())] = True
     sigma = np.maximum(near.sigma, rounding(problem))
-    wide = Linearised(problem, near.values, free, near.weights, sizes).equations(sigma)
+    wide = Linearised(problem, near.values, free, near.weights, sizes).posterior(sigma)
 
     def gain(*named: Effect) -> float:
         kept = near.free.copy()

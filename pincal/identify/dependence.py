@@ -27,7 +27,7 @@ from scipy.optimize import OptimizeResult, minimize
 from scipy.special import expit
 
 from pincal.identify.criteria import CRITERIA
-from pincal.identify.fit import ModelFit, equations_of
+from pincal.identify.fit import ModelFit, posterior_of
 from pincal.identify.station import Station
 from pincal.identify.whitening import Serial, turned_into
 
@@ -317,10 +317,7 @@ def with_blocks(fit: ModelFit, beyond: float = 1.0) -> ModelFit:
     solution = replace(fit.solution, of_blocks=of_blocks)
     if widest * beyond > 1.0:
         sigma = solution.sigma * np.sqrt(widest * beyond)
-        wide = equations_of(fit.problem, replace(solution, sigma=sigma), fit.priors)
-        # What the data identify stays as it is.
-        posterior = replace(solution.posterior, covariance=wide.posterior.covariance, own=wide.own)
-        solution = replace(solution, wide=posterior)
+        solution = replace(solution, wide=posterior_of(fit.problem, replace(solution, sigma=sigma), fit.priors))
     return replace(fit, solution=solution)
 
 

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.identify.equations import Equations, Linearised
+from pincal.identify.equations import Linearised
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options
 from pincal.identify.posterior import Posterior
@@ -54,7 +54,7 @@ class Solution:
 
     Attributes:
         values: shape (P,).
-        equations: what data and priors say about the free parameters at ``values``.
+        posterior: what data and priors say about the free parameters at ``values``.
         sigma: shape (blocks,), standard deviations that the fit used, one station's blocks after the other's.
         estimated: shape (blocks,), those of its residuals.
         weights: shape (N,), robust weights: 0 for an outlier.
@@ -64,12 +64,12 @@ class Solution:
         exit: how it ended.
         at_bound: shape (P,), parameters held at their bound.
         free: shape (P,), parameters that were fitted.
-        wide: what is known of the parameters where more than the noise is in doubt; default: what the equations say.
+        wide: the same with noise as large as what is in doubt beside it; default: nothing is.
         of_blocks: how many times as large variances are, and stated, as blocks of consecutive rows tell.
     """
 
     values: np.ndarray
-    equations: Equations
+    posterior: Posterior
     sigma: np.ndarray
     estimated: np.ndarray
     weights: np.ndarray
@@ -83,15 +83,14 @@ class Solution:
     of_blocks: float = 1.0
 
     @property
-    def posterior(self) -> Posterior:
-        """What is known of the free parameters."""
-        return self.equations.posterior if self.wide is None else self.wide
+    def known(self) -> Posterior:
+        """What is known of the free parameters; what the data identify stays as it is, however uncertain it is."""
+        return self.posterior if self.wide is None else self.wide
 
     @property
     def effective(self) -> float:
-        """Number of parameters that the data spend, priors counted: :attr:`Posterior.effective` in a fifth of the time."""
-        shared, own = self.equations.spent
-        return shared + sum(own)
+        """Number of parameters that the data spend, priors counted."""
+        return self.posterior.effective
 
     @property
     def converged(self) -> bool:
@@ -174,7 +173,7 @@ class ModelFit:
     @cached_property
     def estimate(self) -> Estimate:
         """The calibrated values by name, with what is known of each."""
-        covariance = self.solution.posterior.joint_covariance
+        covariance = self.solution.known.joint_covariance
         return Estimate(self.problem.parameters, self.values, self.solution.free, covariance, self.priors.sizes)
 
     @property
@@ -221,7 +220,7 @@ class ModelFit:
             )
             problem, options = Problem((replace(station, name=""),)), self.options.at(station.name)
             priors = Priors(self.priors.sizes[places], self.priors.bounds[places])
-            solution = replace(solution, equations=equations_of(problem, solution, priors))
+            solution = replace(solution, posterior=posterior_of(problem, solution, priors))
             noise = Noise(self.noise.declared[blocks])
             found.append(ModelFit(problem, nominal, solution, priors, noise, self.stages, options))
         return tuple(found)
@@ -252,9 +251,9 @@ class ModelFit:
         return station_of(model, measurements, centre, options.setup, name=station, instrument=instrument)
 
 
-def equations_of(problem: Problem, part: Solution, priors: Priors) -> Equations:
-    """Return the normal equations of a problem with the values, the rows' weights and the noise of a solution."""
-    return Linearised(problem, part.values, part.free, part.weights, priors.sizes).equations(part.sigma)
+def posterior_of(problem: Problem, part: Solution, priors: Priors) -> Posterior:
+    """Return the posterior of a problem with the values, the rows' weights and the noise of a solution."""
+    return Linearised(problem, part.values, part.free, part.weights, priors.sizes).posterior(part.sigma)
 
 
 def carried(solution: Solution, before: Problem, after: Problem) -> Solution:

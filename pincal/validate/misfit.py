@@ -150,7 +150,7 @@ def misfit_at(
     sizes = np.array([parameter.size for parameter in station.parameters])[free]
     left, own = eliminate(form, found[free], sizes, values[free])
     directions = own.alone.visible_rank
-    plain = squares - float(own.balance.form.g @ own.alone.step)
+    plain = squares - float(own.alone.form.g @ own.alone.step)
     known = free & ~found
     C = covariance[np.ix_(known, known)]
     degrees = max(readings - directions, 0)
