@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from pincal.identify.jacobian import block, span
-from pincal.identify.normal import Batch, Beforehand, Normal, StationSquares, Task, contribution, reweighted, squares
-from pincal.identify.posterior import Eliminated, Posterior
+from pincal.identify.normal import Batch, Normal, StationSquares, Task, contribution, reweighted, squares
+from pincal.identify.posterior import Eliminated, Posterior, eliminate
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
 from pincal.spread import spread_again
@@ -110,7 +110,7 @@ class Linearised:
     @cached_property
     def _squares(self) -> list[StationSquares]:
         if self._are_kept and not self.is_doubtful:
-            return [normal.station_squares(batch.ends) for normal, batch in zip(self._normals, self._batches, strict=True)]
+            return [normal.squares for normal in self._normals]
         if self.sigma is not None and not self.is_doubtful:
             return [found for _, found in self._contributions(self.sigma)]
         return list(self._done(batch.work(squares, self.values, self.robust[batch.rows]) for batch in self._batches))
@@ -123,7 +123,8 @@ class Linearised:
     @property
     def row_squares(self) -> list[np.ndarray]:
         """For each station, each row's weighted squared residual, shape (its blocks, its rows), robust weights left out."""
-        return [rows for found in self._squares for rows in found.rows]
+        pairs = zip(self._squares, self._batches, strict=True)
+        return [rows for found, of in pairs for rows in np.split(found.rows, of.ends[1:-1], axis=1)]
 
     def chi2(self, sigma: np.ndarray) -> float:
         """Return the sum of squares in units of the variances, for standard deviations of all blocks."""
@@ -194,19 +195,23 @@ class Linearised:
         todo = [key for key in keys if key not in sums]
         new = [batches[k] for k, _, _ in todo]
         free = [self.free[of.places[0]] for of in new]
-        known = [Beforehand(of.own, sigma[of.blocks].reshape(len(of.stations), -1), self.sizes[of.places]) for of in new]
+        known = [
+            (
+                sigma[of.blocks].reshape(len(of.stations), -1),
+                of.own[may],
+                *(by[of.places][:, may] for by in (self.sizes, self.values)),
+            )
+            for of, may in zip(new, free, strict=True)
+        ]
         found: Iterable[_Sums]
         if self._are_kept:
-            every = self._normals
-            normals = (every[k] for k, _, _ in todo)
-            found = (
-                (each.contribution(normal, of.values(self.values), may), normal.station_squares(of.ends))
-                for of, normal, may, each in zip(new, normals, free, known, strict=True)
-            )
+            normals = self._normals
+            pairs = ((normals[k], given) for (k, _, _), given in zip(todo, known, strict=True))
+            found = ((eliminate(normal.at(noise), *prior), normal.squares) for normal, (noise, *prior) in pairs)
         else:
             found = self._done(
-                of.work(contribution, self.values, may, self.robust[of.rows], each)
-                for of, may, each in zip(new, free, known, strict=True)
+                of.work(contribution, self.values, may, self.robust[of.rows], *given)
+                for of, may, given in zip(new, free, known, strict=True)
             )
         sums |= zip(todo, found, strict=True)
         for key in sums.keys() - keys:

@@ -138,7 +138,7 @@ def misfit_at(
     free = found | (np.diag(covariance) > 0.0)
     normal = accumulate(station, values, free, robust)
     readings = sum(block.size for block in station.sensor.blocks) * int(np.sum(robust > 0.0))
-    squares = float(np.sum(normal.squares / sigma**2))
+    squares = float(np.sum(normal.squares.blocks / sigma**2))
     if normal.believed is not None and found.any():
         # What the sensor knows of its own parameters counts as readings where these are found.
         facts = station.sensor.constraints(station.split(values)[1])
