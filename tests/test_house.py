@@ -33,7 +33,7 @@ BOUNDS = {
     "calibration.moves": "_SEEN _ROUNDING _BEYOND_ROUNDING _MOST _MOST_STATIONS",
     "calibration.unmodelled": "_MOST _ROWS _STATIONS _SEEN _ROUNDING",
     "diagnosis.change_search": "_MOST_TRIED _LINEAR _MOST",
-    "diagnosis.excluded": "_MORE _TRIED _SHOWN _TELLABLE _SEEN",
+    "diagnosis.excluded": "_MORE _TRIED _SHOWN _NAMED _TELLABLE _SEEN",
     "diagnosis.lineup": "_MOST_STEPS _HALVINGS _SHORT",
     "diagnosis.row_evidence": "_POSES",
     "identify.beliefs": "_FARTHEST _FREE _LEAST _MOST",

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
@@ -36,6 +35,9 @@ from pincal.model.conditions import PoseSet, part_of
 from pincal.model.effect import Candidate, Effect, ExponentialDrift, Family, Harmonic
 from pincal.model.effects import Compliance
 
+Tester = Callable[..., ScoreTests]
+"""Tests candidates against a fit, masses projected out, perhaps by blocks: takes effects, and the block of each row."""
+
 
 @dataclass(frozen=True)
 class Search:
@@ -60,13 +62,6 @@ class Search:
     def taking_part(self, nameless: Iterable[Effect]) -> list[Effect]:
         """Return those of some dependences without a name that take part."""
         return [effect for effect in nameless if self.nameless is None or effect.identity in self.nameless]
-
-
-class Tester(Protocol):
-    """Tests candidates against a fit, masses projected out, perhaps block of rows by block."""
-
-    def __call__(self, effects: Sequence[Effect], groups: np.ndarray | None = None, /) -> ScoreTests:
-        """Return the tests of candidates; ``groups``, shape (N,), the block of each row."""
 
 
 def choose(fit: ModelFit, search: Search) -> Decision | None:

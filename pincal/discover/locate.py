@@ -53,21 +53,6 @@ class Located:
     inside: float = 0.0
 
 
-@dataclass(frozen=True)
-class Location:
-    """What is known of a disagreement before it has a name.
-
-    Attributes:
-        p_value: chance of the residuals if there were only noise.
-        places: where it acts, the largest first.
-        regions: where in the workspace it shows, if somewhere more than elsewhere.
-    """
-
-    p_value: float
-    places: tuple[Located, ...]
-    regions: tuple[Disagreement, ...]
-
-
 @dataclass(frozen=True, eq=False)
 class MovedPlace(Effect):
     """A joint, the base or all lengths move by curves of a variable, at the poses of one table.
@@ -111,8 +96,8 @@ class MovedPlace(Effect):
         return tuple(Term(p, k, scale * curve) for p, (motion, curve) in columns for k, scale in motion.items())
 
 
-def locate(fit: ModelFit, sigma: np.ndarray) -> Location:
-    """Return where a fit and its data disagree.
+def locate(fit: ModelFit, sigma: np.ndarray) -> tuple[list[Located], list[Disagreement]]:
+    """Return where a fit and its data disagree, the largest first, and where in the workspace more than elsewhere.
 
     Args:
         fit: the fit; best with elasticity, so that what is left is what nobody has named yet.
@@ -131,17 +116,16 @@ def locate(fit: ModelFit, sigma: np.ndarray) -> Location:
     squares = tests.squares + known - float(tests.model.slope @ tests.model.slope)
     tests = replace(tests, unsure=np.zeros_like(tests.unsure), squares=squares)
     left, dof, excess = _left(tests), tests.dof, tests.squares - tests.dof
-    p_value = float(chdtrc(dof, tests.squares))
+    is_noise = chdtrc(dof, tests.squares) >= WHERE.chance
     while len(places) < WHERE.places and (best := _best(tests)) is not None:
         place = _described(fit, tests, best, excess)
         if place.share < WHERE.share:
             break
         places.append(place)
         tests = _taking(tests, best)
-    regions: tuple[Disagreement, ...] = ()
-    if fit.station.sensor.blocks[0].size == 3 and (places or p_value < WHERE.chance):
-        regions = tuple(regions_of(fit, left[:3], 3.0 * dof / tests.readings))
-    return Location(p_value, tuple(places), regions)
+    if fit.station.sensor.blocks[0].size != 3 or (is_noise and not places):
+        return places, []
+    return places, list(regions_of(fit, left[:3], 3.0 * dof / tests.readings))
 
 
 def _taking(tests: ScoreTests, best: int) -> ScoreTests:

@@ -269,12 +269,12 @@ def refit(
     return _solved(begun, near.values if start is None else near, until=until)
 
 
-def reweighted_by_order(fit: ModelFit, until: Tolerance = Tolerance.SETTLED) -> ModelFit:
+def reweighted_by_order(fit: ModelFit) -> ModelFit:
     """Return a fit whose rows are weighed by the noise along their order that the fit leaves; perhaps by none."""
     found = serial_noise(fit)
     if not any(serial is not None for serial in (*found, *(station.serial for station in fit.problem.stations))):
         return fit
-    return refit(with_serial(fit, found), fit.options.effects, start={}, until=until)
+    return refit(with_serial(fit, found), fit.options.effects, start={})
 
 
 def with_bearings(fit: ModelFit) -> ModelFit:
