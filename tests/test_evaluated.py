@@ -201,7 +201,9 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
     assert np.count_nonzero(tests.H[len(cross) :]) < np.count_nonzero(tests.inner)
     for which in ([7], [0, 6], [1, 5, 7]):
         assert tests.gain(which) == pytest.approx(whole.gain(which), rel=1e-8)
-        np.testing.assert_allclose(tests.within(which)[1], tests.projected[0][np.ix_(*[tests.places(which)] * 2)], rtol=1e-6)
+        np.testing.assert_allclose(
+            tests.within(which)[1], tests.within(range(len(candidates)))[1][np.ix_(*[tests.places(which)] * 2)], rtol=1e-6
+        )
     fewer = tests.among([5, 1, 7], fit.names_of([own[0]]))
     told = whole.among([5, 1, 7], fit.names_of([own[0]]))
     np.testing.assert_allclose(fewer.inner, told.inner, rtol=1e-9, atol=1e-9)

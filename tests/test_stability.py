@@ -166,7 +166,7 @@ def test_candidates_weigh_as_likely_as_they_are(found: Discovery) -> None:
 
     def left(gain: float) -> ScoreTests:
         """Residuals that are the third candidate's, of so large a gain."""
-        size = np.sqrt(gain / tests.projected[0][chosen, chosen])
+        size = np.sqrt(gain / tests.within(range(25))[1][chosen, chosen])
         return told(tests, size * tests.cross[:, chosen], size * tests.inner[:, chosen], tests.dof + gain)
 
     assert of_candidates(left(0.0)) == pytest.approx(0.0, abs=1e-9)
@@ -192,7 +192,7 @@ def test_masses_add_what_the_data_leave_of_their_priors(found: Discovery) -> Non
     fit = found.trail.final
     masses = MassError.of(*fit.arm)
     assert masses is not None
-    S, b = score_test(fit, [masses]).projected
+    _, S, b = score_test(fit, [masses]).within([0])
     C = np.linalg.inv(S + np.diag([parameter.size**-2.0 for parameter in masses.parameters(fit.problem.chain)]))
     expected = (C @ b) @ S @ (C @ b) + np.sum(S * C)
 

@@ -322,7 +322,7 @@ def chance_of_best(tests: ScoreTests, draws: int, seed: int = 0) -> float:
         draws: tables to draw.
         seed: of the draws.
     """
-    S, _ = tests.projected
+    _, S, _ = tests.within(range(len(tests.effects)))
     rng = np.random.default_rng(seed)
     scale = np.sqrt(np.maximum(np.diag(S), 1e-300))
     sizes, axes = np.linalg.eigh(S / np.outer(scale, scale))

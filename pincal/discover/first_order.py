@@ -146,12 +146,6 @@ class ScoreTests:
         return L
 
     @cached_property
-    def projected(self) -> tuple[np.ndarray, np.ndarray]:
-        """S' and b' of all candidate columns."""
-        taken, b = self._projection
-        return self.inner - taken @ taken.T, b
-
-    @cached_property
     def _projection(self) -> tuple[np.ndarray, np.ndarray]:
         """H, shape (C, N), with S' = S - H H^T, and b', shape (C,), of all C candidate columns."""
         taken = self.model.factor.half(self.cross).T

@@ -322,7 +322,7 @@ def p_value_of_uneven_noise(fit: ModelFit, tests: ScoreTests) -> float:
 
 def _scores_by_visit(fit: ModelFit, tests: ScoreTests, whitening: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the scores of what the effect leaves, shape (V, rank), and the part of it that each visit takes up, (V,)."""
-    each, step = [visits(station) for station in fit.problem.stations], whitening.T @ tests.projected[1]
+    each, step = [visits(station) for station in fit.problem.stations], whitening.T @ tests.within([0])[2]
     starts = np.cumsum([0, *(int(of.max()) + 1 for of in each)])
     visit = np.concatenate([start + of for start, of in zip(starts, each, strict=False)])
     sums, shares = np.zeros((2, int(visit.max()) + 1, len(step)))
