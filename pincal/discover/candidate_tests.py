@@ -297,8 +297,7 @@ def sampled(fit: ModelFit, policy: Policy) -> tuple[ModelFit, np.ndarray]:
         own = rows[(rows >= span.start) & (rows < span.stop)] - span.start
         # The same objects whenever they are asked for again: what was evaluated at these poses is then known.
         few.append(replace(whole.select(own), conditions=part_of(whole.conditions, own, (n, most, span.start))))
-    solution = replace(fit.solution, weights=fit.solution.weights[rows])
-    return replace(fit, problem=replace(fit.problem, stations=tuple(few)), solution=solution), rows
+    return fit.over(few, fit.solution.weights[rows]), rows
 
 
 def over_rows_of(fit: ModelFit, whole: ModelFit) -> ModelFit:
@@ -309,5 +308,4 @@ def over_rows_of(fit: ModelFit, whole: ModelFit) -> ModelFit:
         serial, known = of.serial, part.serial
         serial = None if serial is None or known is None else replace(serial, phi=known.phi, share=known.share)
         stations.append(replace(of, model=part.model, serial=serial))
-    solution = replace(fit.solution, weights=whole.solution.weights)
-    return replace(fit, problem=replace(whole.problem, stations=tuple(stations)), solution=solution)
+    return fit.over(stations, whole.solution.weights)

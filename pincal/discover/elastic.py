@@ -20,8 +20,7 @@ from pincal.discover.score_tests import score_test, score_test_given_nuisances
 from pincal.identify.beliefs import priors_of
 from pincal.identify.calibrate import refit, with_bearings
 from pincal.identify.choices import best_of
-from pincal.identify.fit import ModelFit, carried
-from pincal.identify.problem import Problem
+from pincal.identify.fit import ModelFit
 from pincal.identify.quadratic import Factor
 from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.chain import Chain, MomentFrame
@@ -249,20 +248,13 @@ def without_compliance(fit: ModelFit, *compliances: Effect) -> ModelFit:
     effects = fit.options.effects
     for compliance in compliances:
         effects = tuple(_without(effects, compliance, fit.problem.chain.robot.joint_names))
-    problem = fit.problem.with_effects(effects)
-    options = replace(fit.options, effects=effects)
-    known = {parameter.name for parameter in problem.parameters}
+    near = fit.with_effects(effects)
+    known = {parameter.name for parameter in near.problem.parameters}
     lost = fit.estimate.take(name for name in fit.estimate.names if name not in known)
     grown = float(lost.values @ np.linalg.pinv(lost.dense_covariance(), hermitian=True) @ lost.values)
-    near, noise = carried(fit.solution, fit.problem, problem), fit.solution.sigma**2 * grown / fit.solution.degrees
-    return replace(
-        fit,
-        problem=problem,
-        nominal=carried(fit.nominal, fit.problem, problem),
-        solution=replace(near, estimated=np.sqrt(fit.solution.estimated**2 + noise)),
-        priors=priors_of(problem, options),
-        options=options,
-    )
+    noise = fit.solution.sigma**2 * grown / fit.solution.degrees
+    solution = replace(near.solution, estimated=np.sqrt(fit.solution.estimated**2 + noise))
+    return replace(near, solution=solution, priors=priors_of(near.problem, near.options))
 
 
 def _without(effects: Iterable[Effect], compliance: Effect, joints: Sequence[str]) -> Iterator[Effect]:
@@ -300,8 +292,8 @@ def deciding_measurement(fit: ModelFit, effect: Effect, value: np.ndarray, *riva
     stations, rows_each = few.problem.stations, len(fit.problem) / len(few.problem)
 
     def tests_at(poses: Iterable[Conditions]) -> ScoreTests:
-        problem = Problem(tuple(replace(at, conditions=c) for at, c in zip(stations, poses, strict=True)))
-        return score_test(replace(few, problem=problem), [effect, *rivals])
+        there = few.over(replace(at, conditions=c) for at, c in zip(stations, poses, strict=True))
+        return score_test(there, [effect, *rivals])
 
     here = tests_at(station.conditions for station in stations)
     designs = [_runs(few.problem.chain, station.conditions) for station in stations]

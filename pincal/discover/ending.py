@@ -102,7 +102,7 @@ def weighed(fit: ModelFit, noise: JointNoise) -> ModelFit:
             sizes[of] = np.sqrt(np.mean(V[:, at, at]))
         whitening = np.linalg.inv(np.linalg.cholesky(V)) * sizes[:, None]
         stations.append(replace(station, whitening=np.ascontiguousarray(whitening.transpose(1, 2, 0))))
-    return replace(fit, problem=replace(fit.problem, stations=tuple(stations)))
+    return fit.over(stations)
 
 
 def note_on_joints(fit: ModelFit) -> str | None:

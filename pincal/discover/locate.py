@@ -106,8 +106,8 @@ def locate(fit: ModelFit, sigma: np.ndarray) -> tuple[list[Located], list[Disagr
     rows = np.flatnonzero(fit.solution.weights > 0.0)
     fit = fit.select(rows[np.unique(np.linspace(0, len(rows) - 1, WHERE.rows).astype(int))])
     # Row by row, whatever the noise of a fit has in common.
-    problem = replace(fit.problem, stations=(replace(fit.station, whitening=None, serial=None),))
-    fit = replace(fit, problem=problem, solution=replace(fit.solution, estimated=sigma))
+    fit = fit.over([replace(fit.station, whitening=None, serial=None)])
+    fit = replace(fit, solution=replace(fit.solution, estimated=sigma))
     every, places = _motions(fit), list[Located]()
     masses = MassError.of(fit.model, fit.values)
     tests = Tangent.at(fit, [masses] if masses else [], None).tests(every, wider=1.0)

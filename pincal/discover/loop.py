@@ -209,11 +209,7 @@ def in_frame(fit: ModelFit, frame: MomentFrame) -> ModelFit:
         return fit
     if any(effect.uses_moments for effect in effects):
         return refit(fit, effects, moment_frame=frame)
-    return replace(
-        fit,
-        problem=fit.problem.with_effects(effects, moment_frame=frame),
-        options=replace(fit.options, moment_frame=frame),
-    )
+    return fit.with_effects(effects, moment_frame=frame)
 
 
 def elastic_ways(fit: ModelFit, frames: Sequence[MomentFrame], policy: Policy) -> dict[MomentFrame, Decision]:

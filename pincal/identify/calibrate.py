@@ -20,7 +20,7 @@ from pincal.identify.choices import along_gauge, best_of, required_features, som
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import is_dependent, serial_noise, with_blocks, with_serial
 from pincal.identify.equations import Linearised
-from pincal.identify.fit import FitStage, ModelFit, Solution, carried
+from pincal.identify.fit import FitStage, ModelFit, Solution
 from pincal.identify.initial import begin
 from pincal.identify.many_rows import over_all
 from pincal.identify.noise import is_exact, rounding
@@ -260,13 +260,11 @@ def refit(
     """
     frame = moment_frame or fit.problem.chain.moment_frame
     effects = without_idle_features(frame, with_masses(fit.problem.chain.robot, effects))
-    problem = fit.problem.with_effects(effects, moment_frame=frame)
-    options = replace(fit.options, effects=tuple(effects), moment_frame=frame)
-    near, nominal = (carried(of, fit.problem, problem) for of in (fit.solution, fit.nominal))
+    begun = fit.with_effects(effects, moment_frame=frame)
     for effect, values in (start or {}).items():
-        near.values[problem.places_at(effect)] = values
-    begun = replace(fit, problem=problem, nominal=nominal, priors=priors_of(problem, options), options=options)
-    return _solved(begun, near.values if start is None else near, until=until)
+        begun.values[begun.problem.places_at(effect)] = values
+    begun = replace(begun, priors=priors_of(begun.problem, begun.options))
+    return _solved(begun, begun.values if start is None else begun.solution, until=until)
 
 
 def reweighted_by_order(fit: ModelFit) -> ModelFit:

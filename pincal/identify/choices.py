@@ -17,7 +17,7 @@ import numpy as np
 from pincal.identify.beliefs import priors_of
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.equations import Linearised
-from pincal.identify.fit import ModelFit, carried
+from pincal.identify.fit import ModelFit
 from pincal.identify.noise import outlier_limit, rounding
 from pincal.identify.problem import Problem
 from pincal.identify.selection import Scored, select_stepwise
@@ -51,8 +51,8 @@ def required_features(fit: ModelFit, least: float = 0.0) -> Called:
     asked = [e for e in bearing_features(fit.problem.chain, effects) if e not in effects]
     if not asked:
         return Called((), 0.0)
-    problem = fit.problem.with_effects((*effects, *asked))
-    near, sizes = carried(fit.solution, fit.problem, problem), priors_of(problem, fit.options).sizes
+    asking = fit.with_effects((*effects, *asked))
+    problem, near, sizes = asking.problem, asking.solution, priors_of(asking.problem, fit.options).sizes
     places = {effect: int(problem.places_at(effect)[0]) for effect in asked}
     free = near.free.copy()
     free[list(places.values())] = True

@@ -88,7 +88,7 @@ def serial_noise(fit: ModelFit) -> tuple[Serial | None, ...]:
 def with_serial(fit: ModelFit, found: tuple[Serial | None, ...]) -> ModelFit:
     """Return a fit as it is whose rows are to be weighed by this noise."""
     stations = tuple(replace(s, serial=serial) for s, serial in zip(fit.problem.stations, found, strict=True))
-    return replace(fit, problem=replace(fit.problem, stations=stations))
+    return fit.over(stations)
 
 
 def is_dependent(fit: ModelFit) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
@@ -17,6 +17,7 @@ from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station, station_of
 from pincal.measure.measurements import Measurements
+from pincal.model.chain import MomentFrame
 from pincal.model.effects import Effect
 from pincal.model.model import Model
 from pincal.parameters import Estimate
@@ -195,8 +196,23 @@ class ModelFit:
 
     def select(self, rows: np.ndarray) -> ModelFit:
         """Return the fit as it is, of some of its rows, by their places."""
-        solution = replace(self.solution, weights=self.solution.weights[rows])
-        return replace(self, problem=self.problem.select(rows), solution=solution)
+        return self.over(self.problem.select(rows).stations, self.solution.weights[rows])
+
+    def over(self, stations: Iterable[Station], weights: np.ndarray | None = None) -> ModelFit:
+        """Return the fit as it is over stations with other rows, perhaps with other robust weights of these, shape (N,)."""
+        solution = self.solution if weights is None else replace(self.solution, weights=weights)
+        return replace(self, problem=replace(self.problem, stations=tuple(stations)), solution=solution)
+
+    def with_effects(self, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None) -> ModelFit:
+        """Return the fit as it stands with other effects beside base and tool, nothing fitted again.
+
+        Parameters that it did not have are zero and so are their priors.
+        """
+        before, after = self.problem, self.problem.with_effects(effects, moment_frame=moment_frame)
+        options = replace(self.options, effects=tuple(effects), moment_frame=moment_frame or self.options.moment_frame)
+        nominal, solution = (carried(of, before, after) for of in (self.nominal, self.solution))
+        priors = Priors(*(before.carried_over(of, after) for of in (self.priors.sizes, self.priors.bounds)))
+        return replace(self, problem=after, nominal=nominal, solution=solution, priors=priors, options=options)
 
     @cached_property
     def alone(self) -> tuple[ModelFit, ...]:
@@ -268,13 +284,5 @@ def carried(solution: Solution, before: Problem, after: Problem) -> Solution:
 
 def without(fit: ModelFit, effect: Effect) -> ModelFit:
     """Return a fit as it stands with one effect taken out, nothing fitted again: the place to test the effect from."""
-    problem = fit.problem.with_effects([e for e in fit.problem.effects if e is not effect])
-    sizes, bounds = (fit.problem.carried_over(of, problem) for of in (fit.priors.sizes, fit.priors.bounds))
-    return replace(
-        fit,
-        problem=problem,
-        nominal=carried(fit.nominal, fit.problem, problem),
-        solution=carried(fit.solution, fit.problem, problem),
-        priors=Priors(sizes, bounds),
-        options=replace(fit.options, effects=tuple(e for e in fit.options.effects if e is not effect)),
-    )
+    options = replace(fit.options, effects=tuple(e for e in fit.options.effects if e is not effect))
+    return replace(fit.with_effects([e for e in fit.problem.effects if e is not effect]), options=options)
