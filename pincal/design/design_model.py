@@ -148,7 +148,7 @@ class DesignModel:
     def readings(self, conditions: Conditions) -> np.ndarray:
         """Return the derivative of the readings by the parameters in units of noise and priors, shape (N, m, F)."""
         problem = predicted_station(self.model, self.values, self.rig, conditions)
-        noise = np.repeat(self.sigma, [block.size for block in problem.sensor.blocks])
+        noise = np.repeat(self.sigma, problem.block_sizes)
         return np.ascontiguousarray(self._jacobian(problem) * (self.units / noise[:, None]))
 
     def errors(self, conditions: Conditions) -> np.ndarray:

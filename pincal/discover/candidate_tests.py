@@ -288,7 +288,7 @@ def _place(effect: Effect) -> tuple[str | None, str | None, bool]:
 
 def sampled(fit: ModelFit, policy: Policy) -> tuple[ModelFit, np.ndarray]:
     """Return a fit on as many of its rows, evenly spread, as are enough to choose what comes next, and these rows."""
-    sizes = [sum(block.size for block in station.sensor.blocks) for station in fit.problem.stations]
+    sizes = [station.reading_size for station in fit.problem.stations]
     n, most = len(fit.problem), policy.enough_readings // max(sizes)
     if n <= most:
         return fit, np.arange(n)

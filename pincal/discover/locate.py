@@ -169,7 +169,7 @@ def _described(fit: ModelFit, tests: ScoreTests, best: int, excess: float) -> Lo
     assert isinstance(motion, MovedPlace)
     height = whitening @ (whitening.T @ tests.within([best])[2])
     change = np.concatenate([moved[0] for _, _, moved in tests.along_rows([best], height[:, None])], axis=1)
-    noise = np.repeat(fit.solution.estimated, [block.size for block in fit.station.sensor.blocks])
+    noise = np.repeat(fit.solution.estimated, fit.station.block_sizes)
     scale = fit.station.weights * fit.solution.weights / noise[:, None]
     each = (np.tensordot([*by.values()], levers(fit, [*by]), axes=1) * scale for by in motion.moved(fit.model.chain))
     lever = sum(float(np.sum(moved**2)) for moved in each)

@@ -295,7 +295,7 @@ def is_brought(step: SearchStep) -> bool:
 
 def fit_cost(fit: ModelFit) -> float:
     """Return the Bayesian information criterion of a fit."""
-    readings = sum(len(s) * sum(block.size for block in s.sensor.blocks) for s in fit.problem.stations)
+    readings = sum(len(s) * s.reading_size for s in fit.problem.stations)
     return deviance(fit) + fit.solution.effective * float(np.log(readings))
 
 

@@ -93,7 +93,7 @@ class Tangent:
             blocks = np.zeros(len(station), int) if groups is None else groups[rows]
             order: np.ndarray | slice = slice(None) if n_blocks == 1 else np.argsort(blocks, kind="stable")
             station, local = _sorted(station, order), (values[places], free[places])
-            noise = np.repeat(fit.solution.estimated[problem.block_spans[i]], [of.size for of in station.sensor.blocks])
+            noise = np.repeat(fit.solution.estimated[problem.block_spans[i]], station.block_sizes)
             weights = station.weights * fit.solution.weights[rows][order] / noise[:, None]
             mine, numbers, found = column[places[local[1]]], np.arange(rows.start, rows.stop)[order], list[_Piece]()
             own = np.zeros((n_blocks, len(mine), len(mine))), np.zeros((n_blocks, len(mine)))

@@ -104,7 +104,7 @@ def deviance(fit: ModelFit) -> float:
     """Return -2 log likelihood, up to a constant; an outlier counts as a row at the edge of the noise."""
     found = 0.0
     for (station, _, blocks), rows in zip(fit.stations, fit.problem.rows, strict=True):
-        n, sizes = len(station), [block.size for block in station.sensor.blocks]
+        n, sizes = len(station), station.block_sizes
         outliers = int(np.sum(fit.solution.weights[rows] == 0.0))
         spread = float(np.dot(sizes, np.log(fit.solution.estimated[blocks])))
         found += 2.0 * n * spread + outliers * outlier_limit(n, sum(sizes))

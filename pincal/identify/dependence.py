@@ -174,7 +174,7 @@ class _Seen:
         """Return the rows that count with the first so many readings in the order, shape (n,)."""
         assert self.station.position is not None
         sound = np.flatnonzero(self.counted)
-        few = max(most // int(self.station.block_sizes.sum()), CRITERIA.fewest_in_order)
+        few = max(most // self.station.reading_size, CRITERIA.fewest_in_order)
         return np.asarray(sound[np.argsort(self.station.position[sound], kind="stable")][:few])
 
     def columns(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

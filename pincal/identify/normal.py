@@ -240,7 +240,7 @@ def accumulate_each(station: Station, ends: np.ndarray, values: np.ndarray, free
         free: shape (P,), the F parameters that may move.
         robust: shape (N,), factor on each row's weight: 0 leaves a row out.
     """
-    n, blocks, n_free = len(ends) - 1, block_rows(station), int(free.sum())
+    n, blocks, n_free = len(ends) - 1, station.block_rows, int(free.sum())
     H, g = np.zeros((n, len(blocks), n_free, n_free)), np.zeros((n, len(blocks), n_free))
     squares, row_squares = np.zeros((n, len(blocks))), np.empty((len(blocks), len(station)))
     for piece, residuals, jacobian in station.linearise_shared(values, free):
@@ -295,7 +295,7 @@ def reweighted(
 def squares(station: Station, ends: np.ndarray, values: np.ndarray, robust: np.ndarray) -> StationSquares:
     """Return the squares of stations' residuals; arguments as of :func:`accumulate_each`."""
     residuals = station.whitened(station.residuals(values))
-    parts = [np.einsum("in,in->n", residuals[rows], residuals[rows]) for rows in block_rows(station)]
+    parts = [np.einsum("in,in->n", residuals[rows], residuals[rows]) for rows in station.block_rows]
     rows = np.array(parts) * station.weights**2
     each = np.split(rows, ends[1:-1], axis=1)
     blocks = np.concatenate([of @ weights**2 for of, weights in zip(each, np.split(robust, ends[1:-1]), strict=True)])
@@ -337,9 +337,3 @@ def belief_rows(station: Station, values: np.ndarray, free: np.ndarray) -> tuple
     of_model, of_sensor = station.split(free)
     J = (facts.jacobian / facts.sigma)[of_sensor]
     return np.vstack([np.zeros((int(of_model.sum()), J.shape[1])), J]), facts.residuals / facts.sigma
-
-
-def block_rows(station: Station) -> list[slice]:
-    """Return where each block of readings stands among the components of a residual."""
-    ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
-    return [slice(int(a), int(b)) for a, b in pairwise(ends)]

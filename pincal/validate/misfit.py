@@ -137,7 +137,7 @@ def misfit_at(
     found = np.zeros(len(values), bool) if found is None else found
     free = found | (np.diag(covariance) > 0.0)
     normal = accumulate(station, values, free, robust)
-    readings = sum(block.size for block in station.sensor.blocks) * int(np.sum(robust > 0.0))
+    readings = station.reading_size * int(np.sum(robust > 0.0))
     squares = float(np.sum(normal.squares.blocks / sigma**2))
     if normal.believed is not None and found.any():
         # What the sensor knows of its own parameters counts as readings where these are found.
