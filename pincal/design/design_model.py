@@ -92,8 +92,7 @@ class DesignModel:
                 instrument has, or a rival that does nothing in these poses.
         """
         check_rig(rig)
-        gravity = None if options.gravity is None else np.array(options.gravity)
-        chain = Chain.of(robot, moment_frame=options.first_frame, gravity=gravity, targets=targets)
+        chain = Chain.of(robot, moment_frame=options.first_frame, gravity=options.gravity, targets=targets)
         model = Model(chain, (*frame_effects(chain, rig, conditions), *options.effects), equilibrium=options.equilibrium)
         n_core = model.n_parameters
         for rival in rivals:

@@ -252,13 +252,12 @@ class ScoreTests:
         left = model_b - model_S @ model_step, b - across.T @ model_step
         return float(2.0 * (change @ left[0] + step @ left[1]) - change @ along - step @ beside)
 
-    def among(self, which: Sequence[int], gone: Collection[str], model: Information | None = None) -> Self:
+    def among(self, which: Sequence[int], gone: Collection[str]) -> Self:
         """Return the tests of some candidates against the model as it stands with some of its parameters at zero.
 
         Args:
             which: the candidates.
-            gone: the parameters of the model that go.
-            model: what rows and priors say of those that stay; default: it follows, to first order, without evaluation.
+            gone: the parameters of the model that go; what is left follows, to first order, without evaluation.
         """
         stays = np.array([name not in gone for name in self.names], bool)
         kept, out = np.flatnonzero(stays), np.flatnonzero(~stays)
@@ -269,7 +268,7 @@ class ScoreTests:
             names=tuple(self.names[i] for i in kept),
             values=self.values[kept],
             unsure=self.unsure[kept],
-            model=self.model.without(kept, out, values) if model is None else model,
+            model=self.model.without(kept, out, values),
             squares=self.squares + float(values @ (2.0 * rows.g + rows.H @ values)),
         )
 

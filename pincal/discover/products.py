@@ -19,12 +19,12 @@ class Information:
     Attributes:
         blocks: what the rows of each of B blocks say.
         prior: what was known of the parameters before.
-        beliefs: the same by the factor of sizes in doubt.
+        variants: the same with other sizes of what is in doubt, or without some parameters, once it is asked for.
     """
 
     blocks: Form
     prior: Form
-    beliefs: dict[float, Information] = field(default_factory=dict, init=False, repr=False)
+    variants: dict[object, Information] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def rows(self) -> Form:
@@ -43,7 +43,7 @@ class Information:
 
     def believing(self, factor: float, H: np.ndarray) -> Information:
         """Return the same where sizes in doubt are multiplied by a factor, which makes H of the priors' information."""
-        return self.beliefs.setdefault(factor, Information(self.blocks, replace(self.prior, H=H)))
+        return self.variants.setdefault(factor, Information(self.blocks, replace(self.prior, H=H)))
 
     def without(self, model: np.ndarray, gone: np.ndarray, values: np.ndarray) -> Information:
         """Return the same of the parameters that stay, the others at zero; to first order nothing is evaluated again.
@@ -55,9 +55,11 @@ class Information:
             gone: shape (G,), which go.
             values: shape (G,), of these.
         """
-        left = self.blocks.part(model)
-        left = replace(left, g=left.g + self.blocks.H[:, model[:, None], gone] @ values)
-        return Information(left, self.prior.part(model))
+        if (key := gone.tobytes()) not in self.variants:
+            left = self.blocks.part(model)
+            left = replace(left, g=left.g + self.blocks.H[:, model[:, None], gone] @ values)
+            self.variants[key] = Information(left, self.prior.part(model))
+        return self.variants[key]
 
     @cached_property
     def without_block(self) -> list[tuple[Factor, np.ndarray]]:
