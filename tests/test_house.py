@@ -18,7 +18,7 @@ from pincal.identify.problem import Problem
 # for tables that come back as they went in; 44 000 is the aim. 100 are for errors that persist in the target's frame and for
 # few poses, which no older code looked for; 3 500 for sessions in motion and 3 500 for fleets, which replace nothing; 300
 # for motions that are chosen, 250 for robots of one cell with a file each, 140 for path accuracy.
-MOST_LINES = 71_050
+MOST_LINES = 70_840
 TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [

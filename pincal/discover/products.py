@@ -92,7 +92,9 @@ class RowPart(NamedTuple):
         """Return how R steps of the parameters of all columns, shape (N + C, R), move the rows, shape (R, m, n)."""
         # What stands nowhere takes no step.
         steps, n = np.vstack([steps, np.zeros(steps.shape[1])]), self.model.size
-        return np.asarray(self.model.along(steps[self.at[:n]]) + self.candidates.along(steps[self.at[n:]]))
+        some = np.flatnonzero(steps[self.at[n:]].any(axis=1))
+        added = self.candidates.only(some).along(steps[self.at[n + some]])
+        return np.asarray(self.model.along(steps[self.at[:n]]) + added)
 
     def products(self, some: np.ndarray, others: np.ndarray) -> np.ndarray:
         """Return the products of J columns of candidates with K, by their places among all, shape (J, K)."""
