@@ -149,7 +149,7 @@ def foretold(found: Fit, table: Measurements) -> float:
     problem = found.readings(table)
     J = np.concatenate([part for _, _, part in problem.linearise(found.values, found.solution.free)], axis=2)
     J = J.reshape(len(J), -1)
-    return float(np.sqrt(np.mean(np.sum(J * (found.solution.posterior.covariance @ J), axis=0))))
+    return float(np.sqrt(np.mean(np.sum(J * (found.solution.known.covariance @ J), axis=0))))
 
 
 def without_noise(case: Case, seeds: int) -> None:

@@ -370,7 +370,7 @@ def vouched(truth: Truth) -> float:
     names = [p.name for p, is_free in zip(fit.problem.parameters, fit.solution.free, strict=True) if is_free]
     known = [k for k, name in enumerate(design.own_names) if name in names]
     at = [names.index(design.own_names[k]) for k in known]
-    C = fit.solution.posterior.covariance[np.ix_(at, at)]
+    C = fit.solution.known.covariance[np.ix_(at, at)]
     return 1e3 * float(np.sqrt(np.sum(J[:, known] @ C * J[:, known]) / len(cared.q)))
 
 

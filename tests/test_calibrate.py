@@ -92,7 +92,7 @@ def test_noisy_paper_machine_has_chi_square_one_and_intervals_that_cover(kuka):
         problem = fit.readings(others)
         free = fit.solution.free
         _, J = fit.model.linearise(fit.values, problem.conditions, free=free)
-        sigma = np.sqrt(np.einsum("nij,jk,nik->ni", J, fit.solution.posterior.covariance, J))
+        sigma = np.sqrt(np.einsum("nij,jk,nik->ni", J, fit.solution.known.covariance, J))
         inside_prediction.append(np.abs(problem.residuals(fit.values).T) < 1.96 * sigma)
         told = fit.solution.posterior
         sizes = fit.priors.sizes[free]
@@ -438,7 +438,7 @@ def test_new_weights_of_some_rows_give_the_normal_equations_of_all(curved, chang
     scale = np.sqrt(np.maximum(np.diag(whole.H[0, 0]), 1e-300))
     np.testing.assert_allclose(found.H[0, 0] / np.outer(scale, scale), whole.H[0, 0] / np.outer(scale, scale), atol=1e-12)
     np.testing.assert_allclose(found.g[0, 0] / scale, whole.g[0, 0] / scale, atol=1e-12)
-    np.testing.assert_allclose(found.squares, whole.squares, rtol=1e-12)
+    np.testing.assert_allclose(found.squares.blocks, whole.squares.blocks, rtol=1e-12)
 
 
 def test_a_refit_from_near_the_end_ends_there(curved):

@@ -418,7 +418,7 @@ def test_a_fit_knows_its_predictions_as_well_as_was_foreseen(kuka, options):
     )
     fit = calibrate(kuka, table, options)
     _, J = fit.model.linearise(fit.values, Conditions.at(q), free=fit.solution.free)
-    C = fit.solution.posterior.covariance
+    C = fit.solution.known.covariance
     error = np.sqrt(np.mean(np.einsum("nip,pq,niq->n", J, C, J)))
 
     # The fit scales compliances by the largest moments of its own 40 poses, the design by those of its candidates.

@@ -14,7 +14,8 @@ from pincal.calibration.calibrated_robot import load_stations
 from pincal.discover.score_tests import score_test
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.believed import Earlier
-from pincal.identify.equations import Equations, Linearised
+from pincal.identify.equations import Linearised
+from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem, extended
 from pincal.identify.station import Station
 from pincal.measure.table import concatenate, read_measurements, row_parts, write_table
@@ -41,21 +42,21 @@ def joint_places(both: Fit, station: Station) -> np.ndarray:
     return both.estimate.places(p.at(station.name).name if own else p.name for p, own in named)
 
 
-def equations_alone(both: Fit, station: Station, earlier: Earlier | None = None) -> Equations:
-    """Return the equations of one station about the values of the joint fit, under its priors."""
+def posterior_alone(both: Fit, station: Station, earlier: Earlier | None = None) -> Posterior:
+    """Return the posterior of one station about the values of the joint fit, under its priors."""
     places = joint_places(both, station)
     at, free, sizes = both.values[places], both.solution.free[places], both.priors.sizes[places]
     problem = Problem((station,), earlier)
-    return Linearised(problem, at, free, np.ones(len(station)), sizes).equations(np.full(1, NOISE))
+    return Linearised(problem, at, free, np.ones(len(station)), sizes).posterior(np.full(1, NOISE))
 
 
 def old_alone(both: Fit) -> Estimate:
     """Return what the old station by itself says of the robot's parameters, to first order about the joint fit."""
     station = both.problem.stations[0]
-    places, equations = joint_places(both, station), equations_alone(both, station)
+    places, posterior = joint_places(both, station), posterior_alone(both, station)
     values, free, sizes = both.values[places], both.solution.free[places], both.priors.sizes[places]
-    values[free] += equations.step(np.full(len(equations.form.g), np.inf))[0]
-    found = Estimate(station.parameters, values, free, equations.posterior.joint_covariance, sizes)
+    values[free] += posterior.step_within(np.full(len(posterior.form.g), np.inf))[0]
+    found = Estimate(station.parameters, values, free, posterior.joint_covariance, sizes)
     return found.take(p.name for p, own in zip(station.parameters, station.is_own, strict=True) if not own)
 
 
@@ -64,21 +65,20 @@ def test_of_a_linear_model_it_gives_the_joint_fit(both: Fit) -> None:
     new = both.problem.stations[1]
     ones = np.ones(len(both.problem))
     point = Linearised(both.problem, both.values, both.solution.free, ones, both.priors.sizes)
-    joint = point.equations(np.full(2, NOISE))
-    alone = equations_alone(both, new, Earlier.of(old_alone(both)))
+    joint = point.posterior(np.full(2, NOISE))
+    alone = posterior_alone(both, new, Earlier.of(old_alone(both)))
     robots = both.problem.is_shared[both.solution.free]
     mine = ~new.is_own[both.solution.free[joint_places(both, new)]]
-    step, expected = (each.step(np.full(len(each.shared), np.inf))[0] for each in (alone, joint))
-    sigma = np.sqrt(np.diag(joint.posterior.covariance))
+    step, expected = (each.step_within(np.full(len(each.is_shared), np.inf))[0] for each in (alone, joint))
+    sigma = np.sqrt(np.diag(joint.covariance))
     np.testing.assert_allclose(step[mine] / sigma, expected[robots] / sigma, rtol=0.0, atol=1e-6)
-    found = alone.posterior
-    covariances = found.covariance[np.ix_(mine, mine)], joint.posterior.covariance
+    covariances = alone.covariance[np.ix_(mine, mine)], joint.covariance
     np.testing.assert_allclose(*(C / np.outer(sigma, sigma) for C in covariances), rtol=0.0, atol=1e-6)
     # Parameters that the new rows pay for: the trace of their information times the covariance.
     places = joint_places(both, new)
     ((_, _, J),) = new.linearise(both.values[places], np.ones(len(places), bool))
-    whole = replace(both.estimate, covariance=joint.posterior.joint_covariance).dense_covariance()[np.ix_(places, places)]
-    assert found.effective == pytest.approx(np.einsum("pmn,pq,qmn->", J, whole, J) / NOISE**2, rel=1e-4)
+    whole = replace(both.estimate, covariance=joint.joint_covariance).dense_covariance()[np.ix_(places, places)]
+    assert alone.effective == pytest.approx(np.einsum("pmn,pq,qmn->", J, whole, J) / NOISE**2, rel=1e-4)
 
 
 def test_score_tests_beside_it_are_those_of_all_rows(both: Fit) -> None:

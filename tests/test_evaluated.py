@@ -7,11 +7,12 @@ import pytest
 
 from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Model, Options, calibrate, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
+from pincal.discover.locate import _taking
 from pincal.discover.score_tests import score_test
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import without
 from pincal.identify.jacobian import Jacobian, SharedColumns
-from pincal.identify.posterior import Balance, posterior
+from pincal.identify.posterior import Posterior
 from pincal.identify.problem import extended
 from pincal.identify.quadratic import Form
 from pincal.model.catalogue.drives import GearEccentricity
@@ -136,11 +137,11 @@ def test_parameters_spent_are_found_without_the_posterior() -> None:
     known = np.zeros((9, 9))
     known[4:6, 4:6] = [[2.0, -1.0], [-1.0, 1.0]]
     H = J @ J.T + known
-    found = posterior(Form.of(H), sizes)
-    of_data = found.shared_effective - float(np.sum(found.covariance * known))
-    balance = Balance(Form.of(H), sizes, np.zeros(9))
-    assert balance.spent() == pytest.approx(found.shared_effective, rel=1e-9)
-    assert balance.spent(known) == pytest.approx(of_data, rel=1e-9)
+    found = Posterior(Form.of(H), sizes, np.zeros(9))
+    spent = float(found.frame_rank + np.sum(found.information / (1.0 + found.information)))
+    of_data = spent - float(np.sum(found.covariance * known))
+    assert found.effective == pytest.approx(spent, rel=1e-9)
+    assert Posterior(Form.of(H), sizes, np.zeros(9), believed=known).effective == pytest.approx(of_data, rel=1e-9)
 
 
 @pytest.mark.parametrize("blocks", [1, 4])
@@ -155,7 +156,7 @@ def test_tests_without_an_effect_follow_from_those_with_it(blocks: int) -> None:
     fit = calibrate(ROBOT, table, Options(effects=(*GEOMETRIC, gone), sigma=5e-5))
     of, few = fit.solution, fit.solution.free & (np.arange(len(fit.values)) % 5 > 0)
     point, alone = (Linearised(fit.problem, of.values, free, of.weights, fit.priors.sizes) for free in (of.free, few))
-    narrow, expected = point.narrowed(few).equations(of.sigma), alone.equations(of.sigma)
+    narrow, expected = point.narrowed(few).posterior(of.sigma), alone.posterior(of.sigma)
     scale = expected.metric
     assert np.allclose(narrow.form.H / np.outer(scale, scale), expected.form.H / np.outer(scale, scale), atol=1e-12)
     assert np.allclose(narrow.form.g / scale, expected.form.g / scale, atol=1e-9)
@@ -192,31 +193,32 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
     ((_, residuals, jacobian),) = problem.stations[0].linearise(values, free)
     A, r = (of.reshape(*of.shape[:-2], -1) / fit.solution.estimated[0] for of in (jacobian, residuals))
     scale = np.sqrt(np.diag(A @ A.T))
-    cross, products = tests.products.cross, tests.products
-    S = np.block([[tests.model.rows.H, cross], [cross.T, products.inner]])
+    cross = tests.cross
+    S = np.block([[tests.model.rows.H, cross], [cross.T, tests.inner]])
     np.testing.assert_allclose(S / np.outer(scale, scale), A @ A.T / np.outer(scale, scale), atol=1e-12)
-    np.testing.assert_allclose(np.append(tests.model.rows.g, products.g) / scale, A @ r / scale, rtol=1e-9, atol=1e-9)
-    whole = replace(tests, products=replace(products, blocks_inner=products.inner[None], is_partial=False))
-    assert np.count_nonzero(products.blocks_inner) < np.count_nonzero(products.inner)
+    np.testing.assert_allclose(np.append(tests.model.rows.g, tests.g) / scale, A @ r / scale, rtol=1e-9, atol=1e-9)
+    whole = replace(tests, blocks_H=np.vstack([cross, tests.inner])[None], is_partial=False)
+    assert np.count_nonzero(tests.H[len(cross) :]) < np.count_nonzero(tests.inner)
     for which in ([7], [0, 6], [1, 5, 7]):
         assert tests.gain(which) == pytest.approx(whole.gain(which), rel=1e-8)
         np.testing.assert_allclose(
-            tests.within(which)[1], tests.projected[0][np.ix_(*[products.places(which)] * 2)], rtol=1e-6
+            tests.within(which)[1], tests.within(range(len(candidates)))[1][np.ix_(*[tests.places(which)] * 2)], rtol=1e-6
         )
     fewer = tests.among([5, 1, 7], fit.names_of([own[0]]))
     told = whole.among([5, 1, 7], fit.names_of([own[0]]))
-    np.testing.assert_allclose(fewer.products.inner, told.products.inner, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(fewer.inner, told.inner, rtol=1e-9, atol=1e-9)
     n, m = cross.shape
     for i in (1, 6):
-        taking, j = products.taking(i), products.columns[i]
-        expected, size = np.vstack([cross, products.inner[j]]), np.append(scale[:n], scale[n + j])
+        j, others = tests.columns[i], [k for k in range(len(candidates)) if k != i]
+        taking, left = _taking(tests, i), tests.places(others)
+        expected, size = np.vstack([cross, tests.inner[j]])[:, left], np.append(scale[:n], scale[n + j])
         np.testing.assert_allclose(
-            taking.cross / np.outer(size, scale[n:]), expected / np.outer(size, scale[n:]), atol=1e-12
+            taking.cross / np.outer(size, scale[n + left]), expected / np.outer(size, scale[n + left]), atol=1e-12
         )
-        steps, own_steps = np.zeros((n + len(j), 1)), np.zeros((m, 1))
-        steps[n:] = own_steps[j] = rng.normal(size=(len(j), 1))
-        for part, before in zip(taking.parts, products.parts, strict=True):
-            moved = before.moved(np.zeros((n, 1)), own_steps)
-            np.testing.assert_allclose(part.moved(steps, np.zeros((m, 1))), moved, rtol=1e-12)
-            back = part.among(np.arange(n + len(j) + 1), np.arange(m + 1), np.append(steps, 0.0))
+        steps, own_steps = np.zeros(n + m), np.zeros(n + m)
+        steps[n : n + len(j)] = own_steps[n + j] = rng.normal(size=len(j))
+        for part, before in zip(taking.parts, tests.parts, strict=True):
+            moved = before.moved(own_steps[:, None])
+            np.testing.assert_allclose(part.moved(steps[:, None]), moved, rtol=1e-12)
+            back = part.among(np.arange(n + m + 1), steps)
             np.testing.assert_allclose(back.residuals, before.residuals + moved[0], rtol=1e-12)

@@ -97,7 +97,7 @@ def test_equations_are_those_of_generalised_least_squares(fit: ModelFit) -> None
     (_, r, J), *others = fit.station.linearise(fit.values, fit.solution.free)
     sigma = np.sqrt(np.array([V[:, b, b].mean() for b in range(6)]).reshape(2, 3).mean(axis=1))
     rows = np.ones(len(fit.problem))
-    found = Linearised(whole.problem, fit.values, fit.solution.free, rows, fit.priors.sizes).equations(sigma).form
+    found = Linearised(whole.problem, fit.values, fit.solution.free, rows, fit.priors.sizes).posterior(sigma).form
     across = np.linalg.solve(V, J.transpose(2, 1, 0))
 
     assert not others
@@ -162,7 +162,7 @@ def test_rows_weighed_by_the_joints_make_a_truer_model(kuka: Robot) -> None:
         tips = [f.model.predict(f.model_values, f.readings(there).conditions)[:, :, 3] for f in (plain, better)]
         off = [np.sqrt(np.mean((there.position - tip) ** 2)) for tip in tips]
         J = better.model.linearise(better.model_values, better.readings(there).conditions)[1]
-        C = better.solution.posterior.joint_covariance.dense()
+        C = better.solution.known.joint_covariance.dense()
         ratios.append(off[1] / off[0])
         told.append(np.sqrt(np.mean(np.einsum("nmf,fg,nmg->nm", J, C, J))) / off[1])
 
@@ -181,6 +181,6 @@ def test_simulated_fits_scatter_as_their_covariance_says(kuka: Robot) -> None:
     conditions, of_model = better.station.conditions, slice(better.model.n_parameters)
     _, J = better.model.linearise(better.model_values, conditions)
     moved = np.einsum("nmf,df->dnm", J, (drawn - better.values)[:, of_model])
-    C = better.solution.posterior.joint_covariance.dense()
+    C = better.solution.known.joint_covariance.dense()
 
     assert np.mean(moved**2) == pytest.approx(np.mean(np.einsum("nmf,fg,nmg->nm", J, C, J)), rel=0.1)

@@ -220,7 +220,7 @@ def test_a_model_is_that_of_its_fit(fit: ModelFit, calibrated: CalibratedModel) 
     assert not calibrated.covariance[held].any()
     assert not calibrated.covariance[:, held].any()
     free = fit.solution.free
-    assert np.array_equal(calibrated.covariance[np.ix_(free, free)], fit.solution.posterior.covariance)
+    assert np.array_equal(calibrated.covariance[np.ix_(free, free)], fit.solution.known.covariance)
     assert np.array_equal(calibrated.sigma, fit.solution.sigma)
 
 

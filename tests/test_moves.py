@@ -138,7 +138,7 @@ def test_stations_pay_for_all_parameters_together(robot: Robot) -> None:
 
     assert sum(spent_at(fit, k) for k in range(2)) == pytest.approx(fit.solution.posterior.effective, rel=1e-6)
     covariance = np.linalg.inv(sum(said) + np.diag(sizes**-2.0))
-    np.testing.assert_allclose(covariance, fit.solution.posterior.covariance, rtol=1e-4, atol=1e-12)
+    np.testing.assert_allclose(covariance, fit.solution.known.covariance, rtol=1e-4, atol=1e-12)
 
 
 def test_each_station_has_its_repeatability(robot: Robot) -> None:

@@ -43,5 +43,5 @@ def test_monte_carlo_spread_is_the_posterior(fit):
     draws = monte_carlo(fit, draws=60, seed=1)
     places = np.array([fit.model.predict(values, conditions)[:, :, 3] for values in draws])
     _, J = fit.model.linearise(fit.values, conditions, free=fit.solution.free)
-    sigma = np.sqrt(np.einsum("nij,jk,nik->ni", J, fit.solution.posterior.covariance, J))
+    sigma = np.sqrt(np.einsum("nij,jk,nik->ni", J, fit.solution.known.covariance, J))
     assert np.mean(places.std(axis=0) / sigma) == pytest.approx(1.0, abs=0.1)

@@ -194,6 +194,7 @@ class _Linear:
     left: np.ndarray
     weights: np.ndarray
     sensor: _Sensor = _Sensor()
+    block_rows: tuple[slice, ...] = (slice(0, 3),)
 
     def residuals(self, values):
         return self.left

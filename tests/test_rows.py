@@ -240,7 +240,7 @@ def test_blocks_of_rows_widen_what_rows_that_hang_together_say(kuka: Robot) -> N
 
     assert plain.of_blocks == 1.0 and plain.wide is None
     assert wide.of_blocks > 1.2 and wide.wide is not None
-    ratio = np.sqrt(np.diag(wide.wide.covariance) / np.diag(wide.equations.posterior.covariance))
+    ratio = np.sqrt(np.diag(wide.known.covariance) / np.diag(wide.posterior.covariance))
     np.testing.assert_allclose(ratio.max(), np.sqrt(wide.of_blocks), rtol=0.01)
 
 

@@ -11,8 +11,10 @@ from scipy.stats import multivariate_normal
 from selection_cases import bent_panda, waving_ur5
 
 from pincal import GEOMETRIC, Measurements, Options
-from pincal.discover.first_order import Doubt, ScoreTests
-from pincal.discover.products import Information, Products
+from pincal.discover.backward import losses_by_block
+from pincal.discover.first_order import ScoreTests
+from pincal.discover.policy import TESTING
+from pincal.discover.products import Information
 from pincal.discover.run import Discovery, run_discovery
 from pincal.identify.fit import ModelFit
 from pincal.identify.quadratic import Form
@@ -31,11 +33,14 @@ def linear(rng: np.random.Generator) -> tuple[ScoreTests, np.ndarray, np.ndarray
     N, C, precision = slice(0, _MODEL), slice(_MODEL, None), sizes[:_MODEL] ** -2.0
     tests = ScoreTests(
         effects=(GearRatio("a"),),
+        columns=(np.arange(2),),
         names=tuple("abcde"),
         values=values,
         sizes=sizes,
+        unsure=np.zeros(_MODEL, bool),
         model=Information(Form.of(S[:, N, N], b[:, N]), Form.of(np.diag(precision), -values * precision)),
-        products=Products((np.arange(2),), S[:, N, C], S[:, C, C], b[:, C]),
+        blocks_H=S[:, :, C],
+        blocks_g=b[:, C],
         squares=float(np.sum(r**2)),
         readings=r.size,
         spent=0.0,
@@ -58,8 +63,8 @@ def test_what_is_lost_without_an_effect_is_that_of_refits_without_each_block(rng
             errors.append(np.sum((whole[k] - A[k][:, kept] @ found) ** 2))
         expected.append(errors[1] - errors[0])
 
-    np.testing.assert_allclose(tests.losses_by_block({"b", "d"}), expected, rtol=1e-7)
-    np.testing.assert_array_equal(tests.losses_by_block(()), np.zeros(_BLOCKS))
+    np.testing.assert_allclose(losses_by_block(tests, {"b", "d"}), expected, rtol=1e-7)
+    np.testing.assert_array_equal(losses_by_block(tests, ()), np.zeros(_BLOCKS))
 
 
 def test_evidence_is_that_of_the_data_whatever_the_parameters_are(rng: np.random.Generator) -> None:
@@ -78,21 +83,20 @@ def test_evidence_is_that_of_the_data_whatever_the_parameters_are(rng: np.random
 def test_priors_in_doubt_are_the_likeliest_ones_with_a_candidate_and_without(rng: np.random.Generator) -> None:
     """T is the ratio of the largest densities of the readings, over the candidate's values and two sizes of parameters."""
     tests, A, r = linear(rng)
-    doubt = Doubt(np.array([False, False, True, False, True]), (0.1, 3.0), (0.0, 4.0))
-    prior = replace(tests.model.prior, g=tests.model.prior.g * ~doubt.columns)
-    model = replace(tests.model, prior=prior)
-    tests = replace(tests, doubt=doubt, values=tests.values * ~doubt.columns, model=model)
+    unsure = np.array([False, False, True, False, True])
+    model = replace(tests.model, prior=replace(tests.model.prior, g=tests.model.prior.g * ~unsure))
+    tests = replace(tests, unsure=unsure, values=tests.values * ~unsure, model=model)
     A, r = A.reshape(-1, _MODEL + 2), r.ravel()
     whole = r + A[:, :_MODEL] @ tests.values
 
     def cost(n_free: int, factor: float) -> float:
-        sizes = tests.sizes[:_MODEL] * np.where(doubt.columns, factor, 1.0)
+        sizes = tests.sizes[:_MODEL] * np.where(unsure, factor, 1.0)
         covariance = np.eye(len(r)) + A[:, :_MODEL] @ np.diag(sizes**2) @ A[:, :_MODEL].T
         L, G = np.linalg.cholesky(covariance), A[:, _MODEL : _MODEL + n_free]
         best = np.linalg.lstsq(np.linalg.solve(L, G), np.linalg.solve(L, whole), rcond=None)[0]
         return float(-2.0 * multivariate_normal.logpdf(whole - G @ best, cov=covariance))
 
-    without, given = (min(cost(n, f) + c for f, c in zip(doubt.factors, doubt.costs, strict=True)) for n in (0, 2))
+    without, given = (min(cost(n, f) + c for f, c in TESTING.mass_beliefs) for n in (0, 2))
 
     assert tests.gain([0]) == (pytest.approx(without - given, rel=1e-6), 2)
 

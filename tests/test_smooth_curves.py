@@ -162,7 +162,7 @@ def test_a_fit_with_a_smooth_curve_is_penalised_least_squares(fits: tuple[ModelF
     L = L[np.ix_(free, free)]
     H, slope = J @ J.T + L, J @ r - L @ fit.values[free]
 
-    covariance = fit.solution.posterior.covariance
+    covariance = fit.solution.known.covariance
     assert slope @ np.linalg.solve(H, slope) < 1e-4 * r @ r
     scale = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(np.linalg.inv(H) / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=1e-4)

@@ -116,14 +116,14 @@ def told(tests: ScoreTests, of_model: np.ndarray, of_candidates: np.ndarray, squ
     """Return tests of other residuals, given their products with the columns, at the minimum beside priors, and squares."""
     blocks = replace(tests.model.blocks, g=(of_model - tests.model.prior.g)[None])
     model = replace(tests.model, blocks=blocks)
-    return replace(tests, model=model, products=replace(tests.products, blocks_g=of_candidates[None]), squares=squares)
+    return replace(tests, model=model, blocks_g=of_candidates[None], squares=squares)
 
 
 def test_a_bootstrap_of_noise_has_any_chance_alike(found: Discovery) -> None:
     """Of sixty tables of nothing but noise the p-values are uniform."""
     tests = score_test(found.trail.final, found.trail.last.effects[:12])
-    model, cross = tests.model, tests.products.cross
-    rng, root = np.random.default_rng(5), root_of(np.block([[model.rows.H, cross], [cross.T, tests.products.inner]]))
+    model, cross = tests.model, tests.cross
+    rng, root = np.random.default_rng(5), root_of(np.block([[model.rows.H, cross], [cross.T, tests.inner]]))
     root, unseen = root[:, np.linalg.norm(root, axis=0) > 0.0], tests.readings
     chances = []
     for seed in range(60):
@@ -149,7 +149,7 @@ def test_what_is_there_is_no_chance(case: Case, found: Discovery) -> None:
 def test_standard_deviations_pay_for_what_is_not_in_the_model(found: Discovery) -> None:
     """By one factor in the noise, priors left alone; values, the noise and what is identified stay."""
     fit, last = found.calibration.fit, found.trail.final
-    ratio = fit.solution.posterior.covariance.diagonal() / last.solution.posterior.covariance.diagonal()
+    ratio = fit.solution.known.covariance.diagonal() / last.solution.known.covariance.diagonal()
     others = fit.readings(found.calibration.test).conditions
 
     assert np.all(ratio > 1.0 - 1e-9) and 1.05 < ratio.max() < 2.0
@@ -162,12 +162,12 @@ def test_standard_deviations_pay_for_what_is_not_in_the_model(found: Discovery) 
 def test_candidates_weigh_as_likely_as_they_are(found: Discovery) -> None:
     """One that should have been accepted counts whole, those that explain nothing not at all."""
     tests = score_test(found.trail.final, found.trail.last.effects[:25])
-    products, chosen = tests.products, tests.columns[3][0]
+    chosen = tests.columns[3][0]
 
     def left(gain: float) -> ScoreTests:
         """Residuals that are the third candidate's, of so large a gain."""
-        size = np.sqrt(gain / tests.projected[0][chosen, chosen])
-        return told(tests, size * products.cross[:, chosen], size * products.inner[:, chosen], tests.dof + gain)
+        size = np.sqrt(gain / tests.within(range(25))[1][chosen, chosen])
+        return told(tests, size * tests.cross[:, chosen], size * tests.inner[:, chosen], tests.dof + gain)
 
     assert of_candidates(left(0.0)) == pytest.approx(0.0, abs=1e-9)
     assert of_candidates(left(3.0)) < 0.5
@@ -192,7 +192,7 @@ def test_masses_add_what_the_data_leave_of_their_priors(found: Discovery) -> Non
     fit = found.trail.final
     masses = MassError.of(*fit.arm)
     assert masses is not None
-    S, b = score_test(fit, [masses]).projected
+    _, S, b = score_test(fit, [masses]).within([0])
     C = np.linalg.inv(S + np.diag([parameter.size**-2.0 for parameter in masses.parameters(fit.problem.chain)]))
     expected = (C @ b) @ S @ (C @ b) + np.sum(S * C)
 

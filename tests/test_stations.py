@@ -28,7 +28,7 @@ from pincal.identify.initial import place
 from pincal.identify.jacobian import Jacobian
 from pincal.identify.normal import Batch
 from pincal.identify.options import Options, StationOptions
-from pincal.identify.posterior import Posterior, eliminate, posterior
+from pincal.identify.posterior import Posterior, eliminate
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
 from pincal.identify.solve import Course, solve
@@ -187,13 +187,13 @@ def test_steps_and_covariance_equal_those_of_the_dense_matrix(two: ModelFit) -> 
     there = two.values + np.where(free, two.estimate.sigma, 0.0)
     dense = Stacked.at(two, there)
     point = Linearised(two.problem, there, free, np.ones(len(two.problem)), two.priors.sizes)
-    found = point.equations(np.full(2, NOISE))
-    step, held = found.step(np.full(int(free.sum()), np.inf))
+    found = point.posterior(np.full(2, NOISE))
+    step, held = found.step_within(np.full(int(free.sum()), np.inf))
     sigma = np.sqrt(np.diag(dense.covariance))
     assert not held.any()
     # Normal equations square the condition number of the dense matrix.
     np.testing.assert_allclose(step / sigma, dense.step / sigma, rtol=0.0, atol=1e-8)
-    covariance = found.posterior.joint_covariance.dense()
+    covariance = found.joint_covariance.dense()
     np.testing.assert_allclose(covariance / np.outer(sigma, sigma), dense.covariance / np.outer(sigma, sigma), atol=1e-6)
 
 
@@ -202,14 +202,14 @@ def test_other_weights_of_one_station_give_the_sum_of_all(two: ModelFit) -> None
     free, sigma = two.solution.free, np.full(2, NOISE)
     ones = np.ones(len(two.problem))
     point = Linearised(two.problem, two.values, free, ones, two.priors.sizes)
-    point.equations(sigma)
+    point.posterior(sigma)
     fewer = ones.copy()
     fewer[[3, 17]] = 0.0, 0.5
     for robust in (fewer, ones):
         point = point.reweighted(robust)
-        found = point.equations(sigma)
+        found = point.posterior(sigma)
         fresh_point = Linearised(two.problem, two.values, free, robust, two.priors.sizes)
-        fresh = fresh_point.equations(sigma)
+        fresh = fresh_point.posterior(sigma)
         # What the stations' own parameters take up altogether is left to rounding, which scales with what it was before.
         reduced, before = np.diag(fresh.form.H), fresh.whole[two.problem.is_shared[free]]
         scale = np.sqrt(np.where(reduced > 0.0, reduced, before))
@@ -218,7 +218,7 @@ def test_other_weights_of_one_station_give_the_sum_of_all(two: ModelFit) -> None
         np.testing.assert_allclose(found.whole, fresh.whole, rtol=1e-12)
         np.testing.assert_allclose(point.squares, fresh_point.squares, rtol=1e-12)
         for part, other in zip(found.own, fresh.own, strict=True):
-            np.testing.assert_allclose(part.balance.form.H, other.balance.form.H, rtol=1e-12)
+            np.testing.assert_allclose(part.alone.form.H, other.alone.form.H, rtol=1e-12)
 
 
 def test_length_and_objective_are_those_of_all_readings(two: ModelFit) -> None:
@@ -229,7 +229,7 @@ def test_length_and_objective_are_those_of_all_readings(two: ModelFit) -> None:
     sigma = np.full(2, NOISE)
     step = np.random.default_rng(2).normal(size=int(free.sum())) * 1e-5
     along = dense.J[: dense.readings] @ step
-    assert point.equations(sigma).square(step) == pytest.approx(along @ along, rel=1e-6)
+    assert point.posterior(sigma).square(step) == pytest.approx(along @ along, rel=1e-6)
     assert point.objective(sigma) == pytest.approx(dense.r @ dense.r, rel=1e-12)
     assert point.chi2(sigma) == pytest.approx(dense.r[: dense.readings] @ dense.r[: dense.readings], rel=1e-12)
 
@@ -247,10 +247,10 @@ def test_elimination_leaves_the_posterior_as_it_is(own: list[int], rng: np.rando
     """Step, covariance, rank and parameters spent are the same whatever is eliminated first, to rounding."""
     form, sizes, offsets = random_equations(rng)
     is_own = np.isin(np.arange(9), own)
-    whole: Posterior = posterior(form, sizes, offsets)
+    whole: Posterior = Posterior(form, sizes, offsets)
     left, part = eliminate(form, is_own, sizes, offsets)
     rest = replace(
-        posterior(left, sizes[~is_own], offsets[~is_own]),
+        Posterior(left, sizes[~is_own], offsets[~is_own]),
         own=(part,),
     )
     np.testing.assert_allclose(rest.joint_covariance.dense(), whole.covariance, rtol=1e-9, atol=1e-12)
@@ -264,10 +264,10 @@ def test_what_nothing_determines_stays_loose_when_it_is_eliminated(rng: np.rando
     form, sizes, offsets = random_equations(rng)
     form.H[4], form.H[:, 4], form.g[4] = 0.0, 0.0, 0.0
     is_own = np.isin(np.arange(9), [1, 4])
-    whole, (left, part) = posterior(form, sizes, offsets), eliminate(form, is_own, sizes, offsets)
+    whole, (left, part) = Posterior(form, sizes, offsets), eliminate(form, is_own, sizes, offsets)
     np.testing.assert_allclose(part.alone.covariance[1, 1], 1.0, rtol=1e-12)
     np.testing.assert_allclose(
-        posterior(left, sizes[~is_own], offsets[~is_own]).covariance,
+        Posterior(left, sizes[~is_own], offsets[~is_own]).covariance,
         whole.covariance[np.ix_(~is_own, ~is_own)],
         rtol=1e-9,
     )
@@ -436,7 +436,7 @@ def test_workers_are_sent_the_rows_once(two: ModelFit, kuka: Robot, monkeypatch:
     problem, solution = two.problem, two.solution
     for _ in range(3):
         point = Linearised(problem, two.values, solution.free, solution.weights, two.priors.sizes, scale)
-        point.equations(solution.sigma)
+        point.posterior(solution.sigma)
     assert scale.tasks == 3 and len(loaded) == 1
     assert scale.heaviest < 0.1 * loaded[0]
 
@@ -512,12 +512,12 @@ def test_many_stations_need_not_be_kept(two: ModelFit, monkeypatch: pytest.Monke
         return Linearised(two.problem, two.values, free, np.ones(len(two.problem)), two.priors.sizes)
 
     point = at_hand()
-    kept = point.equations(sigma)
+    kept = point.posterior(sigma)
     point.release()
-    again = point.equations(sigma)
+    again = point.posterior(sigma)
     monkeypatch.setattr(equations, "_MOST_KEPT", 0)
     passed = at_hand()
-    for other in (again, passed.equations(sigma)):
+    for other in (again, passed.posterior(sigma)):
         np.testing.assert_array_equal(other.form.H, kept.form.H)
         np.testing.assert_array_equal(other.form.g, kept.form.g)
         np.testing.assert_array_equal(other.whole, kept.whole)
@@ -546,16 +546,15 @@ def test_small_stations_are_evaluated_together(machine: sim.TrueMachine, kuka: R
     points = [Linearised(each, there, free, robust, sizes) for each in (problem, apart)]
     for one, other in zip(*(point.row_squares for point in points), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9)
-    found, expected = (point.equations(np.full(5, NOISE)) for point in points)
-    scale = expected.metric[expected.shared]
+    found, expected = (point.posterior(np.full(5, NOISE)) for point in points)
+    scale = expected.metric[expected.is_shared]
     np.testing.assert_allclose(found.form.H / np.outer(scale, scale), expected.form.H / np.outer(scale, scale), atol=1e-12)
     np.testing.assert_allclose(found.form.g / scale, expected.form.g / scale, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.whole, expected.whole, rtol=1e-12)
-    steps = [each.step(np.full(int(free.sum()), np.inf))[0] * each.metric for each in (found, expected)]
+    steps = [each.step_within(np.full(int(free.sum()), np.inf))[0] * each.metric for each in (found, expected)]
     np.testing.assert_allclose(*steps, rtol=0.0, atol=1e-8)
-    posteriors = [each.posterior for each in (found, expected)]
-    assert len({each.visible_rank for each in posteriors}) == 1
-    np.testing.assert_allclose(*(each.own_effective for each in posteriors), rtol=1e-9)
+    assert found.visible_rank == expected.visible_rank
+    np.testing.assert_allclose(*(each.spent[1] for each in (found, expected)), rtol=1e-9)
 
 
 def test_stations_are_evaluated_apart_where_an_effect_follows_how_they_stand(machine: sim.TrueMachine, kuka: Robot) -> None:

@@ -233,7 +233,7 @@ class Fit(identified.ModelFit, Calibrated):
         if not isinstance(table, Measurements):
             raise BadInputError(f"{len(table)} tables; expected one, which is scored at one station")
         rows, k = self.readings(table, station=station), self.names.index(station)
-        return self._log_density(k, rows, np.ones(len(table))) / (len(table) * int(rows.block_sizes.sum()))
+        return self._log_density(k, rows, np.ones(len(table))) / (len(table) * rows.reading_size)
 
     def _log_density(self, k: int, rows: Station, weights: np.ndarray) -> float:
         """Return the log density of rows at the k-th station, with robust weights of shape (N,): 0 where not counted."""

@@ -203,7 +203,7 @@ class Readings:
             distinct = len(np.unique(numbers))
             poses = min(len(np.unique(station.conditions.q, axis=0)), distinct)
             own = int(station.split(fit.solution.free[places])[1].sum())
-            readings += min(distinct * sum(block.size for block in station.sensor.blocks), 6 * poses + own)
+            readings += min(distinct * station.reading_size, 6 * poses + own)
             n_poses += poses
         return cls(n_poses, readings, readings - float(fit.solution.effective))
 

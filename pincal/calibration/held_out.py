@@ -140,8 +140,7 @@ def as_measured(fit: ModelFit, rows: Sequence[StationRows]) -> ModelFit:
         fit.readings(part.measured[0], station=at.name) for part, at in zip(rows, fit.problem.stations, strict=True)
     )
     weights = [part.by_row(fit.solution.weights[of]) for part, of in zip(rows, fit.problem.rows, strict=True)]
-    solution = replace(fit.solution, weights=np.concatenate(weights))
-    return replace(fit, problem=replace(fit.problem, stations=stations), solution=solution)
+    return fit.over(stations, np.concatenate(weights))
 
 
 def errors_held_out(fit: ModelFit, values: np.ndarray, rows: Sequence[StationRows]) -> dict[str, dict[str, float]]:

@@ -21,7 +21,7 @@ from scipy.special import chdtr, chdtrc
 from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import ModelFit
 from pincal.identify.normal import accumulate
-from pincal.identify.posterior import eliminate, posterior
+from pincal.identify.posterior import Posterior, eliminate
 from pincal.identify.quadratic import Form, Quadratic
 from pincal.identify.selection import Scored, select_stepwise
 from pincal.model.effect import Family
@@ -153,7 +153,7 @@ def _information_of(fit: ModelFit, shared: np.ndarray) -> _StationsInformation:
     of_drives = {p.name for effect in zeros for p in effect.parameters(model.chain)}
     usual = np.array([problem.parameters[place].name in of_drives for place in shared], bool)
     sizes, offsets = fit.priors.sizes[shared], fit.values[shared]
-    found = posterior(Form.of(G.sum(axis=0), g.sum(axis=0)), sizes, offsets)
+    found = Posterior(Form.of(G.sum(axis=0), g.sum(axis=0)), sizes, offsets)
     return _StationsInformation(
         G, g - G @ found.step, seen & np.isfinite(sizes), found.covariance, CHANGES.wide * sizes, usual
     )
@@ -169,9 +169,9 @@ def information_at(fit: ModelFit, k: int, weights: np.ndarray | None = None) -> 
     is_own, form = station.is_own[free], normal.at(solution.sigma[blocks])
     left, own = eliminate(form, is_own, fit.priors.sizes[places][free], values[free])
     spent, step = float(np.sum(own.alone.frame_rank + own.alone.has_prior.sum())), own.alone.step
-    square = float(normal.squares @ solution.sigma[blocks] ** -2.0 - step @ own.balance.form.H @ step)
+    square = float(normal.squares.blocks @ solution.sigma[blocks] ** -2.0 - step @ own.alone.form.H @ step)
     square -= float(own.precision @ step**2)
-    readings = float(np.sum(weights > 0.0) * sum(block.size for block in station.sensor.blocks))
+    readings = float(np.sum(weights > 0.0) * station.reading_size)
     shared = shared_places(fit)
     at = np.searchsorted(shared, places[free][~is_own])
     names = tuple(problem.parameters[place].name for place in shared[at])
@@ -191,7 +191,7 @@ def shared_places(fit: ModelFit) -> np.ndarray:
 def spent_at(fit: ModelFit, k: int) -> float:
     """Return how many parameters the rows of a station pay for: its own ones, and its part of the robot's."""
     said = information_at(fit, k)
-    covariance = fit.solution.posterior.covariance[np.ix_(said.places, said.places)]
+    covariance = fit.solution.known.covariance[np.ix_(said.places, said.places)]
     return said.own_spent + float(np.sum(said.form.H * covariance))
 
 

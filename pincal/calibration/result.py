@@ -334,7 +334,7 @@ def _replicates(fit: ModelFit, k: int, seen: _Seen) -> tuple[dict[str, Any] | No
     if "test" in seen.parts:
         found.append(Replicates("test", test, fit.readings(test, station=at), test_poses, np.ones(len(test), bool)))
     solution, is_alone = fit.solution, len(fit.problem.stations) == 1
-    spent = solution.posterior.effective if is_alone else spent_at(fit, k)
+    spent = solution.effective if is_alone else spent_at(fit, k)
     lack = lack_of_fit(found, seen.values["calibrated"], solution.sigma[seen.blocks], spent=spent)
     return iso9283(found, seen.values), lack
 
@@ -357,7 +357,7 @@ def _noise(fit: ModelFit, blocks: slice = slice(None)) -> NoiseRecord:
 
 def _correlations(fit: ModelFit, rows: tuple[ParameterRow, ...]) -> tuple[Correlation, ...]:
     """Return the strongest correlations between identified parameters, those of base and tool left out."""
-    C = fit.solution.posterior.covariance
+    C = fit.solution.known.covariance
     sd = np.sqrt(np.diag(C))
     correlation = C / np.outer(sd, sd)
     shared = fit.solution.free & fit.problem.is_shared

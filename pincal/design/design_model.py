@@ -20,7 +20,7 @@ from pincal.errors import BadInputError
 from pincal.identify.beliefs import declared_noise, priors_of
 from pincal.identify.believed import Earlier
 from pincal.identify.options import Options
-from pincal.identify.posterior import Posterior, posterior
+from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
 from pincal.identify.station import Station
@@ -92,8 +92,7 @@ class DesignModel:
                 instrument has, or a rival that does nothing in these poses.
         """
         check_rig(rig)
-        gravity = None if options.gravity is None else np.array(options.gravity)
-        chain = Chain.of(robot, moment_frame=options.first_frame, gravity=gravity, targets=targets)
+        chain = Chain.of(robot, moment_frame=options.first_frame, gravity=options.gravity, targets=targets)
         model = Model(chain, (*frame_effects(chain, rig, conditions), *options.effects), equilibrium=options.equilibrium)
         n_core = model.n_parameters
         for rival in rivals:
@@ -148,7 +147,7 @@ class DesignModel:
     def readings(self, conditions: Conditions) -> np.ndarray:
         """Return the derivative of the readings by the parameters in units of noise and priors, shape (N, m, F)."""
         problem = predicted_station(self.model, self.values, self.rig, conditions)
-        noise = np.repeat(self.sigma, [block.size for block in problem.sensor.blocks])
+        noise = np.repeat(self.sigma, problem.block_sizes)
         return np.ascontiguousarray(self._jacobian(problem) * (self.units / noise[:, None]))
 
     def errors(self, conditions: Conditions) -> np.ndarray:
@@ -172,7 +171,7 @@ class DesignModel:
 
     def posterior(self, H: np.ndarray) -> Posterior:
         """Return the posterior of information in units of noise and priors, shape (F, F), with the priors left out of it."""
-        return posterior(Form.of(H / np.outer(self.units, self.units)), self.sizes)
+        return Posterior(Form.of(H / np.outer(self.units, self.units)), self.sizes, np.zeros(self.n_free))
 
     def _jacobian(self, problem: Station) -> np.ndarray:
         parts = [jacobian for _, _, jacobian in problem.linearise(self.values, self.free)]

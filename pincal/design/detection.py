@@ -123,7 +123,7 @@ def watch_of(
     """Return the information of the candidates on the changes that are to be detected."""
     station = lineup.station
     A, _ = rows_in_noise(station, lineup.start, lineup.robot.sigma)
-    m = sum(block.size for block in station.sensor.blocks)
+    m = station.reading_size
     uncertain, own = prior_root(station, lineup.known, lineup.beside) @ A, A[lineup.own]
     own = own / np.sqrt(np.maximum(np.mean(own**2, axis=1, keepdims=True), 1e-300))
     rows = np.vstack([uncertain, own]).T.reshape(len(station), m, -1)

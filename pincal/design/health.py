@@ -334,7 +334,7 @@ def _alarms(
     """Return the part of simulated checks that end in an alarm: noise and what the calibration left open are drawn."""
     station, start = lineup.station, lineup.start
     root = prior_root(station, lineup.known, lineup.beside)
-    noise = np.repeat(lineup.robot.sigma, [block.size for block in station.sensor.blocks])[:, None] / station.weights
+    noise = np.repeat(lineup.robot.sigma, station.block_sizes)[:, None] / station.weights
     alarms = 0
     for _ in range(request.draws):
         truth = start + step + root.T @ rng.standard_normal(len(root))

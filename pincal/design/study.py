@@ -267,8 +267,7 @@ def find_rival(text: str, chain: Chain, conditions: Conditions) -> Effect:
 
 def _rivals(reach: Reach, options: Options, request: DesignRequest, *, candidates: Conditions) -> list[Effect]:
     """Return the effects that are to be told apart."""
-    gravity = None if options.gravity is None else np.array(options.gravity)
-    chain = Chain.of(reach.robot, moment_frame=options.first_frame, gravity=gravity)
+    chain = Chain.of(reach.robot, moment_frame=options.first_frame, gravity=options.gravity)
     rivals = [find_rival(text, chain, candidates) for text in request.tell_apart or ()]
     if rivals and rivals[0] == rivals[1]:
         raise BadInputError(f"effects {' and '.join(request.tell_apart or ())}: one and the same; expected two")

@@ -74,7 +74,7 @@ def search(lineup: ChangeHypotheses, *, alpha: float, degrees: float, apart: np.
     if apart is not None and len(apart) > 1:
         # Wrong readings of some rows may explain more for what they cost than a change, or than nothing.
         best, rest = state.best(), state.without(apart)
-        readings = sum(block.size for block in lineup.station.sensor.blocks)
+        readings = lineup.station.reading_size
         cost = len(apart) * readings * state.price - (state.evidence.form.square - rest.evidence.form.square)
         if cost < (0.0 if best is None else min(best.score.cost, 0.0)):
             if len(apart) >= CHANGES.too_many * len(state.rows):
@@ -194,7 +194,7 @@ class ChangeVerdict:
     @cached_property
     def price(self) -> float:
         """What a parameter costs (Schwarz's criterion)."""
-        return float(np.log(len(self.lineup.station) * sum(block.size for block in self.lineup.station.sensor.blocks)))
+        return float(np.log(len(self.lineup.station) * self.lineup.station.reading_size))
 
     @cached_property
     def misfit_p_value(self) -> float:

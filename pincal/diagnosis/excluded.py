@@ -19,6 +19,8 @@ from pincal.io.diagnosis_file import ExcludedEntry
 DETECTED = CHANGES.detected
 # Numbers of further poses that may tell changes apart, random poses among which they are chosen, and those shown.
 _MORE, _TRIED, _SHOWN = (3, 6, 12, 25, 50), 200, 2
+# Changes that are named beside one.
+_NAMED = 8
 # Poses whose targets are closer than this [m] are one to any instrument: the best laser trackers resolve a tenth of it, and
 # repeat what they read of a target at rest to no less than it.
 _TELLABLE = 1e-6
@@ -136,8 +138,8 @@ def _pose_words(verdict: ChangeVerdict, there: Station, i: int) -> str:
     return f"joints at {numbers} deg" + (f" with {load:g} kg" if verdict.lineup.robot.covered.payload.any() else "")
 
 
-def rival_names(changes: tuple[PossibleChange, ...], step: NamedChange, most: int = 8) -> list[PossibleChange]:
+def rival_names(changes: tuple[PossibleChange, ...], step: NamedChange) -> list[PossibleChange]:
     """Return the changes that a step can't tell from its own, each heading once."""
     found = {changes[score.change].heading: changes[score.change] for score in reversed(step.equivalent)}
     found.pop(changes[step.score.change].heading, None)
-    return list(reversed(found.values()))[:most]
+    return list(reversed(found.values()))[:_NAMED]

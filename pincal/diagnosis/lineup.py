@@ -243,17 +243,7 @@ class ChangeHypotheses:
 
     def release(self, happened: Sequence[int], start: np.ndarray) -> np.ndarray:
         """Return the values with some changes found and everything else of the robot as it was, shape (P,)."""
-        return self._refitted(happened, start, np.zeros(0, int), np.zeros((0, 0))).values
-
-    def reidentify(self, happened: Sequence[int], start: np.ndarray) -> Refitted:
-        """Return the same with the rest of the robot moved as far as its uncertainty lets it."""
-        return self._refitted(happened, start, self._known, self.known.root)
-
-    @cached_property
-    def _known(self) -> np.ndarray:
-        """Where the parameters stand that are known, shape (K,)."""
-        model = self.station.model
-        return np.array([model.index(name) for name in self.known.names], int)
+        return self.reidentify(happened, start, is_certain=True).values
 
     def reidentified(self, happened: Sequence[int], found: Refitted) -> CalibratedModel:
         """Return the robot that was found at the new station, with what changed and nothing else of the wide model."""
@@ -269,13 +259,18 @@ class ChangeHypotheses:
         estimate = estimate_of(station.parameters, found.values[places], whole[np.ix_(places, places)])
         return replace(self.robot, model=station.model, estimate=estimate, left_by=None)
 
-    def _refitted(self, happened: Sequence[int], start: np.ndarray, known: np.ndarray, root: np.ndarray) -> Refitted:
-        """Return the most probable values: those that changed anywhere, those known, shape (K,), by a root of covariance.
+    def reidentify(self, happened: Sequence[int], start: np.ndarray, *, is_certain: bool = False) -> Refitted:
+        """Return the most probable values: what changed anywhere, and unless it is certain the rest as far as it is unsure.
 
         A parameter that is known and free is the sum of what it was and a change. The noise is taken as it is: what is far
         off pulls as strongly as it does.
         """
-        free, n = self.free(happened), root.shape[1]
+        root, names = (np.zeros((0, 0)), ()) if is_certain else (self.known.root, self.known.names)
+        free, n, known = (
+            self.free(happened),
+            root.shape[1],
+            np.array([self.station.model.index(name) for name in names], int),
+        )
         places = np.union1d(known, free).astype(int)
         # From one vector of uncorrelated unknowns to the parameters.
         W = np.zeros((len(places), n + len(free)))

@@ -17,7 +17,7 @@ from pincal.calibration.placing import Placed
 from pincal.diagnosis.lineup import belief_of
 from pincal.diagnosis.row_evidence import rows_in_noise
 from pincal.identify.criteria import CHANGES
-from pincal.identify.quadratic import Factor
+from pincal.identify.quadratic import Factor, Form
 from pincal.identify.split import row_groups
 from pincal.io.diagnosis_file import CurveEntry, CurvesEntry
 from pincal.measure.measurements import Measurements
@@ -30,33 +30,32 @@ class _Rows:
     """Rows of a station, block by block, by the parameters that may be found anew.
 
     Attributes:
-        G: shape (B, P, P), information of each block, by these parameters.
-        b: shape (B, P), its gradient.
+        blocks: what each of B blocks says of these parameters.
         A: shape (P, N, m), the Jacobian of the first readings in metres.
         off: shape (N, m), what is left of them as calibrated [m].
         block: shape (N,), of each row that counts, -1 for others.
     """
 
-    G: np.ndarray
-    b: np.ndarray
+    blocks: Form
     A: np.ndarray
     off: np.ndarray
     block: np.ndarray
 
     def found(self, free: np.ndarray, belief: np.ndarray, *, without: int | None = None) -> np.ndarray:
         """Return how far some parameters move, shape (F,), a block left out."""
-        G, b = self.whole if without is None else (self.whole[0] - self.G[without], self.whole[1] - self.b[without])
-        return Factor.of(G[np.ix_(free, free)] + belief).solve(b[free])
+        H, g = self.whole.H, self.whole.g
+        H, g = (H, g) if without is None else (H - self.blocks.H[without], g - self.blocks.g[without])
+        return Factor.of(H[np.ix_(free, free)] + belief).solve(g[free])
 
     @cached_property
-    def whole(self) -> tuple[np.ndarray, np.ndarray]:
-        """Information and gradient of all blocks together."""
-        return self.G.sum(axis=0), self.b.sum(axis=0)
+    def whole(self) -> Form:
+        """What all blocks say together."""
+        return self.blocks.sum()
 
     def error(self, free: np.ndarray, belief: np.ndarray) -> float:
         """Return the mean error of rows by what the other blocks make of some parameters [m]."""
         errors = []
-        for k in range(len(self.G)):
+        for k in range(len(self.blocks.g)):
             here, step = np.flatnonzero(self.block == k), self.found(free, belief, without=k)
             left = self.off[here] - np.einsum("p,pnm->nm", step, self.A[np.ix_(free, here)])
             errors.append(np.linalg.norm(left, axis=1))
@@ -103,8 +102,10 @@ def _rows(placed: Placed, free: np.ndarray, *, block: np.ndarray, kept: np.ndarr
     first = station.sensor.blocks[0].size
     metres = sigma[0] * station.metres_per_reading(placed.values) / station.weights[:, None]
     return _Rows(
-        G=np.array([part @ part.T for part in parts]),
-        b=np.array([part @ r[rows].ravel() for part, rows in zip(parts, of, strict=True)]),
+        blocks=Form.of(
+            np.array([part @ part.T for part in parts]),
+            np.array([part @ r[rows].ravel() for part, rows in zip(parts, of, strict=True)]),
+        ),
         A=A[:, :, :first] * metres,
         off=r[:, :first] * metres,
         block=np.where(kept, np.searchsorted(names, block), -1),

@@ -201,8 +201,8 @@ def doubts_about(verdict: ChangeVerdict, placed: Placed, measurements: Measureme
 
 def known_degrees(model: CalibratedModel, station: Station) -> float:
     """Return the degrees of freedom by which a calibration knows the noise of readings like a station's."""
-    rows, sizes = count(model.rows), [block.size for block in station.sensor.blocks]
-    return max(rows * sum(sizes) - float(model.estimate.free.sum()), 1.0) if rows else CHANGES.degrees
+    rows = count(model.rows)
+    return max(rows * station.reading_size - float(model.estimate.free.sum()), 1.0) if rows else CHANGES.degrees
 
 
 def relocated(model: CalibratedModel, measurements: Measurements, *, sigma: float | None = None) -> Placed:

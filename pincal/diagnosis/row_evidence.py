@@ -24,7 +24,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.discover.levers import MassError
-from pincal.identify.normal import belief_rows, block_rows
+from pincal.identify.normal import belief_rows
 from pincal.identify.quadratic import ROUNDING, Quadratic, root_of_inverse
 from pincal.identify.station import Station
 from pincal.model.effect import Effect
@@ -188,7 +188,7 @@ def rows_in_noise(
     columns, readings = [], []
     for piece, residuals, jacobian in station.linearise(values, free):
         whitening = np.empty_like(residuals)
-        for rows, size in zip(block_rows(station), sigma, strict=True):
+        for rows, size in zip(station.block_rows, sigma, strict=True):
             whitening[rows] = station.weights[piece] / size
         columns.append((jacobian * whitening).transpose(0, 2, 1).reshape(len(jacobian), -1))
         readings.append((residuals * whitening).T.ravel())

@@ -7,7 +7,7 @@ times their values, to the residuals. So all are named from the same tests of al
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial, reduce
 
@@ -38,7 +38,6 @@ from pincal.discover.elastic import with_features
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_from, situation_of
 from pincal.discover.policy import CURVES, TESTING, WAVES
-from pincal.discover.products import Information
 from pincal.discover.score_tests import BesideNuisances, score_test_given_nuisances
 from pincal.discover.steps import SearchState, SearchStep, decided, worded
 from pincal.identify.calibrate import refit
@@ -48,6 +47,8 @@ from pincal.model.effect import Curve, Effect, ExponentialDrift, Family, Harmoni
 from pincal.model.evaluated import key_of
 
 log = logging.getLogger(__name__)
+
+_Pass = tuple[bool, dict[object, int], ScoreTests]
 
 
 def name_again(state: SearchState, search: Search) -> SearchState:
@@ -166,9 +167,30 @@ def _worths(state: SearchState, search: Search) -> dict[SearchStep, float]:
         # Nor does the place of a bearing that is not compliant matter.
         places = [e for e in own if e.locus.acts_on == "place"]
         still = state.fit.names_of([*heavy, *places]) if step.is_elastic else ()
-        losses = tests.losses_by_block(set(state.fit.names_of(own)) - set(still), still)
+        losses = losses_by_block(tests, set(state.fit.names_of(own)) - set(still), still)
         found[step] = standard_errors(losses)
     return found
+
+
+def losses_by_block(tests: ScoreTests, names: Collection[str], still: Collection[str] = ()) -> np.ndarray:
+    """Return by how much the squared error on each block left out grows without some of the model, shape (B,).
+
+    Their values are held at zero and all others refitted, to first order, without each block.
+
+    Args:
+        tests: those against the model.
+        names: parameters of the model.
+        still: others that stay as they are, as what they do is done by way of those that go.
+    """
+    j = np.array([i for i, name in enumerate(tests.names) if name in names or name in still], int)
+    goes = np.array([tests.names[i] in names for i in j], bool)
+    units, losses = np.eye(tests.n_model)[:, j], np.zeros(len(tests.model.blocks.H))
+    for k, (factor, step) in enumerate(tests.model.without_block if len(j) else ()):
+        columns = factor.solve(units)
+        held = step - columns @ np.linalg.solve(columns[j], step[j] + goes * tests.values[j])
+        H, g = tests.model.blocks.H[k], tests.model.blocks.g[k]
+        losses[k] = held @ H @ held - step @ H @ step - 2.0 * g @ (held - step)
+    return losses
 
 
 def named_given(fit: ModelFit, effects: Sequence[Effect], search: Search) -> Iterator[tuple[ModelFit, Decision | None]]:
@@ -207,30 +229,24 @@ class _Shared:
     Attributes:
         beside: tests against the fit.
         passes: what was tested at once, with blocks of rows or without, each candidate with its number.
-        known: what the rows say of the model without one of its effects, by what they say of all of it, and by the effect.
     """
 
     beside: BesideNuisances
-    passes: list[tuple[bool, dict[object, int], ScoreTests]] = field(default_factory=list)
-    known: dict[tuple[int, int], Information] = field(default_factory=dict)
+    passes: list[_Pass] = field(default_factory=list)
 
-    def test(self, effects: Iterable[Effect], groups: np.ndarray | None = None) -> None:
+    def test(self, effects: Iterable[Effect], groups: np.ndarray | None = None) -> _Pass:
         """Test candidates at once, equal ones once."""
         once = {key_of(effect): effect for effect in effects}
         number = {key: i for i, key in enumerate(once)}
         self.passes.append((groups is not None, number, self.beside(tuple(once.values()), groups)))
+        return self.passes[-1]
 
     def without(self, gone: Effect, effects: Sequence[Effect], groups: np.ndarray | None = None) -> ScoreTests:
         """Return the tests of candidates against the fit without one of its effects."""
         keys, has_blocks = [key_of(effect) for effect in effects], groups is not None
-        if not any(blocks == has_blocks and number.keys() >= set(keys) for blocks, number, _ in self.passes):
-            self.test(effects, groups)
         tested = (of for of in self.passes if of[0] == has_blocks and of[1].keys() >= set(keys))
-        _, number, tests = next(tested)
-        key = id(tests.model), id(gone)
-        rest = tests.among([number[k] for k in keys], self.beside.fit.names_of([gone]), self.known.get(key))
-        self.known[key] = rest.model
-        return rest
+        _, number, tests = next(tested, None) or self.test(effects, groups)
+        return tests.among([number[k] for k in keys], self.beside.fit.names_of([gone]))
 
 
 def judge_remainders(state: SearchState, search: Search) -> SearchState:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
@@ -36,6 +35,9 @@ from pincal.model.conditions import PoseSet, part_of
 from pincal.model.effect import Candidate, Effect, ExponentialDrift, Family, Harmonic
 from pincal.model.effects import Compliance
 
+Tester = Callable[..., ScoreTests]
+"""Tests candidates against a fit, masses projected out, perhaps by blocks: takes effects, and the block of each row."""
+
 
 @dataclass(frozen=True)
 class Search:
@@ -60,13 +62,6 @@ class Search:
     def taking_part(self, nameless: Iterable[Effect]) -> list[Effect]:
         """Return those of some dependences without a name that take part."""
         return [effect for effect in nameless if self.nameless is None or effect.identity in self.nameless]
-
-
-class Tester(Protocol):
-    """Tests candidates against a fit, masses projected out, perhaps block of rows by block."""
-
-    def __call__(self, effects: Sequence[Effect], groups: np.ndarray | None = None, /) -> ScoreTests:
-        """Return the tests of candidates; ``groups``, shape (N,), the block of each row."""
 
 
 def choose(fit: ModelFit, search: Search) -> Decision | None:
@@ -293,7 +288,7 @@ def _place(effect: Effect) -> tuple[str | None, str | None, bool]:
 
 def sampled(fit: ModelFit, policy: Policy) -> tuple[ModelFit, np.ndarray]:
     """Return a fit on as many of its rows, evenly spread, as are enough to choose what comes next, and these rows."""
-    sizes = [sum(block.size for block in station.sensor.blocks) for station in fit.problem.stations]
+    sizes = [station.reading_size for station in fit.problem.stations]
     n, most = len(fit.problem), policy.enough_readings // max(sizes)
     if n <= most:
         return fit, np.arange(n)
@@ -302,8 +297,7 @@ def sampled(fit: ModelFit, policy: Policy) -> tuple[ModelFit, np.ndarray]:
         own = rows[(rows >= span.start) & (rows < span.stop)] - span.start
         # The same objects whenever they are asked for again: what was evaluated at these poses is then known.
         few.append(replace(whole.select(own), conditions=part_of(whole.conditions, own, (n, most, span.start))))
-    solution = replace(fit.solution, weights=fit.solution.weights[rows])
-    return replace(fit, problem=replace(fit.problem, stations=tuple(few)), solution=solution), rows
+    return fit.over(few, fit.solution.weights[rows]), rows
 
 
 def over_rows_of(fit: ModelFit, whole: ModelFit) -> ModelFit:
@@ -314,5 +308,4 @@ def over_rows_of(fit: ModelFit, whole: ModelFit) -> ModelFit:
         serial, known = of.serial, part.serial
         serial = None if serial is None or known is None else replace(serial, phi=known.phi, share=known.share)
         stations.append(replace(of, model=part.model, serial=serial))
-    solution = replace(fit.solution, weights=whole.solution.weights)
-    return replace(fit, problem=replace(whole.problem, stations=tuple(stations)), solution=solution)
+    return fit.over(stations, whole.solution.weights)

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from pincal.discover.first_order import ScoreResult
+from pincal.discover.first_order import ScoreResult, ScoreTests
 from pincal.discover.policy import TESTING, Policy
 from pincal.model.effect import Curve, Effect, Harmonic
 
@@ -94,19 +94,12 @@ def accepted(row: Row, policy: Policy) -> bool:
     return said.errors > row.enough and (said.p_value is None or said.p_value() < limit)
 
 
-class Tests(Protocol):
-    """Tests of several candidates against one fit; see :class:`ScoreTests`."""
-
-    def score_given(self, which: Sequence[int], given: Sequence[int], /) -> ScoreResult:
-        """Return the test of what some candidates still explain once others are in the model."""
-
-
 @dataclass(frozen=True)
 class CandidateTable:
     """Candidates against one fit, and their tests."""
 
     rows: Sequence[Row]
-    tests: Tests
+    tests: ScoreTests
 
     def left(self, rows: Sequence[int], given: Sequence[int]) -> float:
         """Return the p-value of what some candidates taken as one still explain once others are in the model."""

@@ -54,7 +54,7 @@ def smoothed(fit: ModelFit, curves: Sequence[Curve]) -> tuple[dict[Curve, tuple[
         start.values[at] = _drawn_again(curve, heights, finer[curve])
         start.free[at] = True
     here = Linearised(problem, start.values, start.free, start.weights, sizes)
-    found = here.equations(sigma)
+    found = here.posterior(sigma)
     kept = np.flatnonzero(start.free & problem.is_shared)
     believed = problem.beliefs.beyond_priors(kept, start.values, sizes)
     quadratic = CurveSquares(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -15,12 +15,12 @@ from pincal.discover.decisions import CandidateTable, Decision, Row, accepted, e
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_compliances
 from pincal.discover.policy import POLICY, SIGHT, TESTING, Policy
+from pincal.discover.products import Information
 from pincal.discover.score_tests import score_test, score_test_given_nuisances
 from pincal.identify.beliefs import priors_of
 from pincal.identify.calibrate import refit, with_bearings
 from pincal.identify.choices import best_of
-from pincal.identify.fit import ModelFit, carried
-from pincal.identify.problem import Problem
+from pincal.identify.fit import ModelFit
 from pincal.identify.quadratic import Factor
 from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.chain import Chain, MomentFrame
@@ -208,10 +208,36 @@ def instead_of(
     # What acts in the same place is a finer form of it.
     loads = [i for i, e in enumerate(tests.effects) if e.family is Family.LOAD and _place(e) != _place(compliance)]
     if beside and loads:
-        tests, loads = tests.among(loads, ()).holding(beside), list(range(len(loads)))
-    costs = sorted(zip(tests.costs_instead(loads, lost), loads, strict=True))
+        tests, loads = _holding(tests.among(loads, ()), beside), list(range(len(loads)))
+    costs = sorted(zip(costs_instead(tests, loads, lost), loads, strict=True))
     rivals = [tests.effects[i] for cost, i in costs if cost < policy.tie]
     return each_heading_once(rivals, compliance, policy)
+
+
+def _holding(tests: ScoreTests, names: Collection[str]) -> ScoreTests:
+    """Return the same tests against the model with some of its parameters held where they are."""
+    held = np.array([name in names for name in tests.names])
+    H = tests.model.prior.H + np.diag(held * np.diag(tests.model.rows.H) * TESTING.held)
+    return replace(tests, model=Information(tests.model.blocks, replace(tests.model.prior, H=H)))
+
+
+def costs_instead(tests: ScoreTests, which: Sequence[int], lost: Mapping[str, float]) -> list[float]:
+    """Return the changes of the information criterion if each candidate took the place of some parameters of the model.
+
+    Both are in the model first, priors included, and these parameters then lose what they are told to, to first order.
+    """
+    j = np.array([i for i, name in enumerate(tests.names) if name in lost], int)
+    columns = tests.model.factor.solve(np.eye(tests.n_model)[:, j])
+    values = np.array([lost[tests.names[i]] for i in j]) + columns.T @ (tests.model.rows.g + tests.model.prior.g)
+    spared = float(np.sum(np.clip(1.0 - np.diag(columns[j]) * tests.precision[j], 0.0, 1.0)))
+    costs = []
+    for i, (c, S, b) in ((i, tests.within([i])) for i in which):
+        inverse = np.linalg.inv(S + tests.prior([i]))
+        cross = columns.T @ tests.cross[:, c]
+        left = values - cross @ inverse @ b
+        loss = left @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, left) - b @ inverse @ b
+        costs.append(float(loss + (len(c) - spared) * np.log(tests.readings)))
+    return costs
 
 
 def without_compliance(fit: ModelFit, *compliances: Effect) -> ModelFit:
@@ -222,20 +248,13 @@ def without_compliance(fit: ModelFit, *compliances: Effect) -> ModelFit:
     effects = fit.options.effects
     for compliance in compliances:
         effects = tuple(_without(effects, compliance, fit.problem.chain.robot.joint_names))
-    problem = fit.problem.with_effects(effects)
-    options = replace(fit.options, effects=effects)
-    known = {parameter.name for parameter in problem.parameters}
+    near = fit.with_effects(effects)
+    known = {parameter.name for parameter in near.problem.parameters}
     lost = fit.estimate.take(name for name in fit.estimate.names if name not in known)
     grown = float(lost.values @ np.linalg.pinv(lost.dense_covariance(), hermitian=True) @ lost.values)
-    near, noise = carried(fit.solution, fit.problem, problem), fit.solution.sigma**2 * grown / fit.solution.degrees
-    return replace(
-        fit,
-        problem=problem,
-        nominal=carried(fit.nominal, fit.problem, problem),
-        solution=replace(near, estimated=np.sqrt(fit.solution.estimated**2 + noise)),
-        priors=priors_of(problem, options),
-        options=options,
-    )
+    noise = fit.solution.sigma**2 * grown / fit.solution.degrees
+    solution = replace(near.solution, estimated=np.sqrt(fit.solution.estimated**2 + noise))
+    return replace(near, solution=solution, priors=priors_of(near.problem, near.options))
 
 
 def _without(effects: Iterable[Effect], compliance: Effect, joints: Sequence[str]) -> Iterator[Effect]:
@@ -273,8 +292,8 @@ def deciding_measurement(fit: ModelFit, effect: Effect, value: np.ndarray, *riva
     stations, rows_each = few.problem.stations, len(fit.problem) / len(few.problem)
 
     def tests_at(poses: Iterable[Conditions]) -> ScoreTests:
-        problem = Problem(tuple(replace(at, conditions=c) for at, c in zip(stations, poses, strict=True)))
-        return score_test(replace(few, problem=problem), [effect, *rivals])
+        there = few.over(replace(at, conditions=c) for at, c in zip(stations, poses, strict=True))
+        return score_test(there, [effect, *rivals])
 
     here = tests_at(station.conditions for station in stations)
     designs = [_runs(few.problem.chain, station.conditions) for station in stations]
@@ -300,11 +319,11 @@ def _separation(runs: Sequence[ScoreTests], weight: float, value: np.ndarray) ->
         weight: of each row.
         value: the parameters of the first.
     """
-    (c, *others), products = runs[0].columns, [run.products for run in runs]
+    c, *others = runs[0].columns
     g = np.concatenate(others)
     whole, cross, inner = (
         np.asarray(weight * sum(of))
-        for of in ((run.model.rows.H for run in runs), (of.cross for of in products), (of.inner for of in products))
+        for of in ((run.model.rows.H for run in runs), (run.cross for run in runs), (run.inner for run in runs))
     )
     taken = Factor.of(whole + runs[0].model.prior.H).half(cross)
     S = inner - taken.T @ taken

@@ -42,7 +42,6 @@ from pincal.identify.calibrate import Tolerance, refit
 from pincal.identify.choices import deviance
 from pincal.identify.dependence import with_blocks
 from pincal.identify.fit import Ending, ModelFit, without
-from pincal.identify.normal import block_rows
 from pincal.measure.extrinsics import sample_rows
 from pincal.model.catalogue.ripple import resolution_of
 from pincal.model.effect import Curve, Effect, Harmonic
@@ -96,13 +95,13 @@ def weighed(fit: ModelFit, noise: JointNoise) -> ModelFit:
         moved = levers(alone, drives).transpose(2, 1, 0) * noise.joints
         V = moved @ moved.transpose(0, 2, 1)
         sizes = np.empty(V.shape[1])
-        for of, sigma in zip(block_rows(station), noise.instrument[blocks], strict=True):
+        for of, sigma in zip(station.block_rows, noise.instrument[blocks], strict=True):
             at = np.arange(of.start, of.stop)
             V[:, at, at] += sigma**2
             sizes[of] = np.sqrt(np.mean(V[:, at, at]))
         whitening = np.linalg.inv(np.linalg.cholesky(V)) * sizes[:, None]
         stations.append(replace(station, whitening=np.ascontiguousarray(whitening.transpose(1, 2, 0))))
-    return replace(fit, problem=replace(fit.problem, stations=tuple(stations)))
+    return fit.over(stations)
 
 
 def note_on_joints(fit: ModelFit) -> str | None:
@@ -143,7 +142,7 @@ def _readings(fit: ModelFit) -> Iterator[_Readings]:
         if not len(rows):
             continue
         few = alone.select(rows)
-        block = np.repeat(np.arange(blocks.start, blocks.stop), [of.size for of in station.sensor.blocks])
+        block = np.repeat(np.arange(blocks.start, blocks.stop), station.block_sizes)
         scale = station.weights[rows] / fit.solution.estimated[block][:, None]
         residuals = few.station.residuals(alone.values) * scale
         yield _Readings(residuals.T, (levers(few, drives) * scale).transpose(2, 1, 0), block)

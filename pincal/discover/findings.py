@@ -234,12 +234,12 @@ def _located(fit: ModelFit, sigma: np.ndarray) -> tuple[list[tuple[str, Located]
     places: list[tuple[str, Located]] = []
     regions: list[Disagreement] = []
     for station, alone, blocks in fit.in_places:
-        location = locate(alone, sigma[blocks])
+        here, found = locate(alone, sigma[blocks])
         part = 1.0 if not station.name else _excess(alone, sigma[blocks]) / max(_excess(fit, sigma), 1e-300)
         part = float(np.clip(part, 0.0, 1.0))
-        places += [(station.name, replace(place, share=part * place.share)) for place in location.places]
+        places += [(station.name, replace(place, share=part * place.share)) for place in here]
         name = f"{station.name}: " if station.name else ""
-        regions += [changed(r, statement=name + r.statement, share=part * r.share) for r in location.regions]
+        regions += [changed(r, statement=name + r.statement, share=part * r.share) for r in found]
     if len(fit.problem.stations) == 1:
         return places, regions
     places.sort(key=lambda pair: -pair[1].share)
@@ -322,7 +322,7 @@ def chance_of_best(tests: ScoreTests, draws: int, seed: int = 0) -> float:
         draws: tables to draw.
         seed: of the draws.
     """
-    S, _ = tests.projected
+    _, S, _ = tests.within(range(len(tests.effects)))
     rng = np.random.default_rng(seed)
     scale = np.sqrt(np.maximum(np.diag(S), 1e-300))
     sizes, axes = np.linalg.eigh(S / np.outer(scale, scale))

@@ -18,16 +18,17 @@ and what each decides, stands in docs/criteria.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
 from scipy.special import fdtrc
 
 from pincal.discover.policy import TESTING
-from pincal.discover.products import Information, Products
+from pincal.discover.products import Information, RowPart
 from pincal.identify.quadratic import ROUNDING, SEEN, Factor
 from pincal.model.effects import Effect
 
@@ -50,21 +51,6 @@ class ScoreResult:
 
 
 @dataclass(frozen=True, eq=False)
-class Doubt:
-    """Parameters at zero that are believed to be small, though not how small.
-
-    Attributes:
-        columns: shape (N,), whether each parameter of the model is one of them.
-        factors: what their sizes may have to be multiplied by.
-        costs: of believing in each factor, as an information criterion.
-    """
-
-    columns: np.ndarray
-    factors: tuple[float, ...]
-    costs: tuple[float, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class ScoreTests:
     """Gram matrices of a fitted model and of all candidates, whitened by the noise that the model leaves.
 
@@ -72,32 +58,37 @@ class ScoreTests:
 
     Attributes:
         effects: the candidates.
+        columns: for each of them its columns, counted from the first of all C columns of candidates.
         names: the N parameters of the model and of nuisance effects.
         values: shape (N,), of these.
-        sizes: shape (N + C,), standard deviations of the priors, those of the candidates' C parameters behind.
+        sizes: shape (N + C,), standard deviations of the priors, those of the candidates' parameters behind.
+        unsure: shape (N,), which parameters at zero are small though not how small: their sizes are in doubt.
         model: what rows and priors say of the N parameters, by block of poses.
-        products: of the candidates' columns.
-        doubt: parameters whose sizes are in doubt; None if none are.
+        blocks_H: shape (B, N + C, C), products of all columns with those of the candidates, by block of poses.
+        blocks_g: shape (B, C), of the candidates' columns with the residuals.
+        is_partial: whether products of one candidate's columns with another's are left out of ``blocks_H``, to be taken from
+            the rows when they are asked for: of many candidates few pairs are.
+        parts: the rows that all products are taken over; none if nobody asks for them.
         squares: weighted sum of squared residuals.
         readings: number of readings that count.
         spent: parameters spent by the model.
     """
 
     effects: tuple[Effect, ...]
+    columns: tuple[np.ndarray, ...]
     names: tuple[str, ...]
     values: np.ndarray
     sizes: np.ndarray
+    unsure: np.ndarray
     model: Information
-    products: Products
+    blocks_H: np.ndarray
+    blocks_g: np.ndarray
     squares: float
     readings: int
     spent: float
-    doubt: Doubt | None = None
-
-    @property
-    def columns(self) -> tuple[np.ndarray, ...]:
-        """For each candidate, its columns, counted from the first column of all candidates."""
-        return self.products.columns
+    is_partial: bool = False
+    parts: tuple[RowPart, ...] = ()
+    _asked: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def n_model(self) -> int:
@@ -109,9 +100,43 @@ class ScoreTests:
         """Inverse variances of the priors, shape (N + C,)."""
         return np.asarray(self.sizes**-2.0)
 
+    @cached_property
+    def H(self) -> np.ndarray:
+        """Products of all columns with those of the candidates, shape (N + C, C); of one with another perhaps not."""
+        return self.blocks_H[0] if len(self.blocks_H) == 1 else np.asarray(self.blocks_H.sum(axis=0))
+
+    @property
+    def cross(self) -> np.ndarray:
+        """Of the model's columns with those of the candidates, shape (N, C)."""
+        return self.H[: self.n_model]
+
+    @cached_property
+    def inner(self) -> np.ndarray:
+        """Of the candidates' columns with each other, shape (C, C)."""
+        return self.inner_of(range(len(self.columns)))
+
+    @cached_property
+    def g(self) -> np.ndarray:
+        """Of the candidates' columns with the residuals, shape (C,)."""
+        return np.asarray(self.blocks_g.sum(axis=0))
+
+    def places(self, which: Sequence[int]) -> np.ndarray:
+        """Return the columns of some candidates, shape (J,)."""
+        return np.concatenate([np.zeros(0, int), *(self.columns[i] for i in which)])
+
+    def inner_of(self, which: Sequence[int]) -> np.ndarray:
+        """Return the products of some candidates' columns with each other, shape (J, J)."""
+        j = self.places(which)
+        at = self.n_model + j
+        if not self.is_partial or len(which) < 2:
+            return np.asarray(self.H[at[:, None], j])
+        if (key := tuple(which)) not in self._asked:
+            self._asked[key] = np.asarray(sum(part.products(at, at) for part in self.parts))
+        return self._asked[key]
+
     def prior(self, which: Sequence[int]) -> np.ndarray:
         """Return the information of the priors of some candidates' J parameters, smoothness of curves included, (J, J)."""
-        own = self.products.places(which)
+        own = self.places(which)
         L, start = np.diag(self.precision[self.n_model + own]), 0
         for i in which:
             end = start + len(self.columns[i])
@@ -121,28 +146,22 @@ class ScoreTests:
         return L
 
     @cached_property
-    def projected(self) -> tuple[np.ndarray, np.ndarray]:
-        """S' and b' of all candidate columns."""
-        taken, b = self._projection
-        return self.products.inner - taken @ taken.T, b
-
-    @cached_property
     def _projection(self) -> tuple[np.ndarray, np.ndarray]:
         """H, shape (C, N), with S' = S - H H^T, and b', shape (C,), of all C candidate columns."""
-        taken = self.model.factor.half(self.products.cross).T
-        return taken, self.products.g - taken @ self.model.slope
+        taken = self.model.factor.half(self.cross).T
+        return taken, self.g - taken @ self.model.slope
 
     @cached_property
     def _beliefs(self) -> list[tuple[float, Self]]:
         """The same tests with each of the sizes that are in doubt, and what each costs: -2 log of how likely it is."""
-        if self.doubt is None:
+        if not self.unsure.any():
             return [(0.0, self)]
-        found, own = [], self.doubt.columns
-        for factor, cost in zip(self.doubt.factors, self.doubt.costs, strict=True):
-            known = self.model.prior.H + np.diag(own * self.precision[: self.n_model] * (factor**-2.0 - 1.0))
-            tests = replace(self, doubt=None, model=self.model.believing(factor, known))
+        found = []
+        for factor, cost in TESTING.mass_beliefs:
+            known = self.model.prior.H + np.diag(self.unsure * self.precision[: self.n_model] * (factor**-2.0 - 1.0))
+            tests = replace(self, unsure=np.zeros_like(self.unsure), model=self.model.believing(factor, known))
             evidence = 0.5 * (tests.model.factor.log_det - tests.model.slope @ tests.model.slope)
-            evidence += np.count_nonzero(own) * np.log(factor)
+            evidence += np.count_nonzero(self.unsure) * np.log(factor)
             found.append((cost + 2.0 * float(evidence), tests))
         least = min(cost for cost, _ in found)
         return [(cost - least, tests) for cost, tests in found]
@@ -156,15 +175,15 @@ class ScoreTests:
 
     def within(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the J columns of some candidates, and S' and b' of these, shape (J, J) and (J,)."""
-        j, (taken, b) = self.products.places(which), self._projection
-        return j, self.products.inner_of(which) - taken[j] @ taken[j].T, b[j]
+        j, (taken, b) = self.places(which), self._projection
+        return j, self.inner_of(which) - taken[j] @ taken[j].T, b[j]
 
     def gain(self, which: Sequence[int]) -> tuple[float, int]:
         """Return T and rank of some candidates together; sizes in doubt are the likeliest ones, with and without them."""
         if len(which) == 1:
             gains, ranks, _ = self._alone
             return float(gains[which[0]]), int(ranks[which[0]])
-        if self.doubt is not None:
+        if self.unsure.any():
             found = [(cost, *tests.gain(which)) for cost, tests in self._beliefs]
             cost, gain, rank = min(found, key=lambda belief: belief[0] - belief[1])
             return gain - cost, rank
@@ -176,15 +195,16 @@ class ScoreTests:
         """T, rank and the p-value of each candidate by itself; those of one size are worked out at once."""
         sizes, looks = np.array([len(j) for j in self.columns]), np.array([effect.looks for effect in self.effects])
         gains, ranks = np.zeros(len(sizes)), np.zeros(len(sizes), int)
-        if self.doubt is not None:
+        if self.unsure.any():
             each = [(tests._alone[0] - cost, tests._alone[1]) for cost, tests in self._beliefs]
             gains, ranks = (np.array(of) for of in zip(*each, strict=True))
             best = np.argmax(gains, axis=0), np.arange(len(sizes))
             gains, ranks = gains[best], ranks[best]
-        for size in np.unique(sizes) if self.doubt is None else ():
-            some, (taken, b), inner = np.flatnonzero(sizes == size), self._projection, self.products.each_inner
+        for size in () if self.unsure.any() else np.unique(sizes):
+            some, (taken, b) = np.flatnonzero(sizes == size), self._projection
             j = np.array([self.columns[i] for i in some])
-            roots, seen = self._roots(j, inner[j[:, :, None], j[:, None]] - taken[j] @ taken[j].swapaxes(1, 2))
+            inner = self.H[self.n_model + j[:, :, None], j[:, None]]
+            roots, seen = self._roots(j, inner - taken[j] @ taken[j].swapaxes(1, 2))
             gains[some] = np.sum(np.einsum("gi,gik->gk", b[j], roots) ** 2, axis=1)
             ranks[some] = seen.sum(axis=1)
         return gains, ranks, np.minimum(looks * chance_of(gains, ranks, self.squares, self.dof), 1.0)
@@ -197,7 +217,7 @@ class ScoreTests:
 
     def _roots(self, j: np.ndarray, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the root of S^-1 of J columns, shape (..., J, J), zero where the data see nothing, and what they see."""
-        scale = 1.0 / np.sqrt(np.maximum(self.products.squares[j], 1e-300))
+        scale = 1.0 / np.sqrt(np.maximum(self.H[self.n_model + j, j], 1e-300))
         values, vectors = np.linalg.eigh(S * scale[..., None] * scale[..., None, :])
         expected = (self.sizes[self.n_model + j] / scale) ** 2
         told = values * np.einsum("...i,...ik->...k", expected, vectors**2)
@@ -216,69 +236,61 @@ class ScoreTests:
 
     def _gain_left_out(self, k: int, which: Sequence[int]) -> float:
         """Return by how much some candidates, fitted without block k, lower the squared error on it."""
-        products, j = self.products, self.products.places(which)
+        j, (model, model_step) = self.places(which), self.model.without_block[k]
         model_S, model_b = self.model.blocks.H[k], self.model.blocks.g[k]
-        across, b = products.blocks_cross[k][:, j], products.blocks_g[k, j]
-        own = products.blocks_inner[k][np.ix_(j, j)]
-        model, model_step = self.model.without_block[k]
-        cross = products.cross[:, j] - across
+        (across, own), b = np.split(self.blocks_H[k][:, j], [self.n_model]), self.blocks_g[k, j]
+        own = own[j]
+        cross = self.cross[:, j] - across
         taken = model.half(cross)
-        known = products.inner_of(which) - own + self.prior(which)
+        known = self.inner_of(which) - own + self.prior(which)
         # Where few rows tell nearly all of it, what the model does not take is less than its rounding.
         factor = Factor.of(known - taken.T @ taken + ROUNDING * np.diag(np.diag(known)))
-        step = factor.solve(products.g[j] - b - cross.T @ model_step)
+        step = factor.solve(self.g[j] - b - cross.T @ model_step)
         change = -model.back(taken @ step)
         along = model_S @ change + across @ step
         beside = across.T @ change + own @ step
         left = model_b - model_S @ model_step, b - across.T @ model_step
         return float(2.0 * (change @ left[0] + step @ left[1]) - change @ along - step @ beside)
 
-    def losses_by_block(self, names: Collection[str], still: Collection[str] = ()) -> np.ndarray:
-        """Return by how much the squared error on each block left out grows without some of the model, shape (B,).
-
-        Their values are held at zero and all others refitted, to first order, without each block.
-
-        Args:
-            names: parameters of the model.
-            still: others that stay as they are, as what they do is done by way of those that go.
-        """
-        j = np.array([i for i, name in enumerate(self.names) if name in names or name in still], int)
-        goes = np.array([self.names[i] in names for i in j], bool)
-        units, losses = np.eye(self.n_model)[:, j], np.zeros(len(self.model.blocks.H))
-        for k, (factor, step) in enumerate(self.model.without_block if len(j) else ()):
-            columns = factor.solve(units)
-            held = step - columns @ np.linalg.solve(columns[j], step[j] + goes * self.values[j])
-            H, g = self.model.blocks.H[k], self.model.blocks.g[k]
-            losses[k] = held @ H @ held - step @ H @ step - 2.0 * g @ (held - step)
-        return losses
-
-    def holding(self, names: Collection[str]) -> Self:
-        """Return the same tests against the model with some of its parameters held where they are."""
-        held = np.array([name in names for name in self.names])
-        H = self.model.prior.H + np.diag(held * np.diag(self.model.rows.H) * TESTING.held)
-        return replace(self, model=Information(self.model.blocks, replace(self.model.prior, H=H)))
-
-    def among(self, which: Sequence[int], gone: Collection[str], model: Information | None = None) -> Self:
+    def among(self, which: Sequence[int], gone: Collection[str]) -> Self:
         """Return the tests of some candidates against the model as it stands with some of its parameters at zero.
 
         Args:
             which: the candidates.
-            gone: the parameters of the model that go.
-            model: what rows and priors say of those that stay; default: it follows, to first order, without evaluation.
+            gone: the parameters of the model that go; what is left follows, to first order, without evaluation.
         """
         stays = np.array([name not in gone for name in self.names], bool)
         kept, out = np.flatnonzero(stays), np.flatnonzero(~stays)
-        values, rows = self.values[out], self.model.rows.part(out)
+        values, rows, undone = self.values[out], self.model.rows.part(out), np.zeros(len(self.sizes))
+        undone[out] = values
+        return replace(
+            self.rearranged(kept, which, undone),
+            names=tuple(self.names[i] for i in kept),
+            values=self.values[kept],
+            unsure=self.unsure[kept],
+            model=self.model.without(kept, out, values),
+            squares=self.squares + float(values @ (2.0 * rows.g + rows.H @ values)),
+        )
+
+    def rearranged(self, model: np.ndarray, which: Sequence[int], undone: np.ndarray) -> Self:
+        """Return the products of some candidates with another model's columns; what is said of that model is left as it is.
+
+        Args:
+            model: its columns, by their places among all N + C.
+            which: the candidates.
+            undone: shape (N + C,), how far parameters have gone back, so that the residuals have grown by what they did.
+        """
+        j, ends, gone = self.places(which), np.cumsum([0, *(len(self.columns[i]) for i in which)]), np.flatnonzero(undone)
+        order, slots = np.concatenate([model, self.n_model + j]), np.full(len(self.sizes) + 1, -1)
+        slots[order] = np.arange(len(order))
         return replace(
             self,
             effects=tuple(self.effects[i] for i in which),
-            names=tuple(self.names[i] for i in kept),
-            values=self.values[kept],
-            sizes=self.sizes[np.concatenate([kept, self.n_model + self.products.places(which)])],
-            model=self.model.without(kept, out, values) if model is None else model,
-            products=self.products.among(which, kept, out, values),
-            doubt=None if self.doubt is None else replace(self.doubt, columns=self.doubt.columns[kept]),
-            squares=self.squares + float(values @ (2.0 * rows.g + rows.H @ values)),
+            columns=tuple(np.arange(a, b) for a, b in pairwise(ends)),
+            sizes=self.sizes[order],
+            blocks_H=self.blocks_H[:, order[:, None], j],
+            blocks_g=self.blocks_g[:, j] + undone[gone] @ self.blocks_H[:, gone[:, None], j],
+            parts=tuple(part.among(slots, undone) for part in self.parts),
         )
 
     def along_rows(self, which: Sequence[int], steps: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -292,12 +304,12 @@ class ScoreTests:
             Which of all rows they are, shape (n,), whitened residuals, shape (m, n), and motions beside what the model takes
             up of them, shape (R, m, n).
         """
-        products, model, j = self.products, self.model, self.products.places(which)
-        taken = model.factor.solve(np.column_stack([products.cross[:, j] @ steps, -model.rows.g - model.prior.g]))
-        own = np.zeros((len(products.g), taken.shape[1]))
-        own[j, :-1] = steps
-        for part in products.parts:
-            moved = part.moved(-taken, own)
+        model, j = self.model, self.places(which)
+        taken = model.factor.solve(np.column_stack([self.cross[:, j] @ steps, -model.rows.g - model.prior.g]))
+        every = np.vstack([-taken, np.zeros((len(self.g), taken.shape[1]))])
+        every[self.n_model + j, :-1] = steps
+        for part in self.parts:
+            moved = part.moved(every)
             yield part.rows, part.residuals - moved[-1], moved[:-1]
 
     def estimate(self, which: Sequence[int]) -> np.ndarray:
@@ -354,24 +366,6 @@ class ScoreTests:
         spread = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(information)[1]
         looks = sum(float(np.log(self.effects[i].looks)) for i in which)
         return float(0.5 * ((size * b) @ step + spread - cost)) - looks
-
-    def costs_instead(self, which: Sequence[int], lost: Mapping[str, float]) -> list[float]:
-        """Return the changes of the information criterion if each candidate took the place of some parameters of the model.
-
-        Both are in the model first, priors included, and these parameters then lose what they are told to, to first order.
-        """
-        j = np.array([i for i, name in enumerate(self.names) if name in lost], int)
-        columns = self.model.factor.solve(np.eye(self.n_model)[:, j])
-        values = np.array([lost[self.names[i]] for i in j]) + columns.T @ (self.model.rows.g + self.model.prior.g)
-        spared = float(np.sum(np.clip(1.0 - np.diag(columns[j]) * self.precision[j], 0.0, 1.0)))
-        costs = []
-        for i, (c, S, b) in ((i, self.within([i])) for i in which):
-            inverse = np.linalg.inv(S + self.prior([i]))
-            cross = columns.T @ self.products.cross[:, c]
-            left = values - cross @ inverse @ b
-            loss = left @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, left) - b @ inverse @ b
-            costs.append(float(loss + (len(c) - spared) * np.log(self.readings)))
-        return costs
 
 
 def chance_of(

@@ -218,7 +218,7 @@ def seen_along(fit: ModelFit, coordinates: np.ndarray) -> tuple[np.ndarray, np.n
     for station, places, blocks, rows in zip(
         problem.stations, problem.places, problem.block_spans, problem.rows, strict=True
     ):
-        sigma = np.repeat(fit.solution.estimated[blocks], [block.size for block in station.sensor.blocks])
+        sigma = np.repeat(fit.solution.estimated[blocks], station.block_sizes)
         weights = station.weights * fit.solution.weights[rows]
         for piece, residuals, jacobian in station.linearise(values[places], free[places]):
             scale, here = weights[piece] / sigma[:, None], np.arange(n)[rows][piece]

@@ -53,21 +53,6 @@ class Located:
     inside: float = 0.0
 
 
-@dataclass(frozen=True)
-class Location:
-    """What is known of a disagreement before it has a name.
-
-    Attributes:
-        p_value: chance of the residuals if there were only noise.
-        places: where it acts, the largest first.
-        regions: where in the workspace it shows, if somewhere more than elsewhere.
-    """
-
-    p_value: float
-    places: tuple[Located, ...]
-    regions: tuple[Disagreement, ...]
-
-
 @dataclass(frozen=True, eq=False)
 class MovedPlace(Effect):
     """A joint, the base or all lengths move by curves of a variable, at the poses of one table.
@@ -111,8 +96,8 @@ class MovedPlace(Effect):
         return tuple(Term(p, k, scale * curve) for p, (motion, curve) in columns for k, scale in motion.items())
 
 
-def locate(fit: ModelFit, sigma: np.ndarray) -> Location:
-    """Return where a fit and its data disagree.
+def locate(fit: ModelFit, sigma: np.ndarray) -> tuple[list[Located], list[Disagreement]]:
+    """Return where a fit and its data disagree, the largest first, and where in the workspace more than elsewhere.
 
     Args:
         fit: the fit; best with elasticity, so that what is left is what nobody has named yet.
@@ -121,47 +106,45 @@ def locate(fit: ModelFit, sigma: np.ndarray) -> Location:
     rows = np.flatnonzero(fit.solution.weights > 0.0)
     fit = fit.select(rows[np.unique(np.linspace(0, len(rows) - 1, WHERE.rows).astype(int))])
     # Row by row, whatever the noise of a fit has in common.
-    problem = replace(fit.problem, stations=(replace(fit.station, whitening=None, serial=None),))
-    fit = replace(fit, problem=problem, solution=replace(fit.solution, estimated=sigma))
+    fit = fit.over([replace(fit.station, whitening=None, serial=None)])
+    fit = replace(fit, solution=replace(fit.solution, estimated=sigma))
     every, places = _motions(fit), list[Located]()
     masses = MassError.of(fit.model, fit.values)
     tests = Tangent.at(fit, [masses] if masses else [], None).tests(every, wider=1.0)
     # What a refit leaves of readings and priors; masses are known as they are.
     known = float(np.sum((fit.values / fit.priors.sizes) ** 2)) + fit.problem.beliefs.square(fit.values, fit.priors.sizes)
     squares = tests.squares + known - float(tests.model.slope @ tests.model.slope)
-    tests = replace(tests, doubt=None, squares=squares)
+    tests = replace(tests, unsure=np.zeros_like(tests.unsure), squares=squares)
     left, dof, excess = _left(tests), tests.dof, tests.squares - tests.dof
-    p_value = float(chdtrc(dof, tests.squares))
+    is_noise = chdtrc(dof, tests.squares) >= WHERE.chance
     while len(places) < WHERE.places and (best := _best(tests)) is not None:
         place = _described(fit, tests, best, excess)
         if place.share < WHERE.share:
             break
         places.append(place)
         tests = _taking(tests, best)
-    regions: tuple[Disagreement, ...] = ()
-    if fit.station.sensor.blocks[0].size == 3 and (places or p_value < WHERE.chance):
-        regions = tuple(regions_of(fit, left[:3], 3.0 * dof / tests.readings))
-    return Location(p_value, tuple(places), regions)
+    if fit.station.sensor.blocks[0].size != 3 or (is_noise and not places):
+        return places, []
+    return places, list(regions_of(fit, left[:3], 3.0 * dof / tests.readings))
 
 
 def _taking(tests: ScoreTests, best: int) -> ScoreTests:
     """Return the tests of the other motions once one is a part of the model."""
-    products, model, n = tests.products, tests.model, tests.n_model
-    j, sizes = products.columns[best], tests.sizes
-    cross, own = products.blocks_cross[:, :, j], products.blocks_inner[:, j[:, None], j]
-    rows = np.block([[model.blocks.H, cross], [cross.swapaxes(1, 2), own]])
-    blocks = Form.of(rows, np.concatenate([model.blocks.g, products.blocks_g[:, j]], axis=1))
-    prior = Form.of(block_diag(model.prior.H, tests.prior([best])), np.append(model.prior.g, np.zeros(len(j))))
-    beside, effect = Information(blocks, prior), tests.effects[best]
-    assert isinstance(effect, MovedPlace)
+    model, n, j, H = tests.model, tests.n_model, tests.columns[best], tests.blocks_H.copy()
+    mine, every = n + j, n + np.arange(len(tests.g))
+    H[0, mine] = sum(part.products(mine, every) for part in tests.parts)
+    others = [i for i in range(len(tests.effects)) if i != best]
+    nothing, cross = np.zeros(len(j)), H[0, :n, j].T
+    rows = np.block([[model.rows.H, cross], [cross.T, H[0, mine[:, None], j]]])
+    blocks = Form.of(rows[None], np.append(model.rows.g, tests.g[j])[None])
+    prior = Form.of(block_diag(model.prior.H, tests.prior([best])), np.append(model.prior.g, nothing))
+    beside = Information(blocks, prior)
     return replace(
-        tests,
-        effects=tuple(other for other in tests.effects if other is not effect),
-        names=(*tests.names, *(f"{effect.joint}.{effect.acts_on}.{k}" for k in range(len(j)))),
-        values=np.append(tests.values, np.zeros(len(j))),
-        sizes=np.concatenate([sizes[:n], sizes[n + j], sizes[n:]]),
+        replace(tests, blocks_H=H).rearranged(np.append(np.arange(n), mine), others, np.zeros(n + len(every))),
+        names=(*tests.names, *(f"{best}.{k}" for k in j)),
+        values=np.append(tests.values, nothing),
+        unsure=np.append(tests.unsure, nothing > 0.0),
         model=beside,
-        products=products.taking(best),
         squares=tests.squares + float(model.slope @ model.slope - beside.slope @ beside.slope),
         spent=tests.spent + tests.score([best], 1).rank,
     )
@@ -186,7 +169,7 @@ def _described(fit: ModelFit, tests: ScoreTests, best: int, excess: float) -> Lo
     assert isinstance(motion, MovedPlace)
     height = whitening @ (whitening.T @ tests.within([best])[2])
     change = np.concatenate([moved[0] for _, _, moved in tests.along_rows([best], height[:, None])], axis=1)
-    noise = np.repeat(fit.solution.estimated, [block.size for block in fit.station.sensor.blocks])
+    noise = np.repeat(fit.solution.estimated, fit.station.block_sizes)
     scale = fit.station.weights * fit.solution.weights / noise[:, None]
     each = (np.tensordot([*by.values()], levers(fit, [*by]), axes=1) * scale for by in motion.moved(fit.model.chain))
     lever = sum(float(np.sum(moved**2)) for moved in each)

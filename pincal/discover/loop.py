@@ -209,11 +209,7 @@ def in_frame(fit: ModelFit, frame: MomentFrame) -> ModelFit:
         return fit
     if any(effect.uses_moments for effect in effects):
         return refit(fit, effects, moment_frame=frame)
-    return replace(
-        fit,
-        problem=fit.problem.with_effects(effects, moment_frame=frame),
-        options=replace(fit.options, moment_frame=frame),
-    )
+    return fit.with_effects(effects, moment_frame=frame)
 
 
 def elastic_ways(fit: ModelFit, frames: Sequence[MomentFrame], policy: Policy) -> dict[MomentFrame, Decision]:
@@ -299,7 +295,7 @@ def is_brought(step: SearchStep) -> bool:
 
 def fit_cost(fit: ModelFit) -> float:
     """Return the Bayesian information criterion of a fit."""
-    readings = sum(len(s) * sum(block.size for block in s.sensor.blocks) for s in fit.problem.stations)
+    readings = sum(len(s) * s.reading_size for s in fit.problem.stations)
     return deviance(fit) + fit.solution.effective * float(np.log(readings))
 
 

@@ -36,7 +36,7 @@ from pincal.validate.outcome import noise_key
 
 # Why an effect of rank zero can't be tested.
 ABSORBED = "the fitted model absorbs all of it in these poses (rank zero)"
-FTest = tuple[float, int, int, float]  # degrees of freedom that the model leaves, rank, groups tested, alpha
+FTest = tuple[float, int, int]  # degrees of freedom that the model leaves, rank, groups tested
 
 
 @dataclass(frozen=True)
@@ -237,13 +237,11 @@ class Detectable:
         return dict(which) | {key: value for key, value in vars(self).items() if key != "effect"}
 
 
-def minimum_detectable(
-    fit: ModelFit, effects: Sequence[Effect], *, sigma: np.ndarray | None = None, alpha: float = POLICY.false_name
-) -> list[Detectable]:
+def minimum_detectable(fit: ModelFit, effects: Sequence[Effect], *, sigma: np.ndarray | None = None) -> list[Detectable]:
     """Return, for each effect, how large it would have to be to be found with these poses and this noise.
 
     An effect of parameters beta leaves the non-centrality beta^T S' beta once everything else, uncertain masses included,
-    is refitted. It is found if its gain passes what the loop asks: the F test at ``alpha`` over the number of groups
+    is refitted. It is found if its gain passes what the loop asks: the F test over the number of groups
     tested, and the share of the squares. The power follows from the non-central F distribution.
 
     Args:
@@ -251,7 +249,6 @@ def minimum_detectable(
         effects: which.
         sigma: shape (blocks,), standard deviation of one component of each block of readings; that of the residuals
             unless given.
-        alpha: chance of a false name.
     """
     situation = situation_of(fit)
     tested = [effect.reduced(situation) if isinstance(effect, Reducible) else effect for effect in effects]
@@ -261,19 +258,19 @@ def minimum_detectable(
     if found.dof < SIGHT.fewest:
         return [Detectable(effect, reason=_too_few(found)) for effect in effects]
     groups = len({effect.identity for effect in effects})
-    return [row for i in range(len(tested)) for row in _sizes(fit, found, i, alpha, groups)]
+    return [row for i in range(len(tested)) for row in _sizes(fit, found, i, groups)]
 
 
 def _too_few(found: ScoreTests) -> str:
     return f"{found.readings} readings leave {found.dof:.0f} degrees of freedom to judge by; measure more poses"
 
 
-def _sizes(fit: ModelFit, found: ScoreTests, i: int, alpha: float, groups: int) -> Iterator[Detectable]:
+def _sizes(fit: ModelFit, found: ScoreTests, i: int, groups: int) -> Iterator[Detectable]:
     """Yield the detectable size of an effect, one a unit of its parameters."""
     effect = found.effects[i]
     parameters = effect.parameters(fit.problem.chain)
     rank = found.gain([i])[1]
-    test = (round(found.dof, 3), rank, round(groups * effect.looks), alpha)
+    test = (round(found.dof, 3), rank, round(groups * effect.looks))
     for unit in dict.fromkeys(p.unit for p in parameters):
         own = np.array([k for k, p in enumerate(parameters) if p.unit == unit])
         measure, shown, scale = _measure(effect, fit, own, unit)
@@ -283,7 +280,7 @@ def _sizes(fit: ModelFit, found: ScoreTests, i: int, alpha: float, groups: int) 
         if not np.isfinite(detectable_noncentrality(test)):
             yield Detectable(effect, measure, shown, reason=_too_few(found))
             continue
-        whole = found.products.inner_of([i])[np.ix_(own, own)]
+        whole = found.inner_of([i])[np.ix_(own, own)]
         signal = scale.T @ found.within([i])[1][np.ix_(own, own)] @ scale
         size, best = _size_at(np.maximum(np.linalg.eigvalsh(signal), 0.0), test)
         absorbed = float(np.clip(1.0 - np.trace(signal) / np.trace(scale.T @ whole @ scale), 0.0, 1.0))
@@ -333,9 +330,9 @@ def _size_at(strengths: np.ndarray, test: FTest) -> tuple[float, float]:
 
 def critical_gain(test: FTest) -> float:
     """Return what an effect has to take off the sum of squares to be let in, in units of the noise."""
-    dof, rank, groups, alpha = test
+    dof, rank, groups = test
     rest = max(dof - rank, 1.0)
-    ratio = rank * float(fdtri(rank, rest, 1.0 - alpha / max(groups, 1))) / rest
+    ratio = rank * float(fdtri(rank, rest, 1.0 - POLICY.false_name / max(groups, 1))) / rest
     return max(ratio / (1.0 + ratio) * dof, POLICY.least_gain(dof, declared=True))
 
 

@@ -28,7 +28,6 @@ from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import levers
 from pincal.discover.policy import NOISE, TESTING
 from pincal.identify.fit import ModelFit
-from pincal.identify.normal import block_rows
 from pincal.identify.station import Station
 from pincal.io.discovery_file import ScatteringJoint
 from pincal.measure.poses import same_joints
@@ -239,7 +238,7 @@ def _neighbours(places: np.ndarray, share: np.ndarray) -> tuple[coo_array, float
 
 def _along_levers(fit: ModelFit) -> Iterator[_AlongLever]:
     """Yield the readings of the only station along the lever of each joint."""
-    chain, rows = fit.model.chain, block_rows(fit.station)[0]
+    chain, rows = fit.model.chain, fit.station.block_rows[0]
     sound = fit.solution.weights > 0.0
     weights, visit = fit.station.weights[sound], visits(fit.station)[sound]
     residuals = fit.station.residuals(fit.values)[rows, sound] * weights
@@ -322,7 +321,7 @@ def p_value_of_uneven_noise(fit: ModelFit, tests: ScoreTests) -> float:
 
 def _scores_by_visit(fit: ModelFit, tests: ScoreTests, whitening: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the scores of what the effect leaves, shape (V, rank), and the part of it that each visit takes up, (V,)."""
-    each, step = [visits(station) for station in fit.problem.stations], whitening.T @ tests.projected[1]
+    each, step = [visits(station) for station in fit.problem.stations], whitening.T @ tests.within([0])[2]
     starts = np.cumsum([0, *(int(of.max()) + 1 for of in each)])
     visit = np.concatenate([start + of for start, of in zip(starts, each, strict=False)])
     sums, shares = np.zeros((2, int(visit.max()) + 1, len(step)))

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pincal.discover.first_order import Doubt, ScoreTests
+from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import MassError, missing_features
 from pincal.discover.policy import TESTING
-from pincal.discover.products import Information, Products, RowPart
+from pincal.discover.products import Information, RowPart
 from pincal.identify.beliefs import priors_of
 from pincal.identify.fit import ModelFit
 from pincal.identify.jacobian import Jacobian, block, span
@@ -93,7 +93,7 @@ class Tangent:
             blocks = np.zeros(len(station), int) if groups is None else groups[rows]
             order: np.ndarray | slice = slice(None) if n_blocks == 1 else np.argsort(blocks, kind="stable")
             station, local = _sorted(station, order), (values[places], free[places])
-            noise = np.repeat(fit.solution.estimated[problem.block_spans[i]], [of.size for of in station.sensor.blocks])
+            noise = np.repeat(fit.solution.estimated[problem.block_spans[i]], station.block_sizes)
             weights = station.weights * fit.solution.weights[rows][order] / noise[:, None]
             mine, numbers, found = column[places[local[1]]], np.arange(rows.start, rows.stop)[order], list[_Piece]()
             own = np.zeros((n_blocks, len(mine), len(mine))), np.zeros((n_blocks, len(mine)))
@@ -134,48 +134,56 @@ class Tangent:
             self.information[wider] = Information(self.blocks, prior)
         masses = (effect for effect in self.nuisance if isinstance(effect, MassError))
         unsure = [place for effect in masses for place in problem.places_at(effect)]
+        H, g, parts = self._products(problem, values, places)
         return ScoreTests(
             effects=tuple(candidates),
+            columns=tuple(np.arange(a, b) for a, b in pairwise(np.cumsum([0, *map(len, places)]))),
             names=tuple(problem.parameters[i].name for i in model),
             values=values[model],
             sizes=sizes[np.concatenate([model, *places])],
+            unsure=np.isin(model, unsure),
             model=self.information[wider],
-            products=self._products(problem, values, places),
+            blocks_H=H,
+            blocks_g=g,
             squares=self.squares,
             readings=int(problem.readings(fit.solution.weights).sum()),
             spent=fit.solution.effective,
-            doubt=Doubt(np.isin(model, unsure), *zip(*TESTING.mass_beliefs, strict=True)) if unsure else None,
+            is_partial=len(H) == 1 and len(places) > 1,
+            parts=parts,
         )
 
-    def _products(self, problem: Problem, values: np.ndarray, places: Sequence[np.ndarray]) -> Products:
-        """Return the products of these columns and of candidates', which stand at some places in a problem with all."""
+    def _products(
+        self, problem: Problem, values: np.ndarray, places: Sequence[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray, tuple[RowPart, ...]]:
+        """Return the products of all columns with candidates', which stand at some places in a problem with all; the rows.
+
+        See :class:`ScoreTests`, ``blocks_H`` and further.
+        """
         tested, free = np.concatenate([np.zeros(0, int), *places]), np.zeros(len(values), bool)
         free[tested] = True
         n_model, n_blocks, n = self.blocks.H.shape[1], len(self.blocks.H), len(tested)
         of_model, of_tested = np.cumsum(self.free) - 1, np.zeros(len(values), int)
         of_tested[tested] = np.arange(n)
-        ends = np.cumsum([0, *map(len, places)])
-        candidate = np.repeat(np.arange(len(places)), np.diff(ends)) if n_blocks == 1 else np.zeros(n, int)
-        cross, inner, b = np.zeros((n_blocks, n_model, n)), np.zeros((n_blocks, n, n)), np.zeros((n_blocks, n))
-        parts = list[RowPart]()
+        candidate = np.repeat(np.arange(len(places)), list(map(len, places))) if n_blocks == 1 else np.zeros(n, int)
+        H, g, parts = np.zeros((n_blocks, n_model + n, n)), np.zeros((n_blocks, n)), list[RowPart]()
         for i, station in enumerate(problem.stations):
             local, before = problem.places[i], self.problem.places[i]
             mine, ours = of_model[before[self.free[before]]], of_tested[local[free[local]]]
-            own_inner, own_b = np.zeros((n_blocks, len(ours), len(ours))), np.zeros((n_blocks, len(ours)))
+            own_inner, own_g = np.zeros((n_blocks, len(ours), len(ours))), np.zeros((n_blocks, len(ours)))
             own_cross = np.zeros((n_blocks, len(mine), len(ours)))
             linearised = _sorted(station, self.orders[i]).linearise_shared(values[local], free[local])
             for piece, (_, _, jacobian) in zip(self.pieces[i], linearised, strict=True):
                 added = jacobian.weighted(piece.whitening)
                 for k, some in piece.blocks:
                     part = added.poses(some)
-                    part.add_gram(piece.residuals[:, some], own_inner[k], own_b[k], candidate[ours])
+                    part.add_gram(piece.residuals[:, some], own_inner[k], own_g[k], candidate[ours])
                     piece.jacobian.poses(some).add_products(part, own_cross[k])
-                parts.append(RowPart(piece.rows, piece.residuals, piece.jacobian, mine, added, ours, np.full(len(ours), -1)))
-            b[:, ours] += own_b
-            _add(own_cross, mine, ours, cross)
-            _add(own_inner, ours, ours, inner)
-        columns = tuple(np.arange(a, b) for a, b in pairwise(ends))
-        return Products(columns, cross, inner, b, n_blocks == 1 and len(places) > 1, tuple(parts))
+                at = np.append(mine, n_model + ours)
+                parts.append(RowPart(piece.rows, piece.residuals, piece.jacobian, added, at))
+            g[:, ours] += own_g
+            _add(own_cross, mine, ours, H)
+            _add(own_inner, n_model + ours, ours, H)
+        return H, g, tuple(parts)
 
 
 def _sorted(station: Station, order: np.ndarray | slice) -> Station:

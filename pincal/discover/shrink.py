@@ -150,7 +150,7 @@ def _at_station(fit: ModelFit, shown: Sequence[tuple[Effect, Effect]]) -> Iterat
     fit = fit.select(np.flatnonzero(fit.solution.weights > 0.0))
     station, chain, few = fit.station, fit.model.chain, fit.station.conditions.select(np.zeros(1, int))
     moments, present = fit.model.static_moments(fit.model_values, station.conditions), fit.model.effects
-    scale = station.weights / np.repeat(fit.solution.estimated, [block.size for block in station.sensor.blocks])[:, None]
+    scale = station.weights / np.repeat(fit.solution.estimated, station.block_sizes)[:, None]
     left = station.residuals(fit.values) * scale
     # Of an effect that moves a single coordinate of the chain, this one.
     moved = [{t.coordinate for t in part.terms(chain, few, moments[:1])} if e in present else set() for e, part in shown]

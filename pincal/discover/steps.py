@@ -190,19 +190,18 @@ def _trusting_what_gathers(state: SearchState) -> SearchState:
                 log.info("%d rows gather at %s and count from now on", len(found.rows), found.variable)
                 station = replace(station, trusted=trusted)
         stations.append(station)
-    problem = replace(fit.problem, stations=tuple(stations))
-    if all(a is b for a, b in zip(problem.stations, fit.problem.stations, strict=True)):
+    if all(a is b for a, b in zip(stations, fit.problem.stations, strict=True)):
         return state
-    return state.fitted_again(refit(replace(fit, problem=problem), fit.options.effects, start={}, until=Tolerance.CLOSE))
+    return state.fitted_again(refit(fit.over(stations), fit.options.effects, start={}, until=Tolerance.CLOSE))
 
 
 def judge_outliers_again(state: SearchState, search: Search) -> SearchState:
     """Leave out again what counted because it gathered, if the model does not describe it in the end."""
-    problem = state.fit.problem
-    if all(station.trusted is None for station in problem.stations):
+    fit = state.fit
+    if all(station.trusted is None for station in fit.problem.stations):
         return state
-    problem = replace(problem, stations=tuple(replace(station, trusted=None) for station in problem.stations))
-    return state.fitted_again(refit(replace(state.fit, problem=problem), state.fit.options.effects, start={}))
+    untrusting = fit.over(replace(station, trusted=None) for station in fit.problem.stations)
+    return state.fitted_again(refit(untrusting, fit.options.effects, start={}))
 
 
 def hold_up_elasticity(state: SearchState, search: Search) -> SearchState:

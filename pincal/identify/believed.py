@@ -153,7 +153,7 @@ def slope_of_contacts(station: Station) -> np.ndarray:
         return nothing
     passed = {name for name, on in zip(chain.robot.joint_names, chain.on_path, strict=True) if on}
     lengths = np.array([p.nominal if p.symbol in LENGTHS and p.element in passed else 0.0 for p in station.parameters])
-    return int(station.block_sizes.sum()) * lengths / (lengths @ lengths) if lengths.any() else nothing
+    return station.reading_size * lengths / (lengths @ lengths) if lengths.any() else nothing
 
 
 def scale_of_contacts(

@@ -20,7 +20,7 @@ from pincal.identify.choices import along_gauge, best_of, required_features, som
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import is_dependent, serial_noise, with_blocks, with_serial
 from pincal.identify.equations import Linearised
-from pincal.identify.fit import FitStage, ModelFit, Solution, carried
+from pincal.identify.fit import FitStage, ModelFit, Solution
 from pincal.identify.initial import begin
 from pincal.identify.many_rows import over_all
 from pincal.identify.noise import is_exact, rounding
@@ -219,8 +219,8 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
     fit = _in_best_frame(_by_all(_begun(some, None), whole, None))
     problem, nominal, fitted = fit.problem, fit.nominal, fit.solution
     free = released_of(problem, options) & excited_of(problem)
-    found = Linearised(problem, nominal.values, free, fitted.weights, fit.priors.sizes).equations(fitted.sigma)
-    outlook = replace(fitted, values=nominal.values, equations=found, free=free, at_bound=np.zeros(len(free), bool))
+    found = Linearised(problem, nominal.values, free, fitted.weights, fit.priors.sizes).posterior(fitted.sigma)
+    outlook = replace(fitted, values=nominal.values, posterior=found, free=free, at_bound=np.zeros(len(free), bool))
     return replace(fit, solution=outlook)
 
 
@@ -260,21 +260,19 @@ def refit(
     """
     frame = moment_frame or fit.problem.chain.moment_frame
     effects = without_idle_features(frame, with_masses(fit.problem.chain.robot, effects))
-    problem = fit.problem.with_effects(effects, moment_frame=frame)
-    options = replace(fit.options, effects=tuple(effects), moment_frame=frame)
-    near, nominal = (carried(of, fit.problem, problem) for of in (fit.solution, fit.nominal))
+    begun = fit.with_effects(effects, moment_frame=frame)
     for effect, values in (start or {}).items():
-        near.values[problem.places_at(effect)] = values
-    begun = replace(fit, problem=problem, nominal=nominal, priors=priors_of(problem, options), options=options)
-    return _solved(begun, near.values if start is None else near, until=until)
+        begun.values[begun.problem.places_at(effect)] = values
+    begun = replace(begun, priors=priors_of(begun.problem, begun.options))
+    return _solved(begun, begun.values if start is None else begun.solution, until=until)
 
 
-def reweighted_by_order(fit: ModelFit, until: Tolerance = Tolerance.SETTLED) -> ModelFit:
+def reweighted_by_order(fit: ModelFit) -> ModelFit:
     """Return a fit whose rows are weighed by the noise along their order that the fit leaves; perhaps by none."""
     found = serial_noise(fit)
     if not any(serial is not None for serial in (*found, *(station.serial for station in fit.problem.stations))):
         return fit
-    return refit(with_serial(fit, found), fit.options.effects, start={}, until=until)
+    return refit(with_serial(fit, found), fit.options.effects, start={})
 
 
 def with_bearings(fit: ModelFit) -> ModelFit:
@@ -336,11 +334,11 @@ def _is_missed(fit: ModelFit, released: np.ndarray) -> tuple[bool, Linearised]:
     found = Linearised(problem, fitted.values, fitted.free | held, fitted.weights, sizes)
     if not held.any():
         return False, found
-    wide = found.equations(np.maximum(fitted.sigma, rounding(problem)))
+    wide = found.posterior(np.maximum(fitted.sigma, rounding(problem)))
     if is_exact(wide.whole, sizes[found.free]):
         # The least deviation counts, and is lost in the rounding of H.
         return bool(np.any(fitted.estimated > rounding(problem))), found
-    gain = wide.gain(np.ones(len(wide.shared), bool)) - wide.gain(fitted.free[found.free])
+    gain = wide.gain(np.ones(len(wide.is_shared), bool)) - wide.gain(fitted.free[found.free])
     return bool(gain > chdtri(int(held.sum()), CRITERIA.unexcited)), found
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from pincal.identify.beliefs import priors_of
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.equations import Linearised
-from pincal.identify.fit import ModelFit, carried
+from pincal.identify.fit import ModelFit
 from pincal.identify.noise import outlier_limit, rounding
 from pincal.identify.problem import Problem
 from pincal.identify.selection import Scored, select_stepwise
@@ -51,13 +51,13 @@ def required_features(fit: ModelFit, least: float = 0.0) -> Called:
     asked = [e for e in bearing_features(fit.problem.chain, effects) if e not in effects]
     if not asked:
         return Called((), 0.0)
-    problem = fit.problem.with_effects((*effects, *asked))
-    near, sizes = carried(fit.solution, fit.problem, problem), priors_of(problem, fit.options).sizes
+    asking = fit.with_effects((*effects, *asked))
+    problem, near, sizes = asking.problem, asking.solution, priors_of(asking.problem, fit.options).sizes
     places = {effect: int(problem.places_at(effect)[0]) for effect in asked}
     free = near.free.copy()
     free[list(places.values())] = True
     sigma = np.maximum(near.sigma, rounding(problem))
-    wide = Linearised(problem, near.values, free, near.weights, sizes).equations(sigma)
+    wide = Linearised(problem, near.values, free, near.weights, sizes).posterior(sigma)
 
     def gain(*named: Effect) -> float:
         kept = near.free.copy()
@@ -104,7 +104,7 @@ def deviance(fit: ModelFit) -> float:
     """Return -2 log likelihood, up to a constant; an outlier counts as a row at the edge of the noise."""
     found = 0.0
     for (station, _, blocks), rows in zip(fit.stations, fit.problem.rows, strict=True):
-        n, sizes = len(station), [block.size for block in station.sensor.blocks]
+        n, sizes = len(station), station.block_sizes
         outliers = int(np.sum(fit.solution.weights[rows] == 0.0))
         spread = float(np.dot(sizes, np.log(fit.solution.estimated[blocks])))
         found += 2.0 * n * spread + outliers * outlier_limit(n, sum(sizes))

@@ -27,7 +27,7 @@ from scipy.optimize import OptimizeResult, minimize
 from scipy.special import expit
 
 from pincal.identify.criteria import CRITERIA
-from pincal.identify.fit import ModelFit, equations_of
+from pincal.identify.fit import ModelFit, posterior_of
 from pincal.identify.station import Station
 from pincal.identify.whitening import Serial, turned_into
 
@@ -88,7 +88,7 @@ def serial_noise(fit: ModelFit) -> tuple[Serial | None, ...]:
 def with_serial(fit: ModelFit, found: tuple[Serial | None, ...]) -> ModelFit:
     """Return a fit as it is whose rows are to be weighed by this noise."""
     stations = tuple(replace(s, serial=serial) for s, serial in zip(fit.problem.stations, found, strict=True))
-    return replace(fit, problem=replace(fit.problem, stations=stations))
+    return fit.over(stations)
 
 
 def is_dependent(fit: ModelFit) -> bool:
@@ -174,7 +174,7 @@ class _Seen:
         """Return the rows that count with the first so many readings in the order, shape (n,)."""
         assert self.station.position is not None
         sound = np.flatnonzero(self.counted)
-        few = max(most // int(self.station.block_sizes.sum()), CRITERIA.fewest_in_order)
+        few = max(most // self.station.reading_size, CRITERIA.fewest_in_order)
         return np.asarray(sound[np.argsort(self.station.position[sound], kind="stable")][:few])
 
     def columns(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -317,10 +317,7 @@ def with_blocks(fit: ModelFit, beyond: float = 1.0) -> ModelFit:
     solution = replace(fit.solution, of_blocks=of_blocks)
     if widest * beyond > 1.0:
         sigma = solution.sigma * np.sqrt(widest * beyond)
-        wide = equations_of(fit.problem, replace(solution, sigma=sigma), fit.priors)
-        # What the data identify stays as it is.
-        posterior = replace(solution.posterior, covariance=wide.posterior.covariance, own=wide.own)
-        solution = replace(solution, wide=posterior)
+        solution = replace(solution, wide=posterior_of(fit.problem, replace(solution, sigma=sigma), fit.priors))
     return replace(fit, solution=solution)
 
 

@@ -7,7 +7,7 @@ it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from pincal.identify.jacobian import block, span
-from pincal.identify.normal import Batch, Beforehand, Normal, StationSquares, Task, contribution, reweighted, squares
-from pincal.identify.posterior import Balance, Eliminated, Posterior
+from pincal.identify.normal import Batch, Normal, StationSquares, Task, contribution, reweighted, squares
+from pincal.identify.posterior import Eliminated, Posterior, eliminate
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
 from pincal.spread import spread_again
@@ -28,105 +28,6 @@ _Sums = tuple[tuple[Form, Eliminated], StationSquares]
 
 # Bytes of normal equations of single stations that are kept at most at one point.
 _MOST_KEPT = 2_000_000
-
-
-@dataclass(frozen=True)
-class Equations:
-    """Normal equations of the F free parameters for one noise, C of them left after stations' own were eliminated.
-
-    Attributes:
-        balance: what is said of the C parameters, and their priors.
-        shared: shape (F,), which parameters these are; with one station all.
-        own: those that were eliminated, if any; with one station none.
-        remembered: shape (C, C), the part of H that is believed beyond the priors, known from an earlier fit or that curves
-            are smooth; None for nothing.
-    """
-
-    balance: Balance
-    shared: np.ndarray
-    own: tuple[Eliminated, ...]
-    remembered: np.ndarray | None = None
-
-    @property
-    def form(self) -> Form:
-        """What is said of the C parameters."""
-        return self.balance.form
-
-    def step(self, bounds: np.ndarray, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Return the step that the posterior wants within bounds of the values, shape (F,), and which ones a bound stops.
-
-        Args:
-            bounds: shape (F,), largest values.
-            damping: how much surer than the priors it is that parameters stay where they are (Levenberg's): what the
-                readings are sure of moves as far as without, what they hardly see does not.
-        """
-        at, most, form = self.balance.offsets, bounds[self.shared], self.form
-        # The slope of the priors stays what it is.
-        stiffness = 1.0 + damping
-        balance = Balance(form, self.balance.sizes / np.sqrt(stiffness), at / stiffness)
-        step, held = balance.step, np.zeros(len(at), bool)
-        for _ in range(3):
-            over = ~held & (np.abs(at + step) > most)
-            if not over.any():
-                break
-            held |= over
-            step = np.where(held, np.copysign(most, at + step) - at, step)
-            moved = replace(balance, form=replace(form, g=form.g - form.H[:, held] @ step[held]))
-            step[~held] = moved.part(np.flatnonzero(~held)).step
-        whole, stopped = np.empty(len(self.shared)), np.zeros(len(self.shared), bool)
-        whole[self.shared], stopped[self.shared] = step, held
-        for part in self.own:
-            at, most = part.balance.offsets, bounds[part.places]
-            wanted = at + part.step(step)
-            whole[part.places] = np.clip(wanted, -most, most) - at
-            stopped[part.places] = np.abs(wanted) > most
-        return whole, stopped
-
-    def square(self, step: np.ndarray) -> float:
-        """Return the square of a step, shape (F,), in units of the noise: how far it moves the readings altogether."""
-        across = step[self.shared]
-        return float(across @ self.form.H @ across) + sum(part.square(step[part.places], across) for part in self.own)
-
-    def _everywhere(self, of: Callable[[Balance], np.ndarray]) -> np.ndarray:
-        """Return what a balance says of its parameters for all of them, shape (F,)."""
-        found = np.empty(len(self.shared))
-        found[self.shared] = of(self.balance)
-        for part in self.own:
-            found[part.places] = of(part.balance)
-        return found
-
-    @property
-    def whole(self) -> np.ndarray:
-        """The diagonal of all parameters' information before anything was eliminated, shape (F,)."""
-        return self._everywhere(lambda balance: balance.form.whole)
-
-    @property
-    def metric(self) -> np.ndarray:
-        """How much each parameter matters to readings and prior, shape (F,)."""
-        return self._everywhere(lambda balance: np.sqrt(balance.form.whole + balance.sizes**-2.0))
-
-    @cached_property
-    def posterior(self) -> Posterior:
-        """What data and priors say together."""
-        found = self.balance.posterior
-        known = 0.0 if self.remembered is None else float(np.sum(found.covariance * self.remembered))
-        return replace(found, own=self.own, remembered=known)
-
-    @cached_property
-    def spent(self) -> tuple[float, tuple[float, ...]]:
-        """How many parameters the data spend, priors counted: of those that are shared, and of each station's own."""
-        shared = None if self.own else self.balance.spent(self.remembered)
-        if shared is not None:
-            return shared, ()
-        return self.posterior.shared_effective, self.posterior.own_effective
-
-    def gain(self, kept: np.ndarray) -> float:
-        """Return how much a step would take off the sum of squares if some parameters, shape (F,), alone may move.
-
-        Only those that are shared count: what eliminated parameters do by themselves is left out.
-        """
-        balance = self.balance.part(np.flatnonzero(kept[self.shared]))
-        return float((balance.form.g - balance.offsets / balance.sizes**2) @ balance.step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +80,7 @@ class Linearised:
     def release(self) -> None:
         """Give up the memory of several stations' equations, which are computed again if they are asked for."""
         if len(self.problem.stations) > 1 and self._squares:
-            for kept in (self.normals, self.sums, self._equations):
+            for kept in (self.normals, self.sums, self._posteriors):
                 kept.clear()
 
     @cached_property
@@ -209,7 +110,7 @@ class Linearised:
     @cached_property
     def _squares(self) -> list[StationSquares]:
         if self._are_kept and not self.is_doubtful:
-            return [normal.station_squares(batch.ends) for normal, batch in zip(self._normals, self._batches, strict=True)]
+            return [normal.squares for normal in self._normals]
         if self.sigma is not None and not self.is_doubtful:
             return [found for _, found in self._contributions(self.sigma)]
         return list(self._done(batch.work(squares, self.values, self.robust[batch.rows]) for batch in self._batches))
@@ -222,7 +123,8 @@ class Linearised:
     @property
     def row_squares(self) -> list[np.ndarray]:
         """For each station, each row's weighted squared residual, shape (its blocks, its rows), robust weights left out."""
-        return [rows for found in self._squares for rows in found.rows]
+        pairs = zip(self._squares, self._batches, strict=True)
+        return [rows for found, of in pairs for rows in np.split(found.rows, of.ends[1:-1], axis=1)]
 
     def chi2(self, sigma: np.ndarray) -> float:
         """Return the sum of squares in units of the variances, for standard deviations of all blocks."""
@@ -256,22 +158,22 @@ class Linearised:
         return self.chi2(sigma) + beliefs + prior + self.problem.beliefs.square(self.values, self.sizes)
 
     @cached_property
-    def _equations(self) -> dict[bytes, Equations]:
+    def _posteriors(self) -> dict[bytes, Posterior]:
         return {}
 
-    def equations(self, sigma: np.ndarray) -> Equations:
-        """Return the normal equations for standard deviations of all blocks of readings, shape (blocks,)."""
+    def posterior(self, sigma: np.ndarray) -> Posterior:
+        """Return what readings and priors say for standard deviations of all blocks of readings, shape (blocks,)."""
         key = sigma.tobytes()
-        if key not in self._equations:
+        if key not in self._posteriors:
             found = self._sum(sigma)
-            self._equations.clear()
-            self._equations[key] = found
-        return self._equations[key]
+            self._posteriors.clear()
+            self._posteriors[key] = found
+        return self._posteriors[key]
 
-    def _sum(self, sigma: np.ndarray) -> Equations:
+    def _sum(self, sigma: np.ndarray) -> Posterior:
         free, problem = self.free, self.problem
-        rank, shared = np.cumsum(free) - 1, problem.is_shared[free]
-        slot, places = np.cumsum(shared) - 1, np.flatnonzero(free & problem.is_shared)
+        rank, slot = np.cumsum(free) - 1, np.cumsum(problem.is_shared[free]) - 1
+        places = np.flatnonzero(free & problem.is_shared)
         known = problem.beliefs.beyond_priors(places, self.values, self.sizes)
         H, g, whole, eliminated = known.H.copy(), known.g, known.whole.copy(), []
         for batch, ((form, own), _) in zip(self._batches, self._contributions(sigma), strict=True):
@@ -284,8 +186,7 @@ class Linearised:
             if mine.size:
                 eliminated.append(replace(own, places=rank[mine], shared=ours))
         believed = known.H if problem.beliefs.terms else None
-        balance = Balance(Form(H, g, whole), self.sizes[places], self.values[places])
-        return Equations(balance, shared, tuple(eliminated), believed)
+        return Posterior(Form(H, g, whole), self.sizes[places], self.values[places], tuple(eliminated), believed)
 
     def _contributions(self, sigma: np.ndarray) -> list[_Sums]:
         """Return what each batch contributes, computed where it is not known for this noise and these robust weights."""
@@ -294,19 +195,23 @@ class Linearised:
         todo = [key for key in keys if key not in sums]
         new = [batches[k] for k, _, _ in todo]
         free = [self.free[of.places[0]] for of in new]
-        known = [Beforehand(of.own, sigma[of.blocks].reshape(len(of.stations), -1), self.sizes[of.places]) for of in new]
+        known = [
+            (
+                sigma[of.blocks].reshape(len(of.stations), -1),
+                of.own[may],
+                *(by[of.places][:, may] for by in (self.sizes, self.values)),
+            )
+            for of, may in zip(new, free, strict=True)
+        ]
         found: Iterable[_Sums]
         if self._are_kept:
-            every = self._normals
-            normals = (every[k] for k, _, _ in todo)
-            found = (
-                (each.contribution(normal, of.values(self.values), may), normal.station_squares(of.ends))
-                for of, normal, may, each in zip(new, normals, free, known, strict=True)
-            )
+            normals = self._normals
+            pairs = ((normals[k], given) for (k, _, _), given in zip(todo, known, strict=True))
+            found = ((eliminate(normal.at(noise), *prior), normal.squares) for normal, (noise, *prior) in pairs)
         else:
             found = self._done(
-                of.work(contribution, self.values, may, self.robust[of.rows], each)
-                for of, may, each in zip(new, free, known, strict=True)
+                of.work(contribution, self.values, may, self.robust[of.rows], *given)
+                for of, may, given in zip(new, free, known, strict=True)
             )
         sums |= zip(todo, found, strict=True)
         for key in sums.keys() - keys:

@@ -20,7 +20,7 @@ from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit
 from pincal.identify.normal import accumulate
 from pincal.identify.options import known_frames
-from pincal.identify.posterior import posterior
+from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import NULL, Form
 from pincal.identify.station import Station
@@ -175,10 +175,10 @@ def explain(fit: ModelFit) -> tuple[ParameterFinding, ...]:
 
 def _frame_variances(fit: ModelFit) -> dict[int, float]:
     """Return, for each free coordinate of bases and tools, its variance with all that hides behind it at the nominal."""
-    found, free = fit.solution.posterior, fit.solution.free
+    found, beside, free = fit.solution.posterior, fit.solution.known, fit.solution.free
     frames, inner = np.flatnonzero(~found.has_prior), np.flatnonzero(found.has_prior)
     shared = np.flatnonzero(free & fit.problem.is_shared)
-    C, few = found.covariance, found.information < 1.0
+    C, few = beside.covariance, found.information < 1.0
     # Their units differ by orders of magnitude.
     scale = np.sqrt(np.diag(C)[inner])[:, None]
     F = -(np.linalg.solve(C[np.ix_(inner, inner)] / (scale * scale.T), C[np.ix_(inner, frames)] / scale) / scale).T
@@ -191,7 +191,7 @@ def _frame_variances(fit: ModelFit) -> dict[int, float]:
     # A station's frames follow the robot's parameters by what was carried over when they were eliminated.
     place, variance, spread = np.flatnonzero(free), fit.estimate.covariance.variance, np.zeros((len(shared), int(few.sum())))
     spread[inner] = weak
-    for part in found.own:
+    for part in beside.own:
         hidden = np.sum((part.carried @ spread[part.shared]) ** 2, axis=-1)
         left = np.maximum(variance[part.places] - hidden, 0.0)
         is_frame = np.broadcast_to(part.precision == 0.0, part.places.shape)
@@ -290,7 +290,7 @@ class _Nominal:
             nominal = fit.nominal.values[chosen][places]
             normal = accumulate(station.select(rows), nominal, everything, np.ones(len(rows)))
             H[places[:, None], places] += normal.at(sigma[station.name]).H
-        found = posterior(Form.of(H[np.ix_(free, free)]), fit.priors.sizes[chosen][free])
+        found = Posterior(Form.of(H[np.ix_(free, free)]), fit.priors.sizes[chosen][free], np.zeros(int(free.sum())))
         unseen = np.zeros(n)
         unseen[np.flatnonzero(free)[found.has_prior]] = np.sum(found.directions[:, found.information == 0.0] ** 2, axis=1)
         scale = np.sqrt(np.maximum(np.diag(H), 1e-300))

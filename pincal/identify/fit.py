@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
@@ -10,13 +10,14 @@ from functools import cached_property
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.identify.equations import Equations, Linearised
+from pincal.identify.equations import Linearised
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options
 from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station, station_of
 from pincal.measure.measurements import Measurements
+from pincal.model.chain import MomentFrame
 from pincal.model.effects import Effect
 from pincal.model.model import Model
 from pincal.parameters import Estimate
@@ -54,7 +55,7 @@ class Solution:
 
     Attributes:
         values: shape (P,).
-        equations: what data and priors say about the free parameters at ``values``.
+        posterior: what data and priors say about the free parameters at ``values``.
         sigma: shape (blocks,), standard deviations that the fit used, one station's blocks after the other's.
         estimated: shape (blocks,), those of its residuals.
         weights: shape (N,), robust weights: 0 for an outlier.
@@ -64,12 +65,12 @@ class Solution:
         exit: how it ended.
         at_bound: shape (P,), parameters held at their bound.
         free: shape (P,), parameters that were fitted.
-        wide: what is known of the parameters where more than the noise is in doubt; default: what the equations say.
+        wide: the same with noise as large as what is in doubt beside it; default: nothing is.
         of_blocks: how many times as large variances are, and stated, as blocks of consecutive rows tell.
     """
 
     values: np.ndarray
-    equations: Equations
+    posterior: Posterior
     sigma: np.ndarray
     estimated: np.ndarray
     weights: np.ndarray
@@ -83,15 +84,14 @@ class Solution:
     of_blocks: float = 1.0
 
     @property
-    def posterior(self) -> Posterior:
-        """What is known of the free parameters."""
-        return self.equations.posterior if self.wide is None else self.wide
+    def known(self) -> Posterior:
+        """What is known of the free parameters; what the data identify stays as it is, however uncertain it is."""
+        return self.posterior if self.wide is None else self.wide
 
     @property
     def effective(self) -> float:
-        """Number of parameters that the data spend, priors counted: :attr:`Posterior.effective` in a fifth of the time."""
-        shared, own = self.equations.spent
-        return shared + sum(own)
+        """Number of parameters that the data spend, priors counted."""
+        return self.posterior.effective
 
     @property
     def converged(self) -> bool:
@@ -174,7 +174,7 @@ class ModelFit:
     @cached_property
     def estimate(self) -> Estimate:
         """The calibrated values by name, with what is known of each."""
-        covariance = self.solution.posterior.joint_covariance
+        covariance = self.solution.known.joint_covariance
         return Estimate(self.problem.parameters, self.values, self.solution.free, covariance, self.priors.sizes)
 
     @property
@@ -196,8 +196,23 @@ class ModelFit:
 
     def select(self, rows: np.ndarray) -> ModelFit:
         """Return the fit as it is, of some of its rows, by their places."""
-        solution = replace(self.solution, weights=self.solution.weights[rows])
-        return replace(self, problem=self.problem.select(rows), solution=solution)
+        return self.over(self.problem.select(rows).stations, self.solution.weights[rows])
+
+    def over(self, stations: Iterable[Station], weights: np.ndarray | None = None) -> ModelFit:
+        """Return the fit as it is over stations with other rows, perhaps with other robust weights of these, shape (N,)."""
+        solution = self.solution if weights is None else replace(self.solution, weights=weights)
+        return replace(self, problem=replace(self.problem, stations=tuple(stations)), solution=solution)
+
+    def with_effects(self, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None) -> ModelFit:
+        """Return the fit as it stands with other effects beside base and tool, nothing fitted again.
+
+        Parameters that it did not have are zero and so are their priors.
+        """
+        before, after = self.problem, self.problem.with_effects(effects, moment_frame=moment_frame)
+        options = replace(self.options, effects=tuple(effects), moment_frame=moment_frame or self.options.moment_frame)
+        nominal, solution = (carried(of, before, after) for of in (self.nominal, self.solution))
+        priors = Priors(*(before.carried_over(of, after) for of in (self.priors.sizes, self.priors.bounds)))
+        return replace(self, problem=after, nominal=nominal, solution=solution, priors=priors, options=options)
 
     @cached_property
     def alone(self) -> tuple[ModelFit, ...]:
@@ -221,7 +236,7 @@ class ModelFit:
             )
             problem, options = Problem((replace(station, name=""),)), self.options.at(station.name)
             priors = Priors(self.priors.sizes[places], self.priors.bounds[places])
-            solution = replace(solution, equations=equations_of(problem, solution, priors))
+            solution = replace(solution, posterior=posterior_of(problem, solution, priors))
             noise = Noise(self.noise.declared[blocks])
             found.append(ModelFit(problem, nominal, solution, priors, noise, self.stages, options))
         return tuple(found)
@@ -252,9 +267,9 @@ class ModelFit:
         return station_of(model, measurements, centre, options.setup, name=station, instrument=instrument)
 
 
-def equations_of(problem: Problem, part: Solution, priors: Priors) -> Equations:
-    """Return the normal equations of a problem with the values, the rows' weights and the noise of a solution."""
-    return Linearised(problem, part.values, part.free, part.weights, priors.sizes).equations(part.sigma)
+def posterior_of(problem: Problem, part: Solution, priors: Priors) -> Posterior:
+    """Return the posterior of a problem with the values, the rows' weights and the noise of a solution."""
+    return Linearised(problem, part.values, part.free, part.weights, priors.sizes).posterior(part.sigma)
 
 
 def carried(solution: Solution, before: Problem, after: Problem) -> Solution:
@@ -269,13 +284,5 @@ def carried(solution: Solution, before: Problem, after: Problem) -> Solution:
 
 def without(fit: ModelFit, effect: Effect) -> ModelFit:
     """Return a fit as it stands with one effect taken out, nothing fitted again: the place to test the effect from."""
-    problem = fit.problem.with_effects([e for e in fit.problem.effects if e is not effect])
-    sizes, bounds = (fit.problem.carried_over(of, problem) for of in (fit.priors.sizes, fit.priors.bounds))
-    return replace(
-        fit,
-        problem=problem,
-        nominal=carried(fit.nominal, fit.problem, problem),
-        solution=carried(fit.solution, fit.problem, problem),
-        priors=Priors(sizes, bounds),
-        options=replace(fit.options, effects=tuple(e for e in fit.options.effects if e is not effect)),
-    )
+    options = replace(fit.options, effects=tuple(e for e in fit.options.effects if e is not effect))
+    return replace(fit.with_effects([e for e in fit.problem.effects if e is not effect]), options=options)

@@ -94,8 +94,7 @@ def starts_of(robot: Robot, table: Measurements, options: Options) -> list[tuple
 
 def _arm(robot: Robot, options: Options) -> Model:
     """Return the nominal arm alone."""
-    gravity = None if options.gravity is None else np.array(options.gravity)
-    return Model(Chain.of(robot, moment_frame=options.first_frame, gravity=gravity), ())
+    return Model(Chain.of(robot, moment_frame=options.first_frame, gravity=options.gravity), ())
 
 
 class _Models:

@@ -225,7 +225,7 @@ class Judge:
         pairs = zip(point.row_squares, spans, strict=True)
         distance2 = np.concatenate([np.einsum("b,bn->n", sigma[span] ** -2.0, rows) for rows, span in pairs])
         counts = [rows.shape[1] for rows in point.row_squares]
-        sizes = [int(station.block_sizes.sum()) for station in self.problem.stations]
+        sizes = [station.reading_size for station in self.problem.stations]
         limits = [outlier_limit(n, size) if n else np.inf for n, size in zip(counts, sizes, strict=True)]
         limit2 = np.repeat(limits, counts)
         lighter = 0.0 if hard and self.loss == "screen" else (limit2 / np.maximum(distance2, limit2)) ** 0.25

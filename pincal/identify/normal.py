@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import compress, pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -181,16 +181,16 @@ _MOST_CHANGED = 3
 
 @dataclass(frozen=True)
 class StationSquares:
-    """Squares of the residuals of stations, one after the other.
+    """Squares of the residuals of S stations, one after the other.
 
     Attributes:
-        blocks: shape (blocks,), weighted sums.
-        rows: of each station, shape (its blocks, its N rows), each row's weighted squared residual, robust weights left out.
-        beliefs: of what each station's sensor knows beside its readings, in units of the variances.
+        blocks: weighted sums, by block of readings (position, orientation) of each station.
+        rows: shape (blocks, N), each row's weighted squared residual, robust weights left out.
+        beliefs: shape (S,), of what each station's sensor knows beside its readings, in units of the variances.
     """
 
     blocks: np.ndarray
-    rows: tuple[np.ndarray, ...]
+    rows: np.ndarray
     beliefs: np.ndarray
 
 
@@ -201,16 +201,14 @@ class Normal:
     Attributes:
         H: shape (blocks, F, F); of each of S stations shape (S, blocks, F, F), and so on.
         g: shape (blocks, F).
-        squares: shape (blocks,), weighted sums of squared residuals.
-        row_squares: shape (blocks, N), each row's weighted squared residual, robust weights left out.
+        squares: of the residuals.
         robust: shape (N,), the factor on each row's weight.
         believed: what the sensor knows beside its readings, in units of its own noise.
     """
 
     H: np.ndarray
     g: np.ndarray
-    squares: np.ndarray
-    row_squares: np.ndarray
+    squares: StationSquares
     robust: np.ndarray
     believed: Quadratic | None = None
 
@@ -225,16 +223,11 @@ class Normal:
         known = None if self.believed is None else self.believed.taking(kept)
         return replace(self, H=self.H[..., kept[:, None], kept], g=self.g[..., kept], believed=known)
 
-    def station_squares(self, ends: np.ndarray) -> StationSquares:
-        """Return the squares of S stations whose rows begin and end where ``ends``, shape (S + 1,), says."""
-        known = np.full(len(ends) - 1, 0.0 if self.believed is None else self.believed.square)
-        return StationSquares(self.squares.ravel(), tuple(np.split(self.row_squares, ends[1:-1], axis=1)), known)
-
 
 def accumulate(station: Station, values: np.ndarray, free: np.ndarray, robust: np.ndarray) -> Normal:
     """Return the normal equations of one station; arguments as of :func:`accumulate_each`."""
     found = accumulate_each(station, np.array([0, len(station)]), values, free, robust)
-    return replace(found, H=found.H[0], g=found.g[0], squares=found.squares[0])
+    return replace(found, H=found.H[0], g=found.g[0])
 
 
 def accumulate_each(station: Station, ends: np.ndarray, values: np.ndarray, free: np.ndarray, robust: np.ndarray) -> Normal:
@@ -247,7 +240,7 @@ def accumulate_each(station: Station, ends: np.ndarray, values: np.ndarray, free
         free: shape (P,), the F parameters that may move.
         robust: shape (N,), factor on each row's weight: 0 leaves a row out.
     """
-    n, blocks, n_free = len(ends) - 1, block_rows(station), int(free.sum())
+    n, blocks, n_free = len(ends) - 1, station.block_rows, int(free.sum())
     H, g = np.zeros((n, len(blocks), n_free, n_free)), np.zeros((n, len(blocks), n_free))
     squares, row_squares = np.zeros((n, len(blocks))), np.empty((len(blocks), len(station)))
     for piece, residuals, jacobian in station.linearise_shared(values, free):
@@ -263,7 +256,9 @@ def accumulate_each(station: Station, ends: np.ndarray, values: np.ndarray, free
             part.add_grams(residuals[rows], inner, H[here, b], g[here, b], weights=None if is_uniform else weights)
             r = residuals[rows] if is_uniform else residuals[rows] * weights
             squares[here, b] += [np.vdot(of, of) for of in np.split(r, inner[1:-1], axis=1)]
-    return Normal(H, g, squares, row_squares, robust, believed(station, values, free) if n == 1 else None)
+    known = believed(station, values, free) if n == 1 else None
+    beliefs = np.full(n, 0.0 if known is None else known.square)
+    return Normal(H, g, StationSquares(squares.ravel(), row_squares, beliefs), robust, known)
 
 
 def reweighted(
@@ -293,14 +288,14 @@ def reweighted(
             add(H, found.H, out=H)
             add(g, found.g, out=g)
     # From the rows: the difference of large squares would leave their rounding.
-    squares = np.sum(past.row_squares * robust**2, axis=1)[None]
+    squares = replace(past.squares, blocks=np.sum(past.squares.rows * robust**2, axis=1))
     return replace(past, H=H, g=g, squares=squares, robust=robust)
 
 
 def squares(station: Station, ends: np.ndarray, values: np.ndarray, robust: np.ndarray) -> StationSquares:
     """Return the squares of stations' residuals; arguments as of :func:`accumulate_each`."""
     residuals = station.whitened(station.residuals(values))
-    parts = [np.einsum("in,in->n", residuals[rows], residuals[rows]) for rows in block_rows(station)]
+    parts = [np.einsum("in,in->n", residuals[rows], residuals[rows]) for rows in station.block_rows]
     rows = np.array(parts) * station.weights**2
     each = np.split(rows, ends[1:-1], axis=1)
     blocks = np.concatenate([of @ weights**2 for of, weights in zip(each, np.split(robust, ends[1:-1]), strict=True)])
@@ -308,36 +303,24 @@ def squares(station: Station, ends: np.ndarray, values: np.ndarray, robust: np.n
     if len(each) == 1:
         r = belief_rows(station, values, np.zeros(len(values), bool))[1]
         known[0] = r @ r
-    return StationSquares(blocks, tuple(each), known)
-
-
-class Beforehand(NamedTuple):
-    """What is known beforehand of the P parameters and the noise of S stations.
-
-    Attributes:
-        own: shape (P,), which parameters belong to a station alone.
-        sigma: shape (S, blocks), standard deviation of one component of each block of readings.
-        sizes: shape (S, P), standard deviations of the priors; inf for none.
-    """
-
-    own: np.ndarray
-    sigma: np.ndarray
-    sizes: np.ndarray
-
-    def contribution(self, normal: Normal, values: np.ndarray, free: np.ndarray) -> tuple[Form, Eliminated]:
-        """Return what normal equations of these stations say of the parameters that they share with others, and the rest."""
-        return eliminate(normal.at(self.sigma), self.own[free], self.sizes[:, free], np.atleast_2d(values.T)[:, free])
+    return StationSquares(blocks, rows, known)
 
 
 def contribution(
-    station: Station, ends: np.ndarray, values: np.ndarray, free: np.ndarray, robust: np.ndarray, known: Beforehand
+    station: Station,
+    ends: np.ndarray,
+    values: np.ndarray,
+    free: np.ndarray,
+    robust: np.ndarray,
+    sigma: np.ndarray,
+    *prior: np.ndarray,
 ) -> tuple[tuple[Form, Eliminated], StationSquares]:
     """Return what stations say of the free parameters that they share with others, and the squares of their residuals.
 
-    Arguments as of :func:`accumulate_each`.
+    Arguments as of :func:`accumulate_each`, then noise, shape (S, blocks), and what :func:`eliminate` wants to know.
     """
     normal = accumulate_each(station, ends, values, free, robust)
-    return known.contribution(normal, values, free), normal.station_squares(ends)
+    return eliminate(normal.at(sigma), *prior), normal.squares
 
 
 def believed(station: Station, values: np.ndarray, free: np.ndarray) -> Quadratic | None:
@@ -354,9 +337,3 @@ def belief_rows(station: Station, values: np.ndarray, free: np.ndarray) -> tuple
     of_model, of_sensor = station.split(free)
     J = (facts.jacobian / facts.sigma)[of_sensor]
     return np.vstack([np.zeros((int(of_model.sum()), J.shape[1])), J]), facts.residuals / facts.sigma
-
-
-def block_rows(station: Station) -> list[slice]:
-    """Return where each block of readings stands among the components of a residual."""
-    ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
-    return [slice(int(a), int(b)) for a, b in pairwise(ends)]

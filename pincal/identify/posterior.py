@@ -18,6 +18,7 @@ station by station, their priors P included, and only what remains is added up:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -32,31 +33,87 @@ from pincal.parameters import Covariance, root_of
 _ROUNDING = 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Posterior:
-    """What data and priors say together about F parameters.
+    """What readings say of F parameters, in units of the noise, and their priors; of each of S stations with a leading axis.
 
-    Of several stations it holds the robot's parameters, and in ``own`` what is left of each station's.
+    Of a problem of several stations these are the parameters that they share, and in ``own`` is what is left of each
+    station's.
 
     Attributes:
-        step: shape (F,), from the present values to the most probable ones.
-        covariance: shape (F, F).
-        information: eigenvalues of the data's information in units of the priors', ascending; 0 for what is unseen.
-        directions: shape (H, H), their eigenvectors in units of the priors, as columns.
-        frame_rank: number of directions among base and tool that the data determine; of several stations each one's.
-        has_prior: shape (F,), which parameters the H rows of ``directions`` belong to.
+        form: of the F parameters; rounding is judged by what it was before anything was eliminated.
+        sizes: shape (F,), standard deviations of the priors; inf for none.
+        offsets: shape (F,), present values minus the priors' centres.
         own: the parameters of stations that were eliminated beforehand.
-        remembered: number of parameters that were known from an earlier fit and not from these data.
+        believed: shape (F, F), the part of H that is no data: an earlier fit, smooth curves; None for nothing.
     """
 
-    step: np.ndarray
-    covariance: np.ndarray
-    information: np.ndarray
-    directions: np.ndarray
-    frame_rank: int | np.ndarray
-    has_prior: np.ndarray
+    form: Form
+    sizes: np.ndarray
+    offsets: np.ndarray
     own: tuple[Eliminated, ...] = ()
-    remembered: float = 0.0
+    believed: np.ndarray | None = None
+
+    def part(self, at: np.ndarray) -> Posterior:
+        """Return that of some parameters, by their places, the others held."""
+        return Posterior(self.form.part(at), self.sizes[..., at], self.offsets[..., at])
+
+    @cached_property
+    def _solved(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Step, covariance over what is determined, information and directions."""
+        (prior, frames), (inverse, *_), F = self._parts, self._frames, self._follow
+        H, g, D = self.form.H, self.form.g, self.sizes[..., prior]
+        S = (H[..., prior[:, None], prior] - H[..., prior[:, None], frames] @ F) * _outer(D)
+        reduced = (g[..., prior] - _times(_turned(F), g[..., frames])) * D
+        information, V = np.linalg.eigh(0.5 * (S + _turned(S)))
+        floor = np.maximum(self._floor, NULL * 1e-300)
+        information = np.where(information > floor[..., None], information, 0.0)
+        data = np.where(information > 0.0, _times(_turned(V), reduced), 0.0)
+        shift = D * _times(V, (data - _times(_turned(V), self.offsets[..., prior] / D)) / (information + 1.0))
+        step = np.empty_like(g)
+        step[..., prior] = shift
+        step[..., frames] = _times(inverse, g[..., frames]) - _times(F, shift)
+        C = (V / (information + 1.0)[..., None, :]) @ _turned(V) * _outer(D)
+        covariance, carried = np.empty(H.shape), F @ C
+        covariance[..., prior[:, None], prior] = C
+        covariance[..., frames[:, None], prior] = -carried
+        covariance[..., prior[:, None], frames] = -_turned(carried)
+        covariance[..., frames[:, None], frames] = inverse + carried @ _turned(F)
+        return step, covariance, information, V
+
+    @property
+    def step(self) -> np.ndarray:
+        """From the present values to the most probable ones, shape (F,)."""
+        return self._solved[0]
+
+    @property
+    def determined(self) -> np.ndarray:
+        """The covariance, shape (F, F), but that frames' directions that nothing determines have no variance."""
+        return self._solved[1]
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Their covariance, shape (F, F)."""
+        if not (loose := self._frames[2]).any():
+            return self.determined
+        covariance, frames = self.determined.copy(), self._parts[1]
+        covariance[..., frames[:, None], frames] += loose
+        return covariance
+
+    @property
+    def information(self) -> np.ndarray:
+        """Eigenvalues of the data's information in units of the priors', ascending; 0 for what is unseen."""
+        return self._solved[2]
+
+    @property
+    def directions(self) -> np.ndarray:
+        """Their eigenvectors in units of the priors, as columns, by the parameters that have a prior."""
+        return self._solved[3]
+
+    @property
+    def frame_rank(self) -> np.ndarray:
+        """Number of directions among base and tool that the data determine; of several stations each one's."""
+        return self._frames[1]
 
     @property
     def visible_rank(self) -> int:
@@ -79,31 +136,51 @@ class Posterior:
     @property
     def effective(self) -> float:
         """Number of parameters that the data spend, priors counted."""
-        return self.shared_effective + float(sum(self.own_effective))
-
-    @property
-    def shared_effective(self) -> float:
-        """The same without the parameters of stations that were eliminated."""
-        spent = float(np.sum(self.information / (1.0 + self.information)))
-        return float(np.sum(self.frame_rank)) + spent - self.remembered
+        shared, own = self.spent
+        return shared + sum(own)
 
     @cached_property
-    def own_effective(self) -> tuple[float, ...]:
-        """The same of each station's own parameters."""
-        return tuple(float(n) for part in self.own for n in np.atleast_1d(part.effective(self.covariance)))
+    def spent(self) -> tuple[float, tuple[float, ...]]:
+        """The same of the parameters that are shared, and of each station's own.
+
+        Where rounding lets a Cholesky factor do, it takes a fifth of the time of the eigenvectors.
+        """
+        known = None if self.own else self._known_by_factor()
+        if known is None:
+            known = float(np.sum(self.information / (1.0 + self.information)))
+            known -= 0.0 if self.believed is None else float(np.sum(self.covariance * self.believed))
+        own = tuple(float(n) for part in self.own for n in np.atleast_1d(part.effective(self.covariance)))
+        return float(np.sum(self.frame_rank)) + known, own
+
+    def _known_by_factor(self) -> float | None:
+        """Return how many of the parameters with a prior the data spend; None where rounding forbids."""
+        (prior, frames), believed = self._parts, self.believed
+        factor = None if believed is not None and np.any(believed[frames]) else self._factor()
+        C, failed = (None, 1) if factor is None else dpotri(factor, lower=1, overwrite_c=1)
+        if C is None or failed:
+            return None
+        spent = float(np.sum(1.0 - np.diag(C)))
+        if believed is None:
+            return spent
+        known = believed[prior[:, None], prior] * _outer(self.sizes[prior])
+        return spent - float(2.0 * np.sum(np.tril(C, -1) * known) + np.diag(C) @ np.diag(known))
+
+    @cached_property
+    def is_shared(self) -> np.ndarray:
+        """Which of all parameters are not those of single stations, shape (all,)."""
+        shared = np.ones(len(self.sizes) + sum(part.places.size for part in self.own), bool)
+        for part in self.own:
+            shared[part.places] = False
+        return shared
 
     @property
     def joint_covariance(self) -> Covariance:
         """The covariance of all parameters, those of stations included, in their order."""
         if not self.own:
             return Covariance.of(self.covariance)
-        n = len(self.covariance) + sum(part.places.size for part in self.own)
-        shared = np.ones(n, bool)
-        for part in self.own:
-            shared[part.places] = False
         root = root_of(self.covariance)
-        factor = np.empty((n, len(root)))
-        factor[shared] = root
+        factor = np.empty((len(self.is_shared), len(root)))
+        factor[self.is_shared] = root
         for part in self.own:
             factor[part.places] = -part.carried @ root[part.shared]
         groups: list[tuple[np.ndarray, np.ndarray]] = []
@@ -112,137 +189,80 @@ class Posterior:
             groups += [(places, blocks)] if places.ndim == 1 else zip(places, blocks, strict=True)
         return Covariance(factor, tuple(groups))
 
-
-@dataclass(frozen=True)
-class Eliminated:
-    """The E parameters of one station, or of each of S stations (leading axis S), that were eliminated.
-
-    Attributes:
-        balance: what the station says of them and their priors if the shared parameters stay where they are.
-        carried: shape (E, C), K F'WR: how far a step of the C shared parameters moves them the other way.
-        places: shape (E,), where they stand among all free parameters.
-        shared: shape (C,), where the parameters that these stations share with others stand among the shared ones.
-    """
-
-    balance: Balance
-    carried: np.ndarray
-    places: np.ndarray
-    shared: np.ndarray
+    def _everywhere(self, of: Callable[[Posterior], np.ndarray]) -> np.ndarray:
+        """Return what is said of the parameters that are shared and of each station's own for all of them."""
+        found = np.empty(len(self.is_shared))
+        found[self.is_shared] = of(self)
+        for part in self.own:
+            found[part.places] = of(part.alone)
+        return found
 
     @property
-    def precision(self) -> np.ndarray:
-        """P, shape (E,)."""
-        return np.asarray(self.balance.sizes**-2.0)
+    def whole(self) -> np.ndarray:
+        """The diagonal of all parameters' information before anything was eliminated."""
+        return self._everywhere(lambda found: found.form.whole)
 
     @property
-    def alone(self) -> Posterior:
-        """What both say together."""
-        return self.balance.posterior
+    def metric(self) -> np.ndarray:
+        """How much each of all parameters matters to readings and prior."""
+        return self._everywhere(lambda found: np.sqrt(found.form.whole + found.sizes**-2.0))
 
-    def step(self, shared_step: np.ndarray) -> np.ndarray:
-        """Return their step, shape (E,), once the step of all shared parameters is known."""
-        return np.asarray(self.alone.step - self.carried @ shared_step[self.shared])
+    def step_within(self, bounds: np.ndarray, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Return the most probable step of all parameters within bounds of their values, and which ones a bound stops.
 
-    def square(self, step: np.ndarray, shared_step: np.ndarray) -> float:
-        """Return what they add to the square of a step, shape (E,), measured by the information of the data alone."""
-        along = step + self.carried @ shared_step[self.shared]
-        data = along * _times(self.balance.form.H, along)
-        return float(np.sum(data + self.precision * (along**2 - step**2)))
+        Args:
+            bounds: largest values of all parameters.
+            damping: how much surer than the priors it is that parameters stay where they are (Levenberg's): what the
+                readings are sure of moves as far as without, what they hardly see does not.
+        """
+        at, most, form = self.offsets, bounds[self.is_shared], self.form
+        # The slope of the priors stays what it is.
+        stiffness = 1.0 + damping
+        firm = Posterior(form, self.sizes / np.sqrt(stiffness), at / stiffness)
+        step, held = firm._quick_step, np.zeros(len(at), bool)
+        for _ in range(3):
+            over = ~held & (np.abs(at + step) > most)
+            if not over.any():
+                break
+            held |= over
+            step = np.where(held, np.copysign(most, at + step) - at, step)
+            moved = replace(firm, form=replace(form, g=form.g - form.H[:, held] @ step[held]))
+            step[~held] = moved.part(np.flatnonzero(~held))._quick_step
+        whole, stopped = np.empty(len(self.is_shared)), np.zeros(len(self.is_shared), bool)
+        whole[self.is_shared], stopped[self.is_shared] = step, held
+        for part in self.own:
+            at, most = part.alone.offsets, bounds[part.places]
+            wanted = at + part.step(step)
+            whole[part.places] = np.clip(wanted, -most, most) - at
+            stopped[part.places] = np.abs(wanted) > most
+        return whole, stopped
 
-    def effective(self, covariance: np.ndarray) -> np.ndarray:
-        """Return how many parameters the data spend on them, shape () or (S,), for the covariance of all shared ones."""
-        mine = covariance[np.ix_(self.shared, self.shared)]
-        variance = np.einsum("...ii->...i", self.alone.covariance) + np.sum((self.carried @ mine) * self.carried, axis=-1)
-        # Without a prior a parameter is spent as far as the data determine it.
-        return np.asarray(self.alone.frame_rank + np.sum(self.alone.has_prior - variance * self.precision, axis=-1))
+    def square(self, step: np.ndarray) -> float:
+        """Return the square of a step of all parameters, in units of the noise: how far it moves the readings altogether."""
+        across = step[self.is_shared]
+        return float(across @ self.form.H @ across) + sum(part.square(step[part.places], across) for part in self.own)
 
+    def gain(self, kept: np.ndarray) -> float:
+        """Return how much a step would take off the sum of squares if some of all parameters alone may move.
 
-@dataclass(frozen=True, eq=False)
-class Balance:
-    """What readings say of F parameters, in units of the noise, and their priors; of each of S stations with a leading axis.
-
-    Where rounding lets a Cholesky factor do, the step and the number of parameters spent are found by it, in a tenth of the
-    time that the eigenvectors of :attr:`posterior` take.
-
-    Attributes:
-        form: of the F parameters; rounding is judged by what it was before anything was eliminated.
-        sizes: shape (F,), standard deviations of the priors; inf for none.
-        offsets: shape (F,), present values minus the priors' centres.
-    """
-
-    form: Form
-    sizes: np.ndarray
-    offsets: np.ndarray
-
-    def part(self, at: np.ndarray) -> Balance:
-        """Return that of some parameters, by their places, the others held."""
-        return Balance(self.form.part(at), self.sizes[..., at], self.offsets[..., at])
-
-    @cached_property
-    def posterior(self) -> Posterior:
-        """What they say together."""
-        found = self.determined
-        if not (loose := self._frames[2]).any():
-            return found
-        covariance, frames = found.covariance.copy(), self._parts[1]
-        covariance[..., frames[:, None], frames] += loose
-        return replace(found, covariance=covariance)
+        Only those that are shared count: what eliminated parameters do by themselves is left out.
+        """
+        some = self.part(np.flatnonzero(kept[self.is_shared]))
+        return float((some.form.g - some.offsets / some.sizes**2) @ some._quick_step)
 
     @cached_property
-    def determined(self) -> Posterior:
-        """The same over what is determined: frames' directions that nothing determines have no variance."""
-        (prior, frames), (inverse, frame_rank, _), F = self._parts, self._frames, self._follow
-        H, g, D = self.form.H, self.form.g, self.sizes[..., prior]
-        S = (H[..., prior[:, None], prior] - H[..., prior[:, None], frames] @ F) * _outer(D)
-        reduced = (g[..., prior] - _times(_turned(F), g[..., frames])) * D
-        information, V = np.linalg.eigh(0.5 * (S + _turned(S)))
-        floor = np.maximum(self._floor, NULL * 1e-300)
-        information = np.where(information > floor[..., None], information, 0.0)
-        data = np.where(information > 0.0, _times(_turned(V), reduced), 0.0)
-        shift = D * _times(V, (data - _times(_turned(V), self.offsets[..., prior] / D)) / (information + 1.0))
-        step = np.empty_like(g)
-        step[..., prior] = shift
-        step[..., frames] = _times(inverse, g[..., frames]) - _times(F, shift)
-        C = (V / (information + 1.0)[..., None, :]) @ _turned(V) * _outer(D)
-        covariance, carried = np.empty(H.shape), F @ C
-        covariance[..., prior[:, None], prior] = C
-        covariance[..., frames[:, None], prior] = -carried
-        covariance[..., prior[:, None], frames] = -_turned(carried)
-        covariance[..., frames[:, None], frames] = inverse + carried @ _turned(F)
-        return Posterior(step, covariance, information, V, frame_rank, self.has_prior)
-
-    @cached_property
-    def step(self) -> np.ndarray:
-        """The step of the posterior, shape (F,)."""
-        (prior, frames), (inverse, _, _), F = self._parts, self._frames, self._follow
+    def _quick_step(self) -> np.ndarray:
+        """The step, where rounding lets it by a Cholesky factor in a tenth of the time that eigenvectors take."""
+        (prior, frames), (inverse, *_), F = self._parts, self._frames, self._follow
         factor = self._factor()
         if factor is None:
-            return self.posterior.step
+            return self.step
         D, g = self.sizes[prior], self.form.g
         reduced = (g[prior] - F.T @ g[frames]) * D - self.offsets[prior] / D
         step = np.empty(len(g))
         step[prior] = D * cho_solve((factor, True), reduced, check_finite=False)
         step[frames] = inverse @ g[frames] - F @ step[prior]
         return step
-
-    def spent(self, believed: np.ndarray | None = None) -> float | None:
-        """Return :attr:`Posterior.shared_effective` alone; None where rounding forbids.
-
-        Args:
-            believed: shape (F, F), the part of H that is no data; default: none of it.
-        """
-        prior, frames = self._parts
-        factor = None if believed is not None and np.any(believed[frames]) else self._factor()
-        if factor is None:
-            return None
-        C, failed = dpotri(factor, lower=1, overwrite_c=1)
-        if failed:
-            return None
-        spent = float(self._frames[1]) + float(np.sum(1.0 - np.diag(C)))
-        if believed is None:
-            return spent
-        known = believed[prior[:, None], prior] * _outer(self.sizes[prior])
-        return spent - float(2.0 * np.sum(np.tril(C, -1) * known) + np.diag(C) @ np.diag(known))
 
     @cached_property
     def has_prior(self) -> np.ndarray:
@@ -307,9 +327,43 @@ class Balance:
         return S.T
 
 
-def posterior(form: Form, sizes: np.ndarray, offsets: np.ndarray | None = None) -> Posterior:
-    """Combine what readings say with priors; arguments as of :class:`Balance`, default of offsets: none."""
-    return Balance(form, sizes, np.zeros(len(sizes)) if offsets is None else offsets).posterior
+@dataclass(frozen=True)
+class Eliminated:
+    """The E parameters of one station, or of each of S stations (leading axis S), that were eliminated.
+
+    Attributes:
+        alone: what the station says of them and their priors if the shared parameters stay where they are.
+        carried: shape (E, C), K F'WR: how far a step of the C shared parameters moves them the other way.
+        places: shape (E,), where they stand among all free parameters.
+        shared: shape (C,), where the parameters that these stations share with others stand among the shared ones.
+    """
+
+    alone: Posterior
+    carried: np.ndarray
+    places: np.ndarray
+    shared: np.ndarray
+
+    @property
+    def precision(self) -> np.ndarray:
+        """P, shape (E,)."""
+        return np.asarray(self.alone.sizes**-2.0)
+
+    def step(self, shared_step: np.ndarray) -> np.ndarray:
+        """Return their step, shape (E,), once the step of all shared parameters is known."""
+        return np.asarray(self.alone.step - self.carried @ shared_step[self.shared])
+
+    def square(self, step: np.ndarray, shared_step: np.ndarray) -> float:
+        """Return what they add to the square of a step, shape (E,), measured by the information of the data alone."""
+        along = step + self.carried @ shared_step[self.shared]
+        data = along * _times(self.alone.form.H, along)
+        return float(np.sum(data + self.precision * (along**2 - step**2)))
+
+    def effective(self, covariance: np.ndarray) -> np.ndarray:
+        """Return how many parameters the data spend on them, shape () or (S,), for the covariance of all shared ones."""
+        mine = covariance[np.ix_(self.shared, self.shared)]
+        variance = np.einsum("...ii->...i", self.alone.covariance) + np.sum((self.carried @ mine) * self.carried, axis=-1)
+        # Without a prior a parameter is spent as far as the data determine it.
+        return np.asarray(self.alone.frame_rank + np.sum(self.alone.has_prior - variance * self.precision, axis=-1))
 
 
 def eliminate(form: Form, own: np.ndarray, sizes: np.ndarray, offsets: np.ndarray) -> tuple[Form, Eliminated]:
@@ -325,12 +379,12 @@ def eliminate(form: Form, own: np.ndarray, sizes: np.ndarray, offsets: np.ndarra
         What is left of the C others, of several stations their sum, and the eliminated ones.
     """
     shared, own = np.flatnonzero(~own), np.flatnonzero(own)
-    left, balance, across = form.part(shared), Balance(form, sizes, offsets).part(own), form.H[..., own[:, None], shared]
+    left, alone, across = form.part(shared), Posterior(form, sizes, offsets).part(own), form.H[..., own[:, None], shared]
     carried = across
     if len(own):
-        carried, step = balance.determined.covariance @ across, balance.determined.step
-        left = replace(left, H=left.H - _turned(across) @ carried, g=left.g - _times(_turned(across), step))
-    return left.sum(), Eliminated(balance, carried, own, np.arange(len(shared)))
+        carried = alone.determined @ across
+        left = replace(left, H=left.H - _turned(across) @ carried, g=left.g - _times(_turned(across), alone.step))
+    return left.sum(), Eliminated(alone, carried, own, np.arange(len(shared)))
 
 
 def _turned(matrix: np.ndarray) -> np.ndarray:

@@ -166,11 +166,11 @@ class _Run:
     def advance(self) -> None:
         """Take a step."""
         free, here, before = self.free, self.point, self.judged
-        equations = here.equations(before.sigma)
-        step, self.held = equations.step(self.priors.bounds[free])
-        longer = self.accelerated(step, equations.metric)
-        self.wanted = self.length(equations.square(step))
-        del equations
+        posterior = here.posterior(before.sigma)
+        step, self.held = posterior.step_within(self.priors.bounds[free])
+        longer = self.accelerated(step, posterior.metric)
+        self.wanted = self.length(posterior.square(step))
+        del posterior
         self.point = self.moved(longer, step)
         self.judged = self.judge.at(self.point, hard=self.hard)
         self.iterations += 1
@@ -180,16 +180,16 @@ class _Run:
             self.trail = []
         shortest = self.course.short if np.any(self.judged.sigma > rounding(self.problem)) else _ROUNDED
         self.is_short = (
-            self.wanted < shortest or self.length(self.point.equations(self.judged.sigma).square(taken)) < shortest
+            self.wanted < shortest or self.length(self.point.posterior(self.judged.sigma).square(taken)) < shortest
         )
         if self.course.ahead and self.iterations < _LOOKS:
             self.is_short = self.is_near()
 
     def is_near(self) -> bool:
         """Return whether the next step would move no parameter by more than a small part of its standard deviation."""
-        equations, free = self.point.equations(self.judged.sigma), self.free
-        step, _ = equations.step(self.priors.bounds[free])
-        return equations.square(step) + float(np.sum((step / self.priors.sizes[free]) ** 2)) < _NEAR**2
+        posterior, free = self.point.posterior(self.judged.sigma), self.free
+        step, _ = posterior.step_within(self.priors.bounds[free])
+        return posterior.square(step) + float(np.sum((step / self.priors.sizes[free]) ** 2)) < _NEAR**2
 
     def accelerated(self, step: np.ndarray, metric: np.ndarray) -> np.ndarray:
         """Return the step to take where Gauss-Newton wants ``step``, both of shape (F,).
@@ -241,13 +241,13 @@ class _Run:
         """
         if not self.problem.beliefs.is_slope:
             return False
-        whole = self.point.equations(self.judged.sigma).whole
+        whole = self.point.posterior(self.judged.sigma).whole
         return is_exact(whole, self.priors.sizes[self.free]) and len(self.problem) * len(whole) <= MOST_EXACT
 
     def solution(self, ended: Ending) -> Solution:
         """Put the solution together, its noise judged with the parameters really spent."""
         point, noise = self.point, self.judge.noise
-        spent = point.equations(self.judge.at(point, hard=True).sigma).spent
+        spent = point.posterior(self.judge.at(point, hard=True).sigma).spent
         degrees = self.judge.degrees(point.robust, *spent)
         estimated = np.maximum(np.sqrt(point.squares / degrees), rounding(self.problem))
         sigma = noise.resolved(estimated, degrees)
@@ -255,7 +255,7 @@ class _Run:
         at_bound[self.free] = self.held
         return Solution(
             values=point.values,
-            equations=point.equations(sigma),
+            posterior=point.posterior(sigma),
             sigma=sigma,
             estimated=estimated,
             weights=point.robust,
@@ -307,7 +307,7 @@ class _Run:
         damping = self.damping
         for _ in range(_MOST if np.isfinite(here.sizes[here.free]).any() else 0):
             if damping:
-                step = here.equations(sigma).step(bounds, damping)[0]
+                step = here.posterior(sigma).step_within(bounds, damping)[0]
             self.damping = damping / _LESS if damping > _FIRST else 0.0
             if trial.succeeds(step):
                 return trial.there
@@ -315,7 +315,7 @@ class _Run:
             if damping:
                 there, worse = trial.there, trial.there.objective(sigma) / max(here.objective(sigma), 1e-300)
                 if trial.succeeds(
-                    step + there.equations(sigma).step(bounds, _REPAIR * (1.0 + damping) * max(worse, 1.0))[0]
+                    step + there.posterior(sigma).step_within(bounds, _REPAIR * (1.0 + damping) * max(worse, 1.0))[0]
                 ):
                     return trial.there
             damping = max(_FIRST, _MORE * damping)

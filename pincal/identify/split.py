@@ -164,7 +164,7 @@ def _held_out_residuals(robot: Robot, table: Measurements, options: Options, fol
     fit = fit_tables(robot, table.select(fold != k), options)
     held = table.select(fold == k)
     known = scorable(held, fit.options.setup)
-    residuals = np.full((sum(block.size for block in fit.station.sensor.blocks), len(held)), np.nan)
+    residuals = np.full((fit.station.reading_size, len(held)), np.nan)
     residuals[:, known] = fit.readings(held.select(known)).residuals(fit.values)
     return residuals
 

@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import compress
+from itertools import compress, pairwise
 
 import numpy as np
 
@@ -103,6 +103,16 @@ class Station:
         """Components of each block of readings, shape (blocks,)."""
         return np.array([block.size for block in self.sensor.blocks])
 
+    @cached_property
+    def reading_size(self) -> int:
+        """Number m of components of a row's readings, all blocks together."""
+        return int(self.block_sizes.sum())
+
+    @cached_property
+    def block_rows(self) -> list[slice]:
+        """Where each block of readings stands among these."""
+        return [slice(a, b) for a, b in pairwise(np.cumsum([0, *self.block_sizes]).tolist())]
+
     def __len__(self) -> int:
         return len(self.conditions)
 
@@ -129,7 +139,7 @@ class Station:
 
     def residuals(self, values: np.ndarray) -> np.ndarray:
         """Return reading minus prediction at all rows, shape (m, N), not weighted [m, rad]."""
-        m = sum(block.size for block in self.sensor.blocks)
+        m = self.reading_size
         out = np.empty((m, len(self)))
         of_model, own = self.split(values)
         for piece in self._pieces():

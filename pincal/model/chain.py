@@ -29,6 +29,7 @@ from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pincal.model.kernel_inputs import BLOCK, FRAME, MOUNT, Layout, Route
 from pincal.model.latest import Evaluations
@@ -96,7 +97,7 @@ class Chain:
         robot: Robot,
         *,
         moment_frame: MomentFrame = "paper",
-        gravity: np.ndarray | None = None,
+        gravity: ArrayLike | None = None,
         targets: tuple[str, ...] = ("tool",),
         path: LinkPath | None = None,
     ) -> Chain:

@@ -53,10 +53,9 @@ def pose_errors(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
         "position": what they are across the view at the distance of the point. Those of an IMU are in m/s^2 and mrad/s.
     """
     residuals = station.residuals(values)
-    ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
     found = {
-        block.name: np.linalg.norm(residuals[a : a + block.size], axis=0) * _read_in(block.unit).factor
-        for block, a in zip(station.sensor.blocks, ends, strict=False)
+        block.name: np.linalg.norm(residuals[rows], axis=0) * _read_in(block.unit).factor
+        for block, rows in zip(station.sensor.blocks, station.block_rows, strict=True)
     }
     if station.sensor.blocks[0].unit == "m" or not station.sensor.reads_place:
         return found

@@ -198,7 +198,7 @@ def computed(fit: ModelFit) -> Iterator[tuple[str, bool, str]]:
     """
     for station, places in zip(fit.problem.stations, fit.problem.places, strict=True):
         nominal, left = (typical_left(station, values[places])[0] for values in (fit.nominal.values, fit.values))
-        is_spare = len(station) * sum(block.size for block in station.sensor.blocks) > 2 * len(fit.values)
+        is_spare = len(station) * station.reading_size > 2 * len(fit.values)
         is_place = (station.sensor.blocks[0].unit, station.sensor.blocks[0].size) == ("m", 3)
         if is_place and is_spare and min(nominal, left) < _COMPUTED:
             yield station.name, nominal < _COMPUTED, f"{min(nominal, left) * 1e6:.2g} um"

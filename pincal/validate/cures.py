@@ -39,8 +39,7 @@ def typical_left(station: Station, values: np.ndarray) -> tuple[float, float]:
         return 0.0, 0.0
     station = station.sample(_TYPICAL)
     position = float(np.median(np.linalg.norm(station.displacements(values), axis=1)))
-    ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
-    turned = [slice(a, a + b.size) for a, b in zip(ends, station.sensor.blocks, strict=False) if b.unit == "rad"]
+    turned = [rows for rows, b in zip(station.block_rows, station.sensor.blocks, strict=True) if b.unit == "rad"]
     if not turned:
         return position, 0.0
     residuals = station.residuals(values)

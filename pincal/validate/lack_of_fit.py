@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtrc
 
-from pincal.identify.normal import block_rows
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import replicate_groups
@@ -236,7 +235,7 @@ def replicate_squares(rows_of: Replicates, values: np.ndarray, sigma: np.ndarray
     degrees = int((count[again] - 1).sum())
     means = np.stack([np.bincount(pose, weight * component) / mass for component in residuals])
     apart = np.sqrt(weight) * (residuals - means[:, pose])
-    blocks = block_rows(rows_of.station)
+    blocks = rows_of.station.block_rows
     by_block = np.array([((apart[b][:, again[pose]] ** 2).sum(), degrees * (b.stop - b.start)) for b in blocks])
     scale = np.repeat(sigma, [b.stop - b.start for b in blocks])[:, None]
     return ReplicateSquares(

@@ -137,8 +137,8 @@ def misfit_at(
     found = np.zeros(len(values), bool) if found is None else found
     free = found | (np.diag(covariance) > 0.0)
     normal = accumulate(station, values, free, robust)
-    readings = sum(block.size for block in station.sensor.blocks) * int(np.sum(robust > 0.0))
-    squares = float(np.sum(normal.squares / sigma**2))
+    readings = station.reading_size * int(np.sum(robust > 0.0))
+    squares = float(np.sum(normal.squares.blocks / sigma**2))
     if normal.believed is not None and found.any():
         # What the sensor knows of its own parameters counts as readings where these are found.
         facts = station.sensor.constraints(station.split(values)[1])
@@ -150,7 +150,7 @@ def misfit_at(
     sizes = np.array([parameter.size for parameter in station.parameters])[free]
     left, own = eliminate(form, found[free], sizes, values[free])
     directions = own.alone.visible_rank
-    plain = squares - float(own.balance.form.g @ own.alone.step)
+    plain = squares - float(own.alone.form.g @ own.alone.step)
     known = free & ~found
     C = covariance[np.ix_(known, known)]
     degrees = max(readings - directions, 0)
