@@ -90,6 +90,9 @@ def _catalogue(model: Model, situation: PoseSet) -> Iterator[Effect]:
                 yield effect
     for candidate in testable(situation):
         for form in candidate.forms:
+            # An instrument stretches coordinates on all days: what a calibration did not find would hide what is new.
+            if form.locus.acts_on == "directions":
+                continue
             size = form.resolution if isinstance(form, Curve) else 1
             if form.identity not in present and size * CHANGES.rows_each <= len(situation.conditions):
                 yield form
