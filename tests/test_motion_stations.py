@@ -15,6 +15,7 @@ from test_cli import run
 import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.caveats import CaveatKind, findings_on_order
+from pincal.calibration.placing import place_station
 from pincal.errors import BadInputError, Exit, MeasurementError
 from pincal.identify import many_rows
 from pincal.identify.fit import ModelFit
@@ -336,6 +337,20 @@ def test_a_later_session_shows_whether_the_robot_has_changed(
     (tmp_path / "slow" / "tracker.csv").unlink()
     assert run("diagnose", model, tmp_path / "slow", "--out", tmp_path / "c", "--quiet") == Exit.BAD_INPUT
     assert "do not tell where the tool is" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_a_later_session_has_the_noise_of_its_instrument(tmp_path: Path) -> None:
+    """Ten times that of a good tracker, which the first station, an IMU, does not tell."""
+    noisy = ["--noise", "0.3mm", "--log-rates", "80,80,50"]
+    simulated(tmp_path / "day", *noisy)
+    simulated(tmp_path / "later", *noisy, "--pose-seed", "9", "--setup-seed", "9")
+    first, later = (pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, tmp_path / name)]) for name in ("day", "later"))
+    fit = pincal.calibrate(ROBOT, first, GEOMETRY)
+
+    assert [*first] == ["day/imu", "day/tracker"]
+    assert place_station(fit, later["later/tracker"]).model.sigma[0] == pytest.approx(3e-4, rel=0.1)
+    assert not pincal.diagnose(fit, later["later/tracker"]).changed
 
 
 def test_distances_are_read_in_motion(tmp_path: Path) -> None:

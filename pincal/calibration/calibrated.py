@@ -84,9 +84,15 @@ class Calibrated(ABC):
         """Return the calibrated model of the only station, all that a prediction or a diagnosis needs."""
         return self.at()
 
-    def robot_model(self) -> CalibratedModel:
-        """Return the model of the first station with all that the rows of all cover: the robot is the same in each."""
-        first, *others = self.models.values()
+    def robot_model(self, kind: str | None = None) -> CalibratedModel:
+        """Return the model of the first station with all that the rows of all cover: the robot is the same in each.
+
+        Args:
+            kind: kind of a sensor; the first station with such a one is taken, where there is any.
+        """
+        models = self.models.values()
+        first = next((model for model in models if model.sensor_kind == kind), next(iter(models)))
+        others = [model for model in models if model is not first]
         covered = first.covered
         for other in others:
             covered = covered.over(other.covered)

@@ -113,7 +113,7 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
     """Locate instrument and targets of a new station; the robot stays as calibrated.
 
     Args:
-        calibrated: the calibrated robot; of several stations, displacements refer to the first.
+        calibrated: the calibrated robot; of several stations, displacements refer to the first with such readings.
         measurements: rows of the new station, with any instrument.
 
     Returns:
@@ -132,7 +132,7 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
         >>> round(found.moved.instrument, 6), found.moved.target < 1e-9
         (0.866025, True)
     """
-    known = calibrated.robot_model()
+    known = calibrated.robot_model(measurements.kind)
     # Other points, and what was found of them, belong to other stations.
     points = () if measurements.point_names is None else map(str, np.unique(measurements.point_names))
     setup = replace(known.setup, points={name: known.setup.points.get(name) for name in points})

@@ -294,8 +294,9 @@ def update_verb(arguments: UpdateArguments) -> Exit:
     from pincal.diagnosis.model_update import update
     from pincal.validate.accuracy import error_summary
 
-    calibrated = load_stations(arguments.model).robot_model()
-    table = arguments.read(calibrated.model.chain.robot)
+    stations = load_stations(arguments.model)
+    table = arguments.read(stations.robot_model().model.chain.robot)
+    calibrated = stations.robot_model(table.kind)
     with output_folder(arguments.out) as draft:
         found = update(calibrated, table, sigma=arguments.noise, anew=arguments.anew)
         replace(found, provenance=provenance(arguments.files)).save(draft / "model.json")

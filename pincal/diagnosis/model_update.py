@@ -48,7 +48,7 @@ def update(
         IdentificationError: if the rows can't be judged: too many contradict the others, or the instrument was touched.
         BadInputError: as :func:`diagnose`, or for an effect that the model does not have.
     """
-    model = calibrated.robot_model()
+    model = calibrated.robot_model(measurements.kind)
     placed = relocated(model, measurements)
     if anew:
         released = [effect for text in anew for effect in _named(text, model)]

@@ -125,7 +125,7 @@ def diagnose(
     """
     if not 0.0 < alpha < 0.5:
         raise BadInputError(f"alpha is {alpha:g}; expected a probability of a false alarm between 0 and 0.5, such as 0.01")
-    model = calibrated.robot_model()
+    model = calibrated.robot_model(measurements.kind)
     placed = relocated(model, measurements, sigma=sigma)
     verdict = searched = changes_since(model, placed, alpha)
     if doubts := doubts_about(verdict, placed, measurements):
