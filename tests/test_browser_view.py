@@ -129,6 +129,7 @@ def test_ten_thousand_arrows_are_quick(browser: Any, ur10: Robot, rng: np.random
     assert errors(browser) == []
 
 
+@pytest.mark.long
 def test_hostile_names_appear_as_text(browser: Any, rng: np.random.Generator, tmp_path: Path) -> None:
     """Markup in names is read as it is written, in the panel and in the control tree; nothing of it runs."""
     attack = f"<img src=x onerror=alert(1)>{HOSTILE}"

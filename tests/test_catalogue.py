@@ -80,6 +80,7 @@ EXACT = 1e-12
 TILTED = np.array([2.0, -3.0, -9.0])
 LEVEL = np.array([0.0, 0.0, -9.81])
 ARMS = {"kuka": kuka_urdf_path, "ur10": lambda: find_file("ur10"), "panda": lambda: find_file("panda")}
+PARAMS = ["kuka", pytest.param("ur10", marks=pytest.mark.long), "panda"]
 FRAMES: list[tuple[MomentFrame, bool]] = [("paper", False), ("paper", True), ("before", False), ("after", True)]
 
 # From the names of the joints of an arm.
@@ -148,7 +149,7 @@ EFFECTS: dict[str, Make] = {
 }
 
 
-@pytest.fixture(scope="module", params=ARMS)
+@pytest.fixture(scope="module", params=PARAMS)
 def robot(request: pytest.FixtureRequest) -> Robot:
     """Return each of the arms: industrial, parallel axes, seven joints."""
     return Robot.from_urdf(ARMS[request.param]())
@@ -435,7 +436,7 @@ class Comparison:
         return found[:n], float(np.linalg.norm(signal.ravel() - A @ found) / np.linalg.norm(signal))
 
 
-@pytest.fixture(scope="module", params=ARMS)
+@pytest.fixture(scope="module", params=PARAMS)
 def comparison(request: pytest.FixtureRequest) -> Comparison:
     """Return each arm and its true machine."""
     return Comparison(request.param)

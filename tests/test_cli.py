@@ -96,6 +96,7 @@ def test_quiet_says_nothing_on_stderr(tmp_path, table, capsys):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.long
 def test_text_fits_a_hundred_columns(tmp_path, table, capsys):
     """The result table is not wider than a page."""
     run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--quiet")
@@ -186,6 +187,7 @@ def test_check_counts_every_parameter_once(table, capsys):
         assert int(known) + sum(parts) == total
 
 
+@pytest.mark.long
 def test_the_next_command_of_check_is_one(tmp_path, columns, capsys, monkeypatch):
     """It calibrates what was checked, with all that was said of it: here a log of the joints and the names of columns."""
     monkeypatch.chdir(tmp_path)
@@ -291,6 +293,7 @@ def test_bad_tables_are_refused_at_the_door(tmp_path, columns, capsys, case):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.long
 def test_a_failed_run_leaves_earlier_results_untouched(tmp_path, table, columns):
     """What was in the folder before is still there, byte for byte, and nothing else."""
     out = tmp_path / "out"

@@ -251,6 +251,7 @@ def test_a_robot_of_several_stations_is_diagnosed(
         assert f"fitted to {rows} of these" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_move_counts_from_the_nearest_station(days: list[Path], elastic_machine: sim.TrueMachine, tmp_path: Path) -> None:
     """The tracker stands where it stood on Tuesday, three metres from where it stood on Monday."""
     (new,) = written(tmp_path, {"new": tracked(elastic_machine, TURNED, poses=20, seed=7)})

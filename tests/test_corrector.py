@@ -187,6 +187,7 @@ def without_numbers(text: bytes) -> bytes:
     return re.sub(rb"(?<![\w])[-+]?\d+[.,]\d+", b"#", text)
 
 
+@pytest.mark.long
 def test_a_table_of_joints_comes_back_with_other_numbers_alone(made: Made, tmp_path: Path) -> None:
     """Page and Python file write the same text, at whose joints the robot does what was meant; all else is as it was."""
     text = joints_table(made)

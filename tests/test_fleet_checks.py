@@ -30,6 +30,7 @@ def of(family: Family) -> RobotType:
     return learn_type(family.measured(x, rng) for x in family.draw(30, rng)).type
 
 
+@pytest.mark.long
 def test_half_a_year_of_robots(family: Family, of: RobotType) -> None:
     """Five changes of lambda 80 are found within two checks and named, and nothing else is; e-values of others average 1."""
     year = Year(family, of, robots=40, seed=3)

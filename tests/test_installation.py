@@ -47,6 +47,7 @@ def test_what_needs_a_missing_package_is_refused(package: str, words: list[str],
     assert "Traceback" not in done.stderr and not list(tmp_path.iterdir())
 
 
+@pytest.mark.long
 def test_programs_of_controllers_need_a_parser(tmp_path: Path) -> None:
     """Tables do not, and nothing is written."""
     model = Path(__file__).parent / "data" / "model_0_1_0_tracker.json"

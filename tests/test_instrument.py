@@ -148,6 +148,7 @@ def test_an_eccentric_circle_of_the_tracker_is_not_the_robots(kuka: Robot) -> No
     assert [step.effect.name for step in steps] == ["instrument_azimuth"]
 
 
+@pytest.mark.long
 def test_what_stretches_coordinates_is_found_anew_on_another_day(kuka: Robot) -> None:
     """Two in ten thousand: named, known to its interval, and on another day that of the instrument that stands there."""
     stretched = sim.InstrumentStretch(size=2e-4, towards=(4.0, 3.0, 0.0))

@@ -94,6 +94,7 @@ def test_a_joint_that_arrives_unevenly_was_not_remastered() -> None:
     assert seen(table(9055, noise="joint")) is None
 
 
+@pytest.mark.long
 def test_rows_that_are_held_out_are_no_step() -> None:
     """Noise that persists over some fifty rows goes on where forty of them are missing."""
     rows = [table(100 + seed, noise="slow").select(np.r_[:60, 100:150]) for seed in range(8)]

@@ -51,6 +51,8 @@ ARMS: dict[str, Callable[[], Robot]] = {
         "tiago_pro", start="head_front_camera_link", tip="gripper_left_base_link", others=OTHERS
     ),
 }
+# Those that are like another one are long.
+PARAMS = [pytest.param(name, marks=pytest.mark.long) if name in ("ur10", "head to hand") else name for name in ARMS]
 EFFECTS: dict[str, tuple[Effect, ...]] = {
     **{effect.name: (effect,) for effect in ELASTIC},
     "base_frame": (BaseFrame(),),
@@ -63,7 +65,7 @@ EFFECTS: dict[str, tuple[Effect, ...]] = {
 SOME_JOINTS = catalogue.JointElasticity, catalogue.BearingElasticity
 
 
-@pytest.fixture(scope="module", params=ARMS)
+@pytest.fixture(scope="module", params=PARAMS)
 def robot(request: pytest.FixtureRequest) -> Robot:
     """Return each of the robots: industrial, parallel axes, seven joints, a sliding torso; paths up a tree and down."""
     return ARMS[request.param]()

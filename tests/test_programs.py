@@ -149,7 +149,7 @@ def test_without_errors_a_program_stays_as_it_is(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("language", "count"), SIZES)
+@pytest.mark.parametrize(("language", "count"), [(language, COUNT) for language in LANGUAGES])
 def test_the_real_arm_arrives_where_the_program_meant(
     language: str,
     count: int,
@@ -240,7 +240,7 @@ def mutated(content: bytes, other: bytes, rng: np.random.Generator) -> bytes:
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("language", "count"),
-    [*((n, 15) for n in LANGUAGES), *(pytest.param(n, MUTATIONS, marks=pytest.mark.long) for n in LANGUAGES)],
+    [(language, MUTATIONS) for language in LANGUAGES],
 )
 def test_a_program_that_is_not_whole_is_never_made_wrong(
     language: str, count: int, real_arm: Callable[[np.ndarray], np.ndarray]

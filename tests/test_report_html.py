@@ -133,6 +133,7 @@ def test_no_held_out_rows_are_said_to_be_none(kuka: Robot, no_figures: None) -> 
     assert "No poses were held out" in text and "No rows were held out" in text and "--holdout" in text
 
 
+@pytest.mark.long
 def test_seven_joints_make_a_page() -> None:
     """A 7R arm has a figure for each of its joints."""
     page = page_of(panda_run())

@@ -631,6 +631,7 @@ def wandering(machine: sim.TrueMachine, robot: Robot, days: int, size: float) ->
     return tables
 
 
+@pytest.mark.long
 def test_days_drawn_again_show_what_differs_between_them(machine: sim.TrueMachine, kuka: Robot) -> None:
     """The bootstrap over stations spreads an offset that differs by day as widely as its mean over days is known."""
     (offset,) = [effect for effect in GEOMETRIC if effect.name == "joint_offset"]
