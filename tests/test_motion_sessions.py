@@ -260,12 +260,12 @@ def test_an_arm_that_rests_tells_nothing_of_the_mount(tmp_path: Path) -> None:
 def test_streams_that_cannot_be_right_are_refused(
     logs: tuple[dict[str, Table], ImuSetup], fault: str, tmp_path: Path
 ) -> None:
-    """When they are read, with the file, what was found and the cure."""
+    """When they are read, with the file and its session, what was found and the cure."""
     corrupt, said = AT_THE_DOOR[fault]
     tables = copied(logs[0])
     corrupt(tables)
 
-    with pytest.raises(MeasurementError, match=said):
+    with pytest.raises(MeasurementError, match=f"day.*{said}"):
         read(tmp_path / "day", tables)
 
 

@@ -176,7 +176,7 @@ def read_streams(
             cells = cells_of(recorded[path][what], schema, is_part=True)
         else:
             cells = _read(path, schema)
-        found[what] = _checked(what, path.name, cells)
+        found[what] = _checked(what, f"{name}/{path.name}" if name and path.stem != name else path.name, cells)
     q = found["joints"].readings["q"]
     if robot.couplings:
         found["joints"] = replace(found["joints"], readings={**found["joints"].readings, "q": robot.from_reported(q)})

@@ -51,8 +51,7 @@ def session_tables(robot: Robot, sessions: Sequence[Session]) -> dict[str, Measu
             name = session.name if session.name and len(there) == 1 else "/".join(filter(None, (session.name, what)))
             stream = parts[what]
             assert stream is not None
-            table = _imu_table(arm, stream, others) if what == "imu" else _tracker_table(arm, stream)
-            found[name] = replace(table, source=f"{session.name}/{stream.name}" if session.name else stream.name)
+            found[name] = _imu_table(arm, stream, others) if what == "imu" else _tracker_table(arm, stream)
     return found
 
 
