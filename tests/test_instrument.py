@@ -14,6 +14,7 @@ from pincal import load_model
 from pincal import simulate as sim
 from pincal.calibration.calibrated_robot import Fit, calibrate
 from pincal.calibration.placing import place_station
+from pincal.diagnosis.robot_diagnosis import diagnose
 from pincal.discover.candidate_tests import variants
 from pincal.discover.loop import discover_effects
 from pincal.discover.steps import History
@@ -160,6 +161,8 @@ def test_what_stretches_coordinates_is_found_anew_on_another_day(kuka: Robot) ->
         own = model.estimate.take([f"instrument.stretch_{axes}" for axes in ("x", "y", "xy", "xz", "yz")])
         assert np.all(np.abs(own.values - size * np.array([0.64, 0.36, 0.48, 0.0, 0.0])) < 3.5 * own.sigma)
     assert all(one.misfit.ratio < 1.15 and not one.notes for one in placed)
+    # Neither the same instrument nor a sound one makes another robot of it.
+    assert not any(diagnose(fit, day).changed for day in days)
 
 
 @pytest.mark.long

@@ -269,11 +269,8 @@ class ChangeHypotheses:
         off pulls as strongly as it does.
         """
         root, names = (np.zeros((0, 0)), ()) if is_certain else (self.known.root, self.known.names)
-        free, n, known = (
-            self.free(happened),
-            root.shape[1],
-            np.array([self.station.model.index(name) for name in names], int),
-        )
+        free, n = self.free(happened), root.shape[1]
+        known = np.array([self.station.model.index(name) for name in names], int)
         places = np.union1d(known, free).astype(int)
         # From one vector of uncorrelated unknowns to the parameters.
         W = np.zeros((len(places), n + len(free)))
