@@ -129,48 +129,64 @@ class Views:
         index: shape (N,), the point of each row.
         n_points: how many points there are.
         tips: shape (N, 3, 4), nominal tips in the robot's base frame.
-        pixel: shape (N, 2), the images [px].
+        slopes: shape (N, 2), where each point is seen from a camera, undistorted.
+        focal: the focal length of that camera [px].
     """
 
     index: np.ndarray
     n_points: int
     tips: np.ndarray
-    pixel: np.ndarray
+    slopes: np.ndarray
+    focal: float
 
-    def sight(self, lens: Lens, turn: np.ndarray) -> _Sight:
+    def of(self, rows: np.ndarray) -> Views:
+        """Return some of the rows."""
+        return replace(self, index=self.index[rows], tips=self.tips[rows], slopes=self.slopes[rows])
+
+    def sight(self, turn: np.ndarray, factor: float) -> _Sight:
         """Return the camera's place and the points nearest to their lines of sight, for a camera turned on the tool.
 
         Args:
-            lens: the camera.
             turn: shape (3, 3), camera to tip frame.
+            factor: by which its focal length is longer.
         """
         index, R, p = self.index, self.tips[:, :, :3], self.tips[:, :, 3]
-        sight = np.einsum("nab,nb->na", R, rays(lens, self.pixel) @ turn.T)
+        seen = np.column_stack([self.slopes / factor, np.ones(len(p))])
+        seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+        sight = (R @ (seen @ turn.T)[:, :, None])[:, :, 0]
         across = np.eye(3) - sight[:, :, None] * sight[:, None, :]
-        push = np.einsum("nab,nb->na", across, p)
+        push = (across @ p[:, :, None])[:, :, 0]
         turned = across @ R
         S, b, B = np.zeros((self.n_points, 3, 3)), np.zeros((self.n_points, 3)), np.zeros((self.n_points, 3, 3))
         np.add.at(S, index, across)
         np.add.at(b, index, push)
         np.add.at(B, index, turned)
-        inverse = np.linalg.pinv(S, rcond=RANK, hermitian=True)
-        H = np.einsum("nba,nbc->ac", R, turned) - np.einsum("kba,kbc,kcd->ad", B, inverse, B)
-        h = np.einsum("kba,kbc,kc->a", B, inverse, b) - np.einsum("nba,nb->a", R, push)
+        # Along the line of a point that is seen once nothing pushes, so that a little there changes nothing.
+        inverse = np.linalg.inv(S + RANK * np.eye(3))
+        solved = inverse @ B
+        H = np.tensordot(R, turned, ((0, 1), (0, 1))) - np.tensordot(B, solved, ((0, 1), (0, 1)))
+        h = np.tensordot(solved, b, ((0, 1), (0, 1))) - np.tensordot(R, push, ((0, 1), (0, 1)))
         t = np.linalg.lstsq(H, h, rcond=RANK)[0]
-        places = np.einsum("kab,kb->ka", inverse, b + B @ t)
+        places = (inverse @ (b + B @ t)[:, :, None])[:, :, 0]
         away = places[index] - p - R @ t
-        depth = np.einsum("na,na->n", away, sight)
-        missed = np.einsum("nab,nb->na", across, away)
+        depth = np.sum(away * sight, axis=1)
+        missed = (across @ away[:, :, None])[:, :, 0]
         angle = np.arctan2(np.linalg.norm(missed, axis=1), depth)
-        image = lens.fx * missed / np.maximum(depth, _NEAR)[:, None]
-        return _Sight(lens.fx * float(np.mean(angle)), image.ravel(), t, places)
+        focal = factor * self.focal
+        image = focal * missed / np.maximum(depth, _NEAR)[:, None]
+        return _Sight(focal * float(np.mean(angle)), image.ravel(), t, places)
 
 
-def camera_starts(views: Views, known: Lens | None, *, rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Lens]]:
+def camera_starts(
+    index: np.ndarray, n_points: int, tips: np.ndarray, pixel: np.ndarray, *, known: Lens | None, rows: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray, Lens]]:
     """Yield the best places and focal lengths of the camera: those on a grid, made better one by one.
 
     Args:
-        views: the images.
+        index: shape (N,), the point of each row.
+        n_points: how many points there are.
+        tips: shape (N, 3, 4), nominal tips in the robot's base frame.
+        pixel: shape (N, 2), the images [px].
         known: the camera, where it is known.
         rows: those that the search looks at.
 
@@ -180,20 +196,21 @@ def camera_starts(views: Views, known: Lens | None, *, rows: np.ndarray) -> Iter
     from scipy.optimize import least_squares
     from scipy.spatial.transform import Rotation
 
-    sample = Views(views.index[rows], views.n_points, views.tips[rows], views.pixel[rows])
-    lens, focal = _guessed(views.pixel, known)
+    lens, focal = _guessed(pixel, known)
+    views = Views(index, n_points, tips, slopes(lens, pixel), lens.fx)
+    sample = views.of(rows)
 
     def missed(x: np.ndarray) -> _Sight:
-        return sample.sight(_scaled(lens, x[3:]), Rotation.from_rotvec(x[:3]).as_matrix())
+        return sample.sight(Rotation.from_rotvec(x[:3]).as_matrix(), float(np.exp(x[3:].sum())))
 
     turns = Rotation.create_group("I").as_rotvec()
     grid = [np.append(turn, scale) for scale in focal for turn in turns]
     best = sorted(grid, key=lambda x: missed(x).error)[:_GRID_STARTS]
     found = [least_squares(lambda x: missed(x).image, x, max_nfev=_ROUNDS).x for x in best]
     for x in sorted(found, key=lambda x: missed(x).error)[:_KEPT]:
-        turn, scaled = Rotation.from_rotvec(x[:3]).as_matrix(), _scaled(lens, x[3:])
-        sight = views.sight(scaled, turn)
-        yield transform(turn, sight.camera), sight.points, scaled
+        turn, factor = Rotation.from_rotvec(x[:3]).as_matrix(), float(np.exp(x[3:].sum()))
+        sight = views.sight(turn, factor)
+        yield transform(turn, sight.camera), sight.points, replace(lens, fx=factor * lens.fx, fy=factor * lens.fy)
 
 
 def _guessed(pixel: np.ndarray, known: Lens | None) -> tuple[Lens, list[list[float]]]:
@@ -206,21 +223,14 @@ def _guessed(pixel: np.ndarray, known: Lens | None) -> tuple[Lens, list[list[flo
     return Lens(width, width, float(u0), float(v0)), [[float(np.log(f))] for f in _FOCAL]
 
 
-def _scaled(lens: Lens, log_factor: np.ndarray) -> Lens:
-    factor = float(np.exp(log_factor.sum()))
-    return replace(lens, fx=lens.fx * factor, fy=lens.fy * factor)
-
-
-def rays(lens: Lens, pixel: np.ndarray) -> np.ndarray:
-    """Return unit vectors in the camera's frame along the lines of sight, shape (N, 3)."""
+def slopes(lens: Lens, pixel: np.ndarray) -> np.ndarray:
+    """Return where points are seen in the camera's frame, undistorted: x/z and y/z, shape (N, 2)."""
     ideal = (pixel - (lens.u0, lens.v0)) / (lens.fx, lens.fy)
-    slopes = ideal
-    ones = np.ones((len(pixel), 1))
+    found = ideal
     for _ in range(_ROUNDS if np.any(lens.values[4:]) else 0):
-        bent = (lens.project(np.hstack([slopes, ones])) - (lens.u0, lens.v0)) / (lens.fx, lens.fy)
-        slopes = slopes + 0.5 * (ideal - bent)
-    rays = np.hstack([slopes, ones])
-    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+        bent = (_bent(lens, found)[0] - (lens.u0, lens.v0)) / (lens.fx, lens.fy)
+        found = found + 0.5 * (ideal - bent)
+    return np.asarray(found)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 
 from pincal.measure.extrinsics import Extrinsics, by_target, sample_rows
 from pincal.measure.fields import CONDITIONS, POINT, Field, TableRows
-from pincal.measure.lens import NEAREST, Lens, Views, camera_starts, rays
+from pincal.measure.lens import NEAREST, Lens, camera_starts, slopes
 from pincal.measure.point_sensor import PointSensor, centred, index_of, solved
 from pincal.measure.sensor import Additive, Block, Excluded, KnownParameters, OwnParameters, Plausible
 from pincal.measure.sensors.pose import check_spread
@@ -206,9 +206,9 @@ class CameraPixelSensor(CameraSensor, Images):
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
         """Yield the best places and focal lengths of the camera."""
         rows = sample_rows(len(self), _SAMPLE, self.groups)
-        views = Views(self.index, len(self.points.names), tips, self.pixel)
-        nominal = self.setup.lens_values
-        for hand, places, lens in camera_starts(views, self.setup.lens, rows=rows):
+        nominal, known = self.setup.lens_values, self.setup.lens
+        views = self.index, len(self.points.names), tips, self.pixel
+        for hand, places, lens in camera_starts(*views, known=known, rows=rows):
             yield self.start_with_points(places, hand[None], rest=lens.values - nominal)
 
 
@@ -248,8 +248,7 @@ class FixedCameraSensor(Images, OwnParameters):
         rows = sample_rows(len(self), _SAMPLE, target)
         lens, tips, target, pixel = self.setup.lens, tips[rows], target[rows], self.pixel[rows]
         if lens is not None:
-            sight = rays(lens, pixel)
-            pixel = sight[:, :2] / sight[:, 2:]
+            pixel = slopes(lens, pixel)
         p, R = tips[:, :, 3], tips[:, :, :3]
         tools = np.tile(np.eye(4), (n_targets, 1, 1))
         yield self._start(_matrix(p, pixel)[0], tools)
