@@ -65,7 +65,7 @@ def least_error_if_told(model: CalibratedModel, new: Measurements, others: Measu
     """Return the error at other poses of a fit that knows what changed: the best of all forms of the right answers."""
     (hidden,) = answer["hidden"]
     placed = place_station(model, new)
-    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model))
+    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model, placed.station.conditions))
     right = [i for i, c in enumerate(lineup.changes) if c.name in hidden["effects"] and c.joint in hidden["joints"]]
     assert right
     return min(error_mm(lineup.reidentified([i], lineup.reidentify([i], lineup.start)), others) for i in right)
@@ -149,7 +149,7 @@ def test_gains_are_those_of_dense_matrices(offset: tuple[CalibratedModel, Measur
     """With V = 1 + R C R^T + M S M^T + B B^T written out, a change gains what least squares beside what is free says."""
     model, table = offset
     placed = place_station(model, table)
-    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model))
+    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model, placed.station.conditions))
     found = lineup.weigh(lineup.start, ())
     station, known = lineup.station, lineup.known
     ((_, r, J),) = station.linearise(lineup.start, np.ones(len(lineup.start), bool))
@@ -268,7 +268,7 @@ def test_weighing_again_after_a_change_is_consistent(offset: tuple[CalibratedMod
     """What is left once a change is released is what the first order said, for a change as small as this."""
     model, table = offset
     placed = place_station(model, table)
-    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model))
+    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model, placed.station.conditions))
     start = lineup.release((), lineup.start)
     i = next(k for k, c in enumerate(lineup.changes) if c.parameters == ("axis_2.theta",))
     before = lineup.weigh(start, ())
@@ -360,7 +360,7 @@ def test_what_is_excluded_would_have_been_noticed() -> None:
     case = draw_case(1)
     assert case is not None
     placed = place_station(case.model, case.new)
-    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(case.model))
+    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(case.model, placed.station.conditions))
     quiet = pincal.diagnose(case.model, case.new)
     entry = next(e for e in quiet.excluded if e.parameter == "axis_3.theta")
     places = lineup.places[next(k for k, c in enumerate(lineup.changes) if c.parameters == ("axis_3.theta",))]

@@ -78,7 +78,7 @@ def lineup_over(model: CalibratedModel, rig: SensorSetup, conditions: Conditions
         sensor_kind=rig.sensor,
         sigma=noise_like(model, rig.sensor, station.sensor.blocks),
     )
-    few = ChangeHypotheses.of(placed, station.select(np.arange(_ROWS)), Known.of(model))
+    few = ChangeHypotheses.of(placed, station.select(np.arange(_ROWS)), Known.of(model, station.conditions))
     return replace(few, station=station.with_model(few.station.model))
 
 

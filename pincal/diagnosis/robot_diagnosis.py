@@ -170,7 +170,7 @@ def diagnose(
 
 def changes_since(model: CalibratedModel, placed: Placed, alpha: float) -> ChangeVerdict:
     """Return what has happened to a calibrated robot that was placed at a new station."""
-    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model))
+    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model, placed.station.conditions))
     return search(lineup, alpha=alpha, degrees=known_degrees(model, placed.station), apart=row_anomalies(placed))
 
 

@@ -27,6 +27,7 @@ from pincal.discover.levers import MassError
 from pincal.identify.normal import belief_rows
 from pincal.identify.quadratic import ROUNDING, Quadratic, root_of_inverse
 from pincal.identify.station import Station
+from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect
 from pincal.model.sizes import largest_basis
 from pincal.parameters import root_of
@@ -57,8 +58,8 @@ class Known:
     left: tuple[Effect, ...] = ()
 
     @classmethod
-    def of(cls, calibrated: CalibratedModel) -> Known:
-        """Return what a calibrated model knows of its robot, the effects that it left among it."""
+    def of(cls, calibrated: CalibratedModel, conditions: Conditions) -> Known:
+        """Return what a calibrated model knows of its robot, and of effects that it left and new rows can show."""
         chain = calibrated.model.chain
         effects = (effect for effect in calibrated.model.effects if effect.scope == "robot")
         names = tuple(parameter.name for effect in effects for parameter in effect.parameters(chain))
@@ -68,17 +69,19 @@ class Known:
         known = cls(names, estimate.values, root_of(estimate.dense_covariance()), masses, taken_up)
         if (left := calibrated.left) is None:
             return known
-        # The parameters have taken up as much of it as they could.
+        # The parameters have taken up as much of it as they could, which stays where rows lack a column that it needs.
         taken, root = np.zeros((len(names), len(left.values))), root_of(left.covariance)
         taken[[names.index(name) for name in left.names]] = left.taken_up
-        E = len(root)
+        shown = [effect for effect in left.effects if all(conditions.column(name) is not None for name in effect.needs)]
+        own = [left.parameter_names.index(parameter.name) for effect in shown for parameter in effect.parameters(chain)]
+        E = len(own)
         return cls(
-            names=(*names, *left.parameter_names),
-            values=np.concatenate([known.values - taken @ left.values, left.values]),
-            root=np.block([[known.root, -taken @ root], [np.zeros((E, known.root.shape[1])), root]]),
+            names=(*names, *(left.parameter_names[i] for i in own)),
+            values=np.concatenate([known.values - taken @ left.values, left.values[own]]),
+            root=np.block([[known.root, -taken @ root], [np.zeros((E, known.root.shape[1])), root[own]]]),
             masses=masses,
             taken_up=np.vstack([taken_up, np.zeros((E, taken_up.shape[1]))]),
-            left=left.effects,
+            left=tuple(shown),
         )
 
 
