@@ -6,8 +6,11 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
+from diagnosis_cases import draw_case
+from scipy.linalg import block_diag
 from test_diagnosis import calibrated, rows
 
 import pincal
@@ -18,6 +21,7 @@ from pincal.cli import main
 from pincal.diagnosis.redrawn_curves import redrawn_curves
 from pincal.discover.run import run_discovery
 from pincal.errors import BadInputError, IdentificationError
+from pincal.model.catalogue.drives import ShortOfTarget
 from pincal.model.catalogue.transmission import TransmissionError
 from pincal.model.chain import Chain
 
@@ -94,11 +98,43 @@ def test_a_curve_that_was_not_seen_everywhere_is_said_to_be_so() -> None:
     table = session(robot, 1200, {DRIVES[0]: 1}, seed=0)
     options = Options(effects=(*ELASTIC, smooth(DRIVES[0])), sigma=NOISE)
     model = pincal.calibrate(robot, table.select(np.abs(table.q[:, 0]) > 0.5 * HALF), options).to_model()
-    found = pincal.diagnose(model, session(robot, 80, {DRIVES[0]: 1}, seed=1))
+    later = session(robot, 80, {DRIVES[0]: 1}, seed=1)
+    found = pincal.diagnose(model, later)
+    judged = validate_rows([model], later)
+    (gap,) = model.gaps(judged.station.conditions)
+    open_rows = np.abs(later.q[:, 0]) < 0.5 * HALF
 
     assert not found.changed
     assert found.found.curves is not None
     assert 0.4 < found.found.curves.joints[0].seen < 0.7
+    # Its smoothness reaches over one or two pieces.
+    assert (gap.lower, gap.upper) == pytest.approx((-0.5 * HALF, 0.5 * HALF), abs=4 * HALF / 40)
+    assert gap.rows == pytest.approx(open_rows.sum(), abs=6)
+    split = judged.by_coverage
+    assert split is not None and split["elsewhere"]["rows"] == gap.rows
+    assert split["elsewhere"]["mean"] > 3.0 * split["determined"]["mean"]
+    assert not model.gaps(judged.station.conditions.select(~open_rows))
+
+
+def test_what_later_rows_do_not_record_is_no_obstacle() -> None:
+    """A model left settling, which follows the time: rows without one are diagnosed as if it had not."""
+    case = draw_case(0, missed=3)
+    assert case is not None and case.model.left is not None
+    left, effect = case.model.left, ShortOfTarget(case.model.model.chain.robot.joint_names[1])
+    n = len(names := tuple(p.name for p in effect.parameters(case.model.model.chain)))
+    more = msgspec.structs.replace(
+        left,
+        effects=(*left.effects, effect),
+        parameter_names=(*left.parameter_names, *names),
+        values=np.append(left.values, np.full(n, 1e-4)),
+        covariance=block_diag(left.covariance, 1e-10 * np.eye(n)),
+        taken_up=np.pad(left.taken_up, ((0, 0), (0, n))),
+    )
+    with_it, without = (pincal.diagnose(replace(case.model, left_by=each), case.new) for each in (more, left))
+
+    assert case.new.time is None
+    assert with_it.found.p_value == pytest.approx(without.found.p_value, rel=1e-9)
+    assert [change.parameters for change in with_it.changes] == [change.parameters for change in without.changes]
 
 
 @pytest.mark.long
@@ -207,7 +243,7 @@ def test_discovery_over_two_days_names_the_drive_whose_curve_changed(curve: int)
 
 @pytest.mark.long
 def test_the_drives_of_a_ur10_on_another_day(shared_data: Path) -> None:
-    """A model of series A on B: the pan's curve brings most by far, and found anew from 60 rows it does."""
+    """A model of series A on B: it holds where A had poses; the pan's curve, anew from 60 rows, brings most."""
     robot = Robot.from_urdf("ur10")
     series = [pincal.read_measurements(shared_data / "ur10_tmac" / f"series_{name}.csv", robot.joint_names) for name in "AB"]
     # Every fourth row of A, as all 11911 take many minutes; they leave 0.176, 0.102 (pan) and 0.076 mm (all drives). Of the
@@ -220,6 +256,12 @@ def test_the_drives_of_a_ur10_on_another_day(shared_data: Path) -> None:
     curves = redrawn_curves(placed, series[1], kept=kept, session="series_B")
 
     assert curves is not None
+    # Where A had poses at which the drives stand there, its model holds on another day.
+    known = placed.model.knows(placed.station.conditions)
+    off = 1e3 * np.linalg.norm(placed.station.displacements(placed.values), axis=1)
+    means = off[known].mean(), off[~known].mean()
+    print(f"{means[0]:.3f} mm at the {known.sum()} poses where A told every curve, {means[1]:.3f} mm elsewhere")
+    assert known.sum() > 300 and means[0] < 0.14 and means[1] > 0.2
     assert 0.16 < curves.as_it_was_mm < 0.19 and curves.all_anew_mm < 0.085
     first, *others = curves.joints
     assert first.joint == "shoulder_pan_joint" and first.error_mm == pytest.approx(0.113, abs=0.005) and first.seen < 0.7

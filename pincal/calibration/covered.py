@@ -14,14 +14,19 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pincal.identify.criteria import CHANGES
 from pincal.io.arrays import ArrayShape, Matrix, Numbers, Record
+from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, into_range, recorded_variable
-from pincal.model.effect import Effect
+from pincal.model.effect import Curve, Effect
 from pincal.model.model import Model
+from pincal.parameters import Estimate
 from pincal.robot.robot import Robot
 
 # What still counts as covered beyond the training rows: this part of their range, and this much [rad, m or kg].
 _MARGIN_PART, _MARGIN = 0.02, 1e-3
+# Points of each piece of a curve at which it is asked whether the rows told it.
+_POINTS = 4
 # Columns that tell the day, not the pose.
 OF_THE_DAY = ("temperature", "time", "move")
 
@@ -53,6 +58,24 @@ class OutsideCurve(NamedTuple):
     rows: int
     lowest: float
     highest: float
+    lower: float
+    upper: float
+
+
+class CurveGap(NamedTuple):
+    """A range in which the training rows left a curve of the model open, and across which it is interpolated.
+
+    Attributes:
+        effect, joint: the curve.
+        variable: what it follows: a joint's name, "time", "temperature" or "payload".
+        rows: how many rows lie there.
+        lower, upper: where it begins and ends.
+    """
+
+    effect: str
+    joint: str
+    variable: str
+    rows: int
     lower: float
     upper: float
 
@@ -141,6 +164,27 @@ class SeenCurve(NamedTuple):
     def beyond(self) -> np.ndarray:
         """Which rows lie beyond its range, shape (N,)."""
         return _beyond(self.x, *self.span)
+
+    def gaps(self, chain: Chain, estimate: Estimate) -> np.ndarray:
+        """Return where in its range the training rows left it open, shape (G, 2).
+
+        They told less than three quarters of its variance there; its mean, which is the joint offset's, apart.
+        """
+        effect, members = self.effect, self.effect.parameters(chain)
+        if not isinstance(effect, Curve) or (belief := effect.belief(members)) is None:
+            return np.zeros((0, 2))
+        x = np.linspace(*self.span, _POINTS * effect.resolution + 1)
+        basis = effect.basis(x)
+        basis = basis - basis.mean(axis=1, keepdims=True)
+        C = estimate.take([member.name for member in members]).dense_covariance()
+        known, believed = (np.sum(basis * (part @ basis), axis=0) for part in (C, np.linalg.inv(belief)))
+        is_open = np.concatenate([[False], known > CHANGES.curve_seen**2 * believed, [False]])
+        edges = np.flatnonzero(is_open[1:] != is_open[:-1]).reshape(-1, 2)
+        return np.asarray(x[np.minimum(edges, len(x) - 1)])
+
+    def rows_in(self, gaps: np.ndarray) -> np.ndarray:
+        """Return which rows lie in which of G gaps, shape (G, N)."""
+        return (self.x >= gaps[:, :1]) & (self.x <= gaps[:, 1:])
 
 
 def curves_at(model: Model, conditions: Conditions) -> Iterator[SeenCurve]:

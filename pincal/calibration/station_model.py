@@ -10,7 +10,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pincal.calibration.covered import Covered, Outside, OutsideCurve, Turned, curves_at, of_the_day
+from pincal.calibration.covered import Covered, CurveGap, Outside, OutsideCurve, Turned, curves_at, of_the_day
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import BadInputError, MeasurementError
@@ -247,6 +247,23 @@ class StationModel:
             for curve in curves_at(self.model, self.of_its_day(conditions))
             if curve.beyond.any()
         ]
+
+    def gaps(self, conditions: Conditions) -> list[CurveGap]:
+        """Return the gaps in the curves of the model that some rows lie in, where these are interpolated."""
+        return [
+            CurveGap(curve.effect.name, curve.joint, curve.variable, int(inside.sum()), *map(float, gap))
+            for curve in curves_at(self.model, self.of_its_day(conditions))
+            for gaps in [curve.gaps(self.model.chain, self.estimate)]
+            for gap, inside in zip(gaps, curve.rows_in(gaps), strict=True)
+            if inside.any()
+        ]
+
+    def knows(self, conditions: Conditions) -> np.ndarray:
+        """Return the rows at which every curve of the model was told by the training rows, shape (N,)."""
+        known = np.ones(len(conditions), bool)
+        for curve in curves_at(self.model, self.of_its_day(conditions)):
+            known &= ~curve.beyond & ~curve.rows_in(curve.gaps(self.model.chain, self.estimate)).any(axis=0)
+        return known
 
     def turned_curves(self, conditions: Conditions) -> list[Turned]:
         """Return the curves that some rows need a revolution away from where they were seen, taken as periodic."""

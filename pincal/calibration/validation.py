@@ -11,7 +11,6 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.caveats import findings_on_held_out
-from pincal.calibration.covered import curves_at
 from pincal.calibration.placing import FrameShift, Placed, expected_noise, place_station
 from pincal.errors import BadInputError
 from pincal.identify.initial import links_of
@@ -104,6 +103,18 @@ class Validation:
     def error(self) -> dict[str, float]:
         """Errors of all rows: their statistics."""
         return error_summary(self.station, self.values)
+
+    @cached_property
+    def by_coverage(self) -> dict[str, Any] | None:
+        """Mean errors where the calibration had determined every curve of the model, and elsewhere; None if all are so."""
+        known = self.model.knows(self.station.conditions)
+        if known.all() or not known.any():
+            return None
+        unit, sizes = next(iter(pose_error_sizes(self.station, self.values).items()))
+        parts = {"determined": known, "elsewhere": ~known}
+        return {"unit": unit} | {
+            name: {"rows": int(rows.sum()), "mean": float(sizes[rows].mean())} for name, rows in parts.items()
+        }
 
     @property
     def values(self) -> np.ndarray:
@@ -247,9 +258,7 @@ def doubt_of(table: Measurements, placed: Placed) -> str:
     better than none.
     """
     known, station, values = placed.model, placed.station, placed.values
-    used, inside = placed.solution.weights > 0.0, np.ones(len(station), bool)
-    for curve in curves_at(known.model, station.conditions):
-        inside &= ~curve.beyond
+    used, inside = placed.solution.weights > 0.0, known.knows(station.conditions)
     sound = used & known.covered.carries(station.conditions.payload)
     for rows, factor in ((sound & inside, 1.0), (sound, _UNSEEN), (used & inside, np.inf)):
         left = placed.misfit_of(rows)

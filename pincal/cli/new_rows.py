@@ -119,7 +119,7 @@ def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
     ranges = [extrapolation(each.model, each.station.conditions, each.table.rows) for each in found]
     beyond = {
         "outside": sum(part["outside"] for part, _ in ranges),
-        "curves": [curve for part, _ in ranges for curve in part["curves"]],
+        **{name: [curve for part, _ in ranges for curve in part[name]] for name in ("curves", "gaps")},
     }
     # Entries of a single station are repeated at the top.
     alone = {key: stations[0][key] for key in ("iso9283", "path", "lack_of_fit") if len(found) == 1 and key in stations[0]}
@@ -142,6 +142,7 @@ def _station(found: Validation) -> dict[str, Any]:
     contents |= {"fitted_rows": found.fitted_rows}
     contents |= {"misfit": {"ratio": found.misfit.ratio, "p_value": found.misfit.p_value}, "doubt": found.doubt or None}
     contents |= {"verdict": found.verdict}
+    contents |= {} if (split := found.by_coverage) is None else {"by_coverage": split}
     contents |= {} if iso is None else {"iso9283": iso}
     contents |= {} if (path := found.path_accuracy) is None else {"path": path}
     return contents | ({} if lack is None else {"lack_of_fit": asdict(lack)})
@@ -169,6 +170,15 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
     else:
         out.print(error_table({"calibrated": parts} if len(found) > 1 else result["error"]))
     for each in found:
+        if (split := each.by_coverage) is not None:
+            inside, elsewhere = split["determined"], split["elsewhere"]
+            out.print(
+                hanging(
+                    f"{each.name}:",
+                    f"mean {inside['mean']:.4f} {split['unit']} at the {inside['rows']} poses where the calibration had "
+                    f"determined the curve of every drive, {elsewhere['mean']:.4f} {split['unit']} at the others",
+                )
+            )
         print_replicates(*each.replicate_statistics(), out)
         if (path := each.path_accuracy) is not None:
             out.print(hanging("path:", path_words(path)))

@@ -109,13 +109,19 @@ def extrapolation(
             f"{curve.highest:.4g} {units[curve.variable]}; it was identified from {curve.lower:.4g} to {curve.upper:.4g} "
             "only and is held constant outside"
         )
+    gaps = sorted(calibrated.gaps(conditions), key=lambda gap: -gap.rows)
+    for gap in gaps[:_SHOWN]:
+        notes.append(
+            f"{gap.rows} rows need the {gap.effect} of {gap.joint} at {gap.variable} {gap.lower:.4g} to {gap.upper:.4g} "
+            f"{units[gap.variable]}, where the calibration had too few poses to determine it; it is interpolated there"
+        )
     turned = calibrated.turned_curves(conditions)
     for found in turned:
         notes.append(
             f"{found.rows} rows have {found.variable} a revolution away from where the {found.effect} of {found.joint} was "
             "identified; it is assumed to repeat after a revolution"
         )
-    contents = {"outside": rows, "curves": [curve._asdict() for curve in curves]}
+    contents = {"outside": rows, "curves": [curve._asdict() for curve in curves], "gaps": [gap._asdict() for gap in gaps]}
     return contents | ({"turned": [found._asdict() for found in turned]} if turned else {}), notes
 
 

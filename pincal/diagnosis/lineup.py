@@ -116,18 +116,9 @@ def _of_parameters(model: Model) -> Iterator[PossibleChange]:
                 usual = effect.locus.acts_on == "drive"
                 yield from (PossibleChange(effect.name, joint, (name,), source=source, is_usual=usual) for name in names)
             if len(names) > 1 or not single:
-                yield PossibleChange(
-                    effect.name, joint, names, source=source, parts=single, belief=belief_of(effect, members)
-                )
+                belief = effect.belief(members)
+                yield PossibleChange(effect.name, joint, names, source=source, parts=single, belief=belief)
     yield from _bent_links(model)
-
-
-def belief_of(effect: Effect, members: Sequence[Parameter]) -> np.ndarray | None:
-    """Return what is believed of a new curve in the place of one whose roughness is known: it is as rough."""
-    smooth = effect.smoothness()
-    if smooth is None or len(smooth) != len(members):
-        return None
-    return smooth + np.diag([parameter.size**-2.0 for parameter in members])
 
 
 def _bent_links(model: Model) -> Iterator[PossibleChange]:

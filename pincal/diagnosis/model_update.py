@@ -10,7 +10,6 @@ import numpy as np
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.placing import Placed
-from pincal.diagnosis.lineup import belief_of
 from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, changes_since, doubts_about, relocated
 from pincal.errors import BadInputError, ChangedRobotError, IdentificationError, nearest_first
 from pincal.identify.calibrate import fit_tables
@@ -88,7 +87,7 @@ def _released(model: CalibratedModel, placed: Placed, effects: Sequence[Effect])
     for effect in effects:
         parameters = effect.parameters(station.model.chain)
         at = earlier.places(parameter.name for parameter in parameters)
-        belief = belief_of(effect, parameters)
+        belief = effect.belief(parameters)
         sizes = np.array([parameter.size / largest[parameter.name] for parameter in parameters])
         wider = np.diag(sizes**2) if belief is None else np.linalg.inv(belief)
         C[np.ix_(at, at)] += np.where(np.isfinite(wider), wider, 0.0) * np.outer(earlier.free[at], earlier.free[at])

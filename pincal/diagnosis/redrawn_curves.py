@@ -14,7 +14,6 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from pincal.calibration.placing import Placed
-from pincal.diagnosis.lineup import belief_of
 from pincal.diagnosis.row_evidence import rows_in_noise
 from pincal.identify.criteria import CHANGES
 from pincal.identify.quadratic import Factor, Form
@@ -68,7 +67,7 @@ def redrawn_curves(placed: Placed, table: Measurements, *, kept: np.ndarray, ses
     curves = [
         (effect, span, belief)
         for effect, span in zip(model.effects, model.spans, strict=True)
-        if isinstance(effect, Curve) and (belief := belief_of(effect, effect.parameters(model.chain))) is not None
+        if isinstance(effect, Curve) and (belief := effect.belief(effect.parameters(model.chain))) is not None
     ]
     if not curves or kept.sum() < CHANGES.curve_rows:
         return None

@@ -168,6 +168,16 @@ class Effect(ABC):
         """
         return None
 
+    def belief(self, members: Sequence[Parameter]) -> np.ndarray | None:
+        """Return what is believed of its K parameters if it is as rough as is known, as information, shape (K, K).
+
+        None where no roughness is known, or these are some of the parameters only.
+        """
+        smooth = self.smoothness()
+        if smooth is None or len(smooth) != len(members):
+            return None
+        return smooth + np.diag([parameter.size**-2.0 for parameter in members])
+
     @property
     def needs(self) -> tuple[str, ...]:
         """The columns that must be recorded of the poses."""
