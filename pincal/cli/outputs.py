@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from importlib.metadata import PackageNotFoundError, version
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -109,11 +110,14 @@ def extrapolation(
             f"{curve.highest:.4g} {units[curve.variable]}; it was identified from {curve.lower:.4g} to {curve.upper:.4g} "
             "only and is held constant outside"
         )
-    gaps = sorted(calibrated.gaps(conditions), key=lambda gap: -gap.rows)
-    for gap in gaps[:_SHOWN]:
+    gaps = calibrated.gaps(conditions)
+    for (effect, joint), group in groupby(gaps, key=lambda gap: (gap.effect, gap.joint)):
+        *narrower, widest = sorted(group, key=lambda gap: gap.upper - gap.lower)
+        more = f" and in {len(narrower)} narrower gap{'s'[: len(narrower) > 1]}" if narrower else ""
         notes.append(
-            f"{gap.rows} rows need the {gap.effect} of {gap.joint} at {gap.variable} {gap.lower:.4g} to {gap.upper:.4g} "
-            f"{units[gap.variable]}, where the calibration had too few poses to determine it; it is interpolated there"
+            f"rows in gaps of the {effect} of {joint}: {sum(gap.rows for gap in (*narrower, widest))}; {widest.variable} "
+            f"{widest.lower:.4g} to {widest.upper:.4g} {units[widest.variable]}{more}: the calibration had too few poses "
+            "there to determine it, and it is interpolated"
         )
     turned = calibrated.turned_curves(conditions)
     for found in turned:

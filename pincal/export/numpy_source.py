@@ -145,7 +145,7 @@ def _functions(formulas: Formulas) -> tuple[str, str]:
     stacks = [f"_stacked([{', '.join(results)}], {shape}, len(q))" for shape, (_, results) in shapes.items()]
     returned = f"    return {', '.join(stacks)}"
     functions.append("\n".join([f"def _evaluate({_ARGUMENTS}):{taken}", *pose[0], *columns[0], returned]))
-    tables = [f"_CURVE_{i} = np.array({list(map(list, curve.pieces))})" for i, curve in enumerate(used)]
+    tables = [f"_CURVE_{i} = np.array({curve.pieces})" for i, curve in enumerate(used)]
     return "\n\n".join(functions), "\n".join(tables)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -32,10 +31,9 @@ def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.nda
     """
     from scipy.interpolate import BSpline
 
-    knots = _knots(lower, upper, size)
     if are_symbols(x):
-        curves = [_cubic(BSpline(knots, row, _DEGREE), size) for row in np.eye(size)]
-        return np.array([[cubic(curve, at) for at in x] for curve in curves], object)
+        return np.array([[cubic(curve, at) for at in x] for curve in _splines(lower, upper, size)], object)
+    knots = _knots(lower, upper, size)
     thin, dense = BSpline.design_matrix(np.clip(x, lower, upper), knots, _DEGREE), np.zeros((size, len(x)))
     dense[thin.indices, np.repeat(np.arange(len(x)), np.diff(thin.indptr))] = thin.data
     return dense
@@ -62,10 +60,13 @@ def _knots(lower: float, upper: float, size: int) -> np.ndarray:
     return np.concatenate([np.full(_DEGREE, lower), inner, np.full(_DEGREE, upper)])
 
 
-def _cubic(spline: Any, size: int) -> Cubic:
-    """Return a spline over uniform knots by its pieces."""
-    from scipy.interpolate import PPoly
+@lru_cache(maxsize=32)
+def _splines(lower: float, upper: float, size: int) -> tuple[Cubic, ...]:
+    """Return the splines by their pieces."""
+    from scipy.interpolate import BSpline, PPoly
 
-    places = spline.t[_DEGREE : size + 1]
-    local = PPoly.from_spline(spline).c[::-1, _DEGREE:size] * np.diff(places) ** np.arange(_DEGREE + 1)[:, None]
-    return Cubic(float(places[0]), float(places[-1]), tuple(map(tuple, local.T.tolist())))
+    knots = _knots(lower, upper, size)
+    places = knots[_DEGREE : size + 1]
+    powers = np.diff(places) ** np.arange(_DEGREE + 1)[:, None]
+    local = [PPoly.from_spline(BSpline(knots, row, _DEGREE)).c[::-1, _DEGREE:size] * powers for row in np.eye(size)]
+    return tuple(Cubic.of(float(places[0]), float(places[-1]), pieces.T) for pieces in local)

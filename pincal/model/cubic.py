@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -11,29 +13,44 @@ class Cubic:
 
     Attributes:
         lower, upper: its ends.
-        pieces: for each piece the coefficients of 1, t, t^2, t^3, with t from 0 to 1 along the piece.
+        packed: for each piece the coefficients of 1, t, t^2, t^3, with t from 0 to 1 along the piece. They are bytes, as
+            sums of hundreds of splines are told apart by their hash.
     """
 
     lower: float
     upper: float
-    pieces: tuple[tuple[float, ...], ...]
+    packed: bytes
+
+    @classmethod
+    def of(cls, lower: float, upper: float, pieces: np.ndarray) -> Cubic:
+        """Return that of pieces, shape (K, 4)."""
+        return cls(lower, upper, np.ascontiguousarray(pieces, float).tobytes())
+
+    @property
+    def _coefficients(self) -> np.ndarray:
+        return np.frombuffer(self.packed).reshape(-1, 4)
+
+    @property
+    def pieces(self) -> list[list[float]]:
+        """The coefficients of each piece."""
+        return list(self._coefficients.tolist())
 
     def __call__(self, x: float) -> float:
         """Return its value."""
-        place = (min(max(x, self.lower), self.upper) - self.lower) / (self.upper - self.lower) * len(self.pieces)
-        i = min(int(place), len(self.pieces) - 1)
-        c, t = self.pieces[i], place - i
-        return ((c[3] * t + c[2]) * t + c[1]) * t + c[0]
+        count = len(self._coefficients)
+        place = (min(max(x, self.lower), self.upper) - self.lower) / (self.upper - self.lower) * count
+        i = min(int(place), count - 1)
+        c, t = self._coefficients[i].tolist(), place - i
+        return float(((c[3] * t + c[2]) * t + c[1]) * t + c[0])
 
     def scaled(self, by: float) -> Cubic:
         """Return it times a number."""
-        return Cubic(self.lower, self.upper, tuple(tuple(by * c for c in piece) for piece in self.pieces))
+        return replace(self, packed=(by * self._coefficients).tobytes())
 
     def plus(self, other: Cubic) -> Cubic:
         """Return the sum with a cubic over the same pieces."""
-        pairs = zip(self.pieces, other.pieces, strict=True)
-        return Cubic(self.lower, self.upper, tuple(tuple(a + b for a, b in zip(p, o, strict=True)) for p, o in pairs))
+        return replace(self, packed=(self._coefficients + other._coefficients).tobytes())
 
     def fits(self, other: Cubic) -> bool:
         """Return whether another one has the same pieces."""
-        return (self.lower, self.upper, len(self.pieces)) == (other.lower, other.upper, len(other.pieces))
+        return (self.lower, self.upper, len(self.packed)) == (other.lower, other.upper, len(other.packed))
