@@ -15,7 +15,7 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.diagnosis.row_evidence import Known, RowEvidence, prior_root, rows_in_noise
 from pincal.discover.levers import compliances_of
 from pincal.identify.criteria import CHANGES
-from pincal.identify.quadratic import ROUNDING, SEEN, Quadratic, root_of_inverse
+from pincal.identify.quadratic import ROUNDING, Quadratic, root_of_inverse
 from pincal.identify.station import Station
 from pincal.model.catalogue.candidates import elasticity, testable
 from pincal.model.conditions import Conditions, PoseSet, varies
@@ -277,13 +277,12 @@ class ChangeHypotheses:
             values = self.start.copy()
             values[places] += W @ unknown
             A, r = rows_in_noise(self.station, values, self.robot.sigma, places)
-            return values, W.T @ A, r, float(r @ r + unknown @ precision @ unknown)
+            return values, W.T @ (A @ A.T) @ W + precision, W.T @ (A @ r), float(r @ r + unknown @ precision @ unknown)
 
-        values, N, r, cost = at_values(unknown)
+        values, H, g, cost = at_values(unknown)
         for _ in range(_MOST_STEPS):
-            H = N @ N.T + precision
             uncertain = root_of_inverse(H, np.diag(H), ROUNDING)
-            step = uncertain @ (uncertain.T @ (N @ r - precision @ unknown))
+            step = uncertain @ (uncertain.T @ (g - precision @ unknown))
             for _ in range(_HALVINGS):
                 there = at_values(unknown + step)
                 if there[3] <= cost * (1.0 + 1e-9) + _SHORT:
@@ -291,10 +290,9 @@ class ChangeHypotheses:
                 step = 0.5 * step
             else:
                 break
-            unknown, (values, N, r, cost) = unknown + step, there
+            unknown, (values, H, g, cost) = unknown + step, there
             if step @ H @ step < _SHORT:
                 break
-        H = N @ N.T + precision
         uncertain = root_of_inverse(H, np.diag(H), ROUNDING)
         spread = W @ uncertain
         return Refitted(values, places, spread @ spread.T, unknown[n:], np.linalg.norm(uncertain[n:], axis=1))
@@ -307,33 +305,31 @@ class ChangeHypotheses:
             happened: the changes, whose parameters are anything, or uncertain where something is believed of them.
         """
         A, r = rows_in_noise(self.station, values, self.robot.sigma)
-        F = A[self.free([i for i in happened if self.changes[i].belief is None])]
-        uncertain = [prior_root(self.station, self.known, self.beside) @ A]
+        free = self.free([i for i in happened if self.changes[i].belief is None])
+        uncertain = [prior_root(self.station, self.known, self.beside)]
         for places, belief in self._redrawn(happened):
-            uncertain.append(root_of_inverse(belief, np.diag(belief), ROUNDING).T @ A[places])
+            root = root_of_inverse(belief, np.diag(belief), ROUNDING)
+            uncertain.append(np.zeros((root.shape[1], len(values))))
+            uncertain[-1][:, places] = root.T
             r = r + (values - self.start)[places] @ A[places]
-        nuisance = np.vstack([*uncertain, F])
-        H = nuisance @ nuisance.T
-        H.flat[: (len(H) + 1) * (len(H) - len(F)) : len(H) + 1] += 1.0
-        # Rows of Q are what is projected out, so that V^-1 = 1 - Q^T Q.
-        Q = root_of_inverse(H, np.diag(H), ROUNDING).T @ nuisance
-        rank = root_of_inverse(F @ F.T, np.sum(F**2, axis=1), ROUNDING).shape[1]
-        across, along = A @ Q.T, Q @ r
-        left = r - Q.T @ along
+        # Of what is anything, and what is unsure by a unit each; by the parameters, then what they do in the rows.
+        nuisance = np.vstack([*uncertain, np.eye(len(values))[free]])
+        G, g = A @ A.T, A @ r
+        H = nuisance @ G @ nuisance.T
+        H.flat[: (len(H) + 1) * (len(H) - len(free)) : len(H) + 1] += 1.0
+        # Rows of Q = S A are what is projected out, so that V^-1 = 1 - Q^T Q.
+        S = root_of_inverse(H, np.diag(H), ROUNDING).T @ nuisance
+        rank = root_of_inverse(G[np.ix_(free, free)], np.diag(G)[free], ROUNDING).shape[1]
+        across, along = G @ S.T, S @ g
         form = Quadratic(
             names=tuple(parameter.name for parameter in self.station.parameters),
-            H=A @ A.T - across @ across.T,
-            g=A @ r - across @ along,
-            square=float(r @ left),
+            H=G - across @ across.T,
+            g=g - across @ along,
+            square=float(r @ r - along @ along),
             degrees=len(r) - rank,
-            whole=np.sum(A**2, axis=1),
+            whole=np.diag(G).copy(),
         )
-        m, rows = len(left) // len(self.station), np.zeros((len(self.station), 2))
-        for i in range(len(rows)):
-            here = slice(m * i, m * i + m)
-            own = left[here] @ root_of_inverse(np.eye(m) - Q[:, here].T @ Q[:, here], np.ones(m), SEEN)
-            rows[i] = own @ own, len(own)
-        return RowEvidence(form, rows)
+        return RowEvidence(form, len(self.station), A, S, r - (along @ S) @ A)
 
     def _redrawn(self, happened: Sequence[int]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield the places of parameters that changed together, and what is believed of them."""

@@ -18,14 +18,15 @@ the calibration are gone, so that part is computed in poses spread over the rang
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.discover.levers import MassError
 from pincal.identify.normal import belief_rows
-from pincal.identify.quadratic import ROUNDING, Quadratic, root_of_inverse
+from pincal.identify.quadratic import ROUNDING, SEEN, Quadratic, root_of_inverse
 from pincal.identify.station import Station
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect
@@ -119,11 +120,27 @@ class RowEvidence:
 
     Attributes:
         form: P as its information, b as its gradient, r^T V^-1 r as its square.
-        rows: shape (N, 2), what a row alone takes off the square if its reading is wrong, and the rank of that.
+        n: number of rows, of m readings each.
+        jacobian: shape (F, R), with R >= n m, in units of the noise.
+        projected: shape (k, F), combinations of its rows that are projected out.
+        left: shape (R,), V^-1 r.
     """
 
     form: Quadratic
-    rows: np.ndarray
+    n: int
+    jacobian: np.ndarray = field(repr=False)
+    projected: np.ndarray = field(repr=False)
+    left: np.ndarray = field(repr=False)
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """What a row alone takes off the square if its reading is wrong, and the rank of that, shape (N, 2)."""
+        m = len(self.left) // self.n
+        Q = (self.projected @ self.jacobian[:, : self.n * m]).reshape(-1, self.n, m).transpose(1, 0, 2)
+        seen, axes = np.linalg.eigh(np.eye(m) - Q.transpose(0, 2, 1) @ Q)
+        along = np.einsum("nab,na->nb", axes, self.left[: self.n * m].reshape(self.n, m))
+        gains = np.where(seen > SEEN, along**2 / np.maximum(seen, SEEN), 0.0)
+        return np.stack([gains.sum(axis=1), np.sum(seen > SEEN, axis=1)], axis=1)
 
     def gain(self, j: np.ndarray, belief: np.ndarray | None = None) -> tuple[float, int]:
         """Return T and rank of parameters, by their places, that change together.
