@@ -179,6 +179,21 @@ def test_an_ideal_imu_reads_the_motion_of_the_tip(robot: Robot) -> None:
     np.testing.assert_allclose(found.turning, motion.turning, rtol=0.0, atol=2e-5)
 
 
+def test_stamps_since_1970_leave_accelerations_as_they_are(kuka: Robot) -> None:
+    """A double has 0.2 us of such a stamp, which must not come into differences over a fraction of a millisecond."""
+    epoch, time = 2.0**31, np.linspace(1.0, 11.0, 200).round(3)
+    path = arm_on(driven(kuka)[1], kuka).path
+    arm, later = (MovingArm(kuka, replace(path, origin=origin)) for origin in (0.0, epoch))
+    at = (later.path.origin + time) - later.path.origin  # what the stamps say
+    window = Window(0.03)
+
+    for name, bound in (("force", 1e-7), ("turning", 1e-7)):
+        found, expected = later.ideal(epoch + time, window), arm.ideal(at, window)
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=0.0, atol=bound)
+    there, here = later.conditions(epoch + time, window.offsets), arm.conditions(at, window.offsets)
+    np.testing.assert_allclose(there.q, here.q, rtol=0.0, atol=1e-15)
+
+
 def test_the_simulated_tip_moves_as_its_links_do(robot: Robot) -> None:
     """Pinocchio's derivatives of the free chain are those of a recursion over rigid links."""
     machine, path = driven(robot)

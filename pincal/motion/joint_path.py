@@ -100,14 +100,18 @@ class JointPath:
             inside |= (own >= part.t[0] + away) & (own <= part.t[-1] - away)
         return inside
 
-    def at(self, time: np.ndarray, order: int = 0) -> np.ndarray:
+    def at(self, time: np.ndarray, order: int = 0, *, offsets: np.ndarray | None = None) -> np.ndarray:
         """Return positions of the joints, or derivatives, shape (N, n); those of the nearest part at times that none covers.
 
         Args:
             time: shape (N,) [s].
             order: 0 for positions [rad or m], 1 for velocities, 2 for accelerations, 3 for jerks.
+            offsets: moments about each time that are asked for instead, shape (O,) [s], which gives (N O, n).
         """
         own = np.asarray(time, float) - self.origin
+        if offsets is not None:
+            # Added here: a stamp since 1970 is rounded to 0.2 us, which second differences make 1 m/s^2 of.
+            own = (own[:, None] + offsets).ravel()
         if len(self.parts) == 1:
             return np.asarray(self.parts[0](own, order))
         begins = np.array([part.t[0] for part in self.parts])

@@ -70,16 +70,15 @@ class MovingArm:
             time: by the joints' clock, shape (N,) [s].
             offsets: shape (O,) [s]; default: those times alone. Rows of one time follow each other, and all have this time.
         """
-        away = np.zeros(1) if offsets is None else offsets
-        at = (np.asarray(time, float)[:, None] + away).ravel()
+        at = np.asarray(time, float) if offsets is None else np.repeat(np.asarray(time, float), len(offsets))
         return Conditions(
-            self.path.at(at),
+            self.path.at(time, offsets=offsets),
             np.zeros(len(at), int),
             np.full(len(at), self.payload),
             np.array(self.payload_centre),
-            time=np.repeat(np.asarray(time, float), len(away)),
-            velocity=self.path.at(at, 1),
-            inertial=None if self.loads is None else self.loads.at(at).reshape(len(at), -1, 6),
+            time=at,
+            velocity=self.path.at(time, 1, offsets=offsets),
+            inertial=None if self.loads is None else self.loads.at(time, offsets=offsets).reshape(len(at), -1, 6),
         )
 
     def tips(self, time: np.ndarray) -> np.ndarray:
@@ -90,8 +89,7 @@ class MovingArm:
         """Return what an ideal IMU at the nominal tip would read at some times, or in windows about them."""
         window = Window(0.0) if window is None else window
         chain = level_chain(Chain.of(self.robot))
-        at = (np.asarray(time, float)[:, None] + window.offsets).ravel()
-        poses = Model(chain, ()).predict(np.zeros(0), Conditions.at(self.path.at(at)))
+        poses = Model(chain, ()).predict(np.zeros(0), Conditions.at(self.path.at(time, offsets=window.offsets)))
         return Inertial.of(poses, window, float(np.linalg.norm(chain.gravity)))
 
 
