@@ -31,7 +31,8 @@ class MotionOptions:
         metavar="LOG",
     )
     tracker: Path | None = option(
-        "Log of an instrument that reads a target on the tool meanwhile (time, x y z, perhaps qx qy qz qw).", metavar="LOG"
+        "Log of an instrument that reads the tool meanwhile (time, and x y z, distance, or u v with point or target).",
+        metavar="LOG",
     )
 
     @property

@@ -14,7 +14,7 @@ import numpy as np
 
 from pincal.cli.arguments import verb
 from pincal.cli.outputs import print_json, provenance, write_all, write_plain
-from pincal.cli.simulate_options import SimulateArguments, via_path
+from pincal.cli.simulate_options import SensorArguments, SimulateArguments, via_path
 from pincal.errors import BadInputError, Exit, OutputError, nearest_first
 from pincal.robot.cell import read_cell, robot_files
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pincal.simulate.machine import TrueMachine
     from pincal.simulate.setup import Campaign, SensorSetup
 
+_Files = dict[str, tuple[Path | None, Callable[[Path], None]]]
 # Poses of a path in which effects are judged for the truth.
 _LOOKED_AT = 500
 _EXAMPLES = """Examples:
@@ -81,15 +82,9 @@ def simulate(arguments: SimulateArguments) -> Exit:
     if start != robot.base or robot.links:
         table |= {"from": np.repeat(start, rows), "to": np.repeat(robot.tip, rows)}
     found = _origin(robot, machine, arguments) | campaign.truth(machine, tip=robot.tip)
-    origin, beside = {"made_by": provenance(robot_files(robot.source, given.beside))}, arguments.sensor
-    named = campaign.setup.points
-    points = {"point": np.array(list(named)), **dict(zip("xyz", np.array([*named.values()], float).T, strict=False))}
-    write_all({
-        "--out": (arguments.out, lambda path: write_table(path, table)),
-        "--truth": (arguments.truth, lambda path: write_plain(path, contents=found | origin)),
-        "--points-out": (beside.points_out, lambda path: write_table(path, points)),
-        "--camera-out": (beside.camera_out, lambda path: write_plain(path, contents=found["camera"])),
-    })  # fmt: skip
+    origin = {"made_by": provenance(robot_files(robot.source, given.beside))}
+    out: _Files = {"--out": (arguments.out, lambda path: write_table(path, table))}
+    write_all(out | _beside(arguments, campaign.setup, found | origin))
     end_progress()
     if arguments.general.as_json:
         print_json({"rows": rows, "columns": list(table), "out": str(arguments.out)} | found)
@@ -126,14 +121,13 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
     along = conditions_along(session.path, time, **session.conditions)
     seen = Campaign(q=session.path.at(time), conditions=along, setup=session.tracker or Instrument(), hidden=())  # type: ignore[arg-type]
     found = _origin(robot, machine, arguments) | seen.truth(machine, tip=robot.tip) | session.truth(machine.nominal)
-    files: dict[str, tuple[Path | None, Callable[[Path], None]]] = {
+    files: _Files = {
         f"--out {name}": (arguments.out / f"{name}.csv", lambda path, table=table: write_table(path, table))  # type: ignore[misc]
         for name, table in tables.items()
     }
     origin = {"made_by": provenance(robot_files(robot.source, arguments.machine.beside))}
-    files["--truth"] = (arguments.truth, lambda path: write_plain(path, contents=found | origin))
     _make_folder(arguments.out)
-    write_all(files)
+    write_all(files | _beside(arguments, seen.setup, found | origin))
     end_progress()
     rows = {name: len(table["time"]) for name, table in tables.items()}
     if arguments.general.as_json:
@@ -148,8 +142,23 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
             )
     written = f", what was put in to {arguments.truth}" if arguments.truth else ""
     told = [*lines, *_hidden_lines(found), f"written to {arguments.out}{written}"]
-    click.echo("\n".join([*told, f"next: {_of_arm('calibrate', arguments)} --out results"]))
+    click.echo(
+        "\n".join([*told, f"next: {' '.join([_of_arm('calibrate', arguments), *_known(arguments.sensor)])} --out results"])
+    )
     return Exit.DONE
+
+
+def _beside(arguments: SimulateArguments, setup: SensorSetup, truth: dict[str, Any]) -> _Files:
+    """Return what is written beside the table, or the logs."""
+    from pincal.measure.table import write_table
+
+    given, named = arguments.sensor, setup.points
+    points = {"point": np.array(list(named)), **dict(zip("xyz", np.array([*named.values()], float).T, strict=False))}
+    return {
+        "--truth": (arguments.truth, lambda path: write_plain(path, contents=truth)),
+        "--points-out": (given.points_out, lambda path: write_table(path, points)),
+        "--camera-out": (given.camera_out, lambda path: write_plain(path, contents=truth["camera"])),
+    }
 
 
 def _origin(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> dict[str, Any]:
@@ -289,8 +298,7 @@ def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:
     words += [f"--noise {_noise(setup)}"] if setup.sigma else []
     angle = setup.truth()["noise"]["sigma_rad"]
     words += [f"--noise-angle {angle * 1e3:g}mrad"] if angle else []
-    words += [f"--points {given.points_out}"] if given.points_out else []
-    words += [f"--camera {given.camera_out}"] if given.camera_out else []
+    words += _known(given)
     if setup.kind == "socket" and not given.points_out and len(setup.points) > 1:
         (a, first), (b, second) = list(setup.points.items())[:2]
         words.append(f"--socket-distance {a} {b} {np.linalg.norm(first - second):g}")
@@ -298,6 +306,12 @@ def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:
         if vector not in (None, (0.0, 0.0, 0.0)):
             words.append(f"--{name} {' '.join(f'{value:g}' for value in vector)}")
     return " ".join(words)
+
+
+def _known(given: SensorArguments) -> list[str]:
+    """Return the options that give what is written of points and camera."""
+    pairs = (("--points", given.points_out), ("--camera", given.camera_out))
+    return [f"{name} {path}" for name, path in pairs if path]
 
 
 def _of_arm(verb: str, arguments: SimulateArguments) -> str:
@@ -311,7 +325,7 @@ def _of_arm(verb: str, arguments: SimulateArguments) -> str:
 
 def _noise(setup: SensorSetup) -> str:
     """Return the noise as the option ``--noise`` takes it."""
-    return f"{setup.sigma:g}px" if setup.kind == "camera_pixel" else f"{setup.sigma * 1e3:g}mm"
+    return f"{setup.sigma:g}px" if setup.kind.endswith("pixel") else f"{setup.sigma * 1e3:g}mm"
 
 
 def effect_help() -> str:

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 
 _BESIDE, _CAMERAS = ("position", "pose", "distance"), ("camera_point", "camera_pixel")
+_PIXELS = ("camera_pixel", "fixed_camera_pixel")
 # Options that only some sensors have, and the sensor that some of them imply.
 _GOES_WITH = {
     "sockets": ("socket",),
@@ -43,9 +44,9 @@ _GOES_WITH = {
     "anchors": ("distance",),
     "ball_bar": ("distance",),
     "object": _CAMERAS,
-    "lens": _CAMERAS,
-    "camera_out": ("camera_pixel",),
-    "targets": _BESIDE,
+    "lens": (*_CAMERAS, "fixed_camera_pixel"),
+    "camera_out": _PIXELS,
+    "targets": (*_BESIDE, "fixed_camera_pixel"),
     "instrument": (*_BESIDE, "socket"),
     "noise_angle": ("pose",),
 }
@@ -163,7 +164,7 @@ class SensorArguments:
     """What measures the machine."""
 
     sensor: str | None = option(
-        "Kind of measurement: position, pose, distance, socket, camera_point or camera_pixel.",
+        "Kind of measurement: position, pose, distance, socket, camera_point, camera_pixel or fixed_camera_pixel.",
         metavar="KIND",
         words="position, or what --sockets, --anchors or --ball-bar imply",
     )
@@ -214,7 +215,7 @@ class SensorArguments:
     points_out: Path | None = option(
         "Write the named points: sockets and anchors in the instrument's frame, an object's points in its own."
     )
-    camera_out: Path | None = option("Write the camera (camera_pixel).", metavar="FILE.json")
+    camera_out: Path | None = option("Write the camera (camera_pixel, fixed_camera_pixel).", metavar="FILE.json")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,7 +274,11 @@ class SimulateArguments:
                 raise click.UsageError(f"{flag} goes with --sensor {' or '.join(_GOES_WITH[name])}, not with {kind}")
         if given.ball_bar is not None and given.targets is not None:
             raise click.UsageError("--ball-bar holds one tool point; leave out --targets")
-        if given.points_out is not None and kind in _BESIDE and not (given.anchors or given.ball_bar):
+        if (
+            given.points_out is not None
+            and kind in (*_BESIDE, "fixed_camera_pixel")
+            and not (given.anchors or given.ball_bar)
+        ):
             raise click.UsageError(
                 f"--points-out: --sensor {kind} has no named points; expected socket, a camera or --anchors"
             )
@@ -292,9 +297,9 @@ class SimulateArguments:
                     f"{' or '.join(TABLE_ENDINGS)}"
                 )
             return
-        if self.kind not in _BESIDE or self.sensor.anchors is not None or self.sensor.ball_bar is not None:
-            raise click.UsageError(f"--path is logged by an IMU or --sensor {' or '.join(_BESIDE)}, not by {self.kind}")
-        held = {"--poses": campaign.poses, "--at": campaign.at, "--targets": self.sensor.targets}
+        if self.kind == "socket" or self.sensor.ball_bar is not None:
+            raise click.UsageError(f"--path is logged by an IMU or a --sensor that reads on the way, not by {self.kind}")
+        held = {"--poses": campaign.poses, "--at": campaign.at}
         if wrong := [name for name, value in held.items() if value is not None] + ["--cycles"] * (campaign.cycles > 1):
             raise click.UsageError(f"{wrong[0]} is of poses that are held; leave it out, or --path")
         if campaign.payload is not None and len(campaign.payload) > 1:
@@ -330,7 +335,7 @@ class SimulateArguments:
 
     def _sigma(self) -> float:
         """Return the noise in the sensor's own unit."""
-        unit = "px" if self.kind == "camera_pixel" else "m"
+        unit = "px" if self.kind in _PIXELS else "m"
         value, given = (_NOISE[unit], unit) if self.sensor.noise is None else self.sensor.noise
         if value and given != unit:
             example = "0.1px" if unit == "px" else "0.05mm"

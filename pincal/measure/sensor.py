@@ -73,7 +73,7 @@ class Excluded:
     """Rows without information.
 
     Attributes:
-        rows: shape (N,), which rows.
+        rows: shape (N,).
         reason: completes the sentence "3 rows ... and are left out".
         expected: what a table with no other rows would need.
     """
@@ -99,13 +99,12 @@ class Sensor(ABC):
         default_target: name of the target in a table that names none.
         reads_pose: whether the first three components are the target's position in the instrument's axes and further ones
             its orientation, so that repeated poses have an accuracy and a repeatability as ISO 9283 defines them.
-        pose_limit: where many rows can share a pose and yet give no more than its six coordinates, completes the message
-            "3 poses ...".
+        pose_limit: completes "3 poses ..." where many rows can share a pose and yet give no more than six coordinates.
         has_camera: whether a known camera can be given.
-        is_of_joints: whether a row reads nothing but the joints where something touches, see
-            :func:`pincal.identify.believed.slope_of_contacts`.
+        is_of_joints: whether a row reads but the joints at a touch, see :func:`pincal.identify.believed.slope_of_contacts`.
         is_on_tool: whether the sensor itself sits on the tool, so that its mount can be given.
         reads_place: whether readings tell places, and so lengths, held otherwise; else errors have no size in mm.
+        follows: how readings depend on the moving tip: "linearly", "squared" or "as ratios", see ``motion/reading_starts``.
         deviation_end: where an arrow from the predicted position ends that is as long as the reading deviates.
     """
 
@@ -123,6 +122,7 @@ class Sensor(ABC):
     is_of_joints: ClassVar[bool] = False
     is_on_tool: ClassVar[bool] = False
     reads_place: ClassVar[bool] = True
+    follows: ClassVar[str] = "linearly"
     deviation_end: ClassVar[str] = "measured"
 
     @classmethod

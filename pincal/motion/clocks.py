@@ -135,7 +135,7 @@ class Alignment:
 def aligned(
     time: np.ndarray,
     readings: np.ndarray,
-    features: Callable[[np.ndarray], np.ndarray],
+    features: Callable[[np.ndarray, np.ndarray], np.ndarray],
     covers: Callable[[np.ndarray], np.ndarray],
     start: Clock,
 ) -> Alignment:
@@ -144,18 +144,18 @@ def aligned(
     Args:
         time: stamps of the readings, shape (N,) [s].
         readings: shape (N, m).
-        features: of times of the joints, shape (N,) [s], features of shape (N, k).
+        features: of times of the joints, shape (M,) [s], and of which readings they are, shape (M,): shape (M, k).
         covers: at which of such times they are known, shape (N,).
         start: the clock, to some tenths of a second.
     """
     clock, known = start, covers(start.to_joints(time))
-    begin, end = time[known][0], time[known][-1]
+    begin, end = time[known].min(), time[known].max()
     middle, half = 0.5 * (begin + end), 0.5 * min(_FIRST, end - begin)
     clock = Clock(float(clock.to_joints(np.array(middle)) - middle), clock.drift, float(middle))
     while True:
         inside = np.flatnonzero(np.abs(time - middle) <= half + 1e-9)
         rows = inside[np.linspace(0, len(inside) - 1, min(_ROWS, len(inside))).astype(int)]
-        found = _aligned(time[rows], readings[rows], features, covers, clock)
+        found = _aligned(time, readings, rows, features, covers, clock)
         clock = found.clock
         if half >= 0.5 * (end - begin):
             return found
@@ -165,15 +165,15 @@ def aligned(
 def _aligned(
     time: np.ndarray,
     readings: np.ndarray,
-    features: Callable[[np.ndarray], np.ndarray],
+    rows: np.ndarray,
+    features: Callable[[np.ndarray, np.ndarray], np.ndarray],
     covers: Callable[[np.ndarray], np.ndarray],
     clock: Clock,
 ) -> Alignment:
     for _ in range(_STEPS):
-        at = clock.to_joints(time)
-        seen = covers(at)
-        at, y, since = at[seen], readings[seen], time[seen] - clock.middle
-        A, ahead, behind = (np.column_stack([features(at + s), np.ones(len(at))]) for s in (0.0, _STEP, -_STEP))
+        seen = rows[covers(clock.to_joints(time[rows]))]
+        at, y, since = clock.to_joints(time[seen]), readings[seen], time[seen] - clock.middle
+        A, ahead, behind = (np.column_stack([features(at + s, seen), np.ones(len(at))]) for s in (0.0, _STEP, -_STEP))
         Q = np.linalg.qr(A)[0]
         solution = np.linalg.lstsq(A, y, rcond=1e-12)[0]
         left = y - A @ solution

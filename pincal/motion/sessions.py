@@ -25,8 +25,8 @@ from pincal.units import STANDARD_GRAVITY
 
 STREAMS = ("joints", "imu", "tracker")
 """What a session has, by the names of its files."""
-# Slowest log that a motion can be followed by [Hz], and the fastest that there is.
-_SLOWEST, _FASTEST = 10.0, 2e4
+# Slowest log that a motion can be followed by [Hz], slowest instrument beside it, and the fastest log that there is.
+_SLOWEST, _SLOW, _FASTEST = 10.0, 2.0, 2e4
 # A gap is longer than so many samples; one of more than this [s] is told.
 _GAP, _LONG = 3.0, 0.2
 # Part of the rows that may be lost, by being doubled or cut off, before a stream is no good.
@@ -66,7 +66,23 @@ class Stream:
     @property
     def rate(self) -> float:
         """Samples a second, gaps left out."""
-        return 1.0 / float(np.median(np.diff(self.time)))
+        return 1.0 / float(np.median(self.steps))
+
+    @property
+    def steps(self) -> np.ndarray:
+        """From one stamp to the next that differs [s]."""
+        steps = np.diff(self.time)
+        return steps[steps > 0.0]
+
+    @property
+    def things(self) -> np.ndarray:
+        """What each row is about, such as a named point, as numbers from 0, shape (T,): one instant may tell of several."""
+        found = np.zeros(len(self), int)
+        for values in self.readings.values():
+            if values.dtype.kind not in "fi":
+                names, index = np.unique(values, return_inverse=True)
+                found = np.unique(found * len(names) + index, return_inverse=True)[1]
+        return found
 
     def select(self, rows: np.ndarray) -> Stream:
         """Return some of the rows (mask or indices)."""
@@ -225,7 +241,8 @@ def _checked(what: str, source: str, cells: Cells) -> Stream:
         sensor = sensor_class(arrays)
         if sensor is None:
             raise MeasurementError(f"{source}: no readings; expected such as x y z, or x y z qx qy qz qw")
-        arrays = {field.name: arrays[field.name] for field in sensor.fields}
+        kept = [*(field.name for field in sensor.fields), "target"]
+        arrays = {name: arrays[name] for name in kept if name in arrays}
     stream = _in_order(Stream(source, time, arrays, cells.units), cells.rows)
     return checked_imu(stream) if what == "imu" else stream
 
@@ -233,7 +250,7 @@ def _checked(what: str, source: str, cells: Cells) -> Stream:
 def _in_order(stream: Stream, rows: np.ndarray) -> Stream:
     """Return a stream whose stamps increase and come as fast as a log's; say where they do not."""
     steps, name = np.diff(stream.time), stream.name
-    if len(steps) < 2 * _SLOWEST:
+    if len(stream.steps) < 2 * _SLOWEST:
         raise MeasurementError(f"{name}: {len(stream)} rows; expected a log of some minutes")
     if np.any(steps < 0.0):
         k = int(np.argmax(steps < 0.0))
@@ -241,7 +258,9 @@ def _in_order(stream: Stream, rows: np.ndarray) -> Stream:
             f"{name}, line {rows[k + 1]}: time runs back from {stream.time[k]:.6g} s to {stream.time[k + 1]:.6g} s; "
             "expected one log in order: give logs that were appended to each other as sessions of their own"
         )
-    same = np.append(False, steps == 0.0)
+    order = np.lexsort((things := stream.things, stream.time))
+    same = np.zeros(len(stream), bool)
+    same[order[1:]] = (np.diff(stream.time[order]) == 0.0) & (np.diff(things[order]) == 0)
     if same.mean() > _FEW:
         raise MeasurementError(
             f"{name}: {100 * same.mean():.0f} % of the rows have the stamp of the row before: stamps are those of "
@@ -251,8 +270,8 @@ def _in_order(stream: Stream, rows: np.ndarray) -> Stream:
         warn(f"{name}: {int(same.sum())} rows with the stamp of the row before are left out")
         stream = stream.select(~same)
     steps = np.diff(stream.time)
-    _check_rate(stream, steps)
-    gaps = steps > max(_GAP * float(np.median(steps)), _LONG)
+    _check_rate(stream)
+    gaps = steps > max(_GAP * float(np.median(stream.steps)), _LONG)
     if gaps.any():
         k = int(np.argmax(steps))
         warn(
@@ -262,24 +281,21 @@ def _in_order(stream: Stream, rows: np.ndarray) -> Stream:
     return stream
 
 
-def _check_rate(stream: Stream, steps: np.ndarray) -> None:
+def _check_rate(stream: Stream) -> None:
     """Refuse stamps in another unit than is said, or that count samples."""
-    step = float(np.median(steps))
-    if 1.0 / _FASTEST <= step <= 1.0 / _SLOWEST:
+    step, slowest = float(np.median(stream.steps)), _SLOWEST if {"q", FORCE.name} & stream.readings.keys() else _SLOW
+    if 1.0 / _FASTEST <= step <= 1.0 / slowest:
         return
     if step == 1.0 and np.all(stream.time == np.round(stream.time)):
         raise MeasurementError(
             f"{stream.name}: time counts 1, 2, 3, ...: frames or samples; expected seconds: divide by the rate of the device"
         )
     units = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-    fits = next((unit for unit, size in units.items() if 1.0 / _FASTEST <= step * size <= 1.0 / _SLOWEST), None)
-    cure = (
-        f"looks like [{fits}]: write `time [{fits}]` in the header"
-        if fits and "time" not in stream.units
-        else "look at its unit"
-    )
+    fits = next((unit for unit, size in units.items() if 1.0 / _FASTEST <= step * size <= 1.0 / slowest), None)
+    is_untold = fits and "time" not in stream.units
+    cure = f"looks like [{fits}]: write `time [{fits}]` in the header" if is_untold else "look at its unit"
     raise MeasurementError(
-        f"{stream.name}: a row every {step:.3g} s; expected {_SLOWEST:g} to {_FASTEST:g} rows a second; {cure}"
+        f"{stream.name}: a row every {step:.3g} s; expected {slowest:g} to {_FASTEST:g} rows a second; {cure}"
     )
 
 

@@ -30,10 +30,6 @@ _DEGREE = np.pi / 180.0
 # which the scatter is half unsure: errors of the nominal arm turn the mount, too, in each move by another angle. Part of the
 # usual speed from which on a row tells, and of the most that a block turns across its main axis from which on it does.
 _TURNED, _SLIPPED, _CLEARLY, _BLOCK, _FEW, _TELLS = 0.2, 0.01, 6.0, 40, 3, 0.1
-# Distances: steps by which offsets are searched [s], part of the shorter log that has to overlap; part of the variance that
-# may be left at the best offset, where robots leave 1e-5, and of that at any other one that is farther than this [s]; the
-# shortest log that sixteen functions of a motion do not follow anyhow [s].
-_SEARCHED, _LEAST, _ALIKE, _RIVALS, _APART, _SHORTEST = 0.1, 0.3, 1e-3, 0.3, 1.0, 20.0
 # What positions may be off after the best placement, of how far they move, before they are of another arm.
 _OFF = 0.1
 
@@ -79,7 +75,7 @@ def start_imu(
             "tool, logged while the joints were"
         )
     _check_rates(imu, found)
-    _tell_drift(imu, found.clock)
+    tell_drift(imu, found.clock)
     rows = rows.select(arm.path.covers(found.clock.to_joints(rows.time), 4.0 * rows.window.width))
     mount = nearest_rotation(found.matrix).T
     _check_forces(arm, imu, rows, found.clock, mount)
@@ -90,7 +86,7 @@ def start_imu(
 def aligned_forces(arm: MovingArm, start: ImuStart) -> float:
     """Return by how much the stamps of the rates of an IMU are too early for those of its forces, to a millisecond [s]."""
 
-    def features(at: np.ndarray) -> np.ndarray:
+    def features(at: np.ndarray, _: np.ndarray) -> np.ndarray:
         # Linear in the mount's rotation, and in its lever arm.
         ideal = arm.ideal(at, start.rows.window)
         spin = np.einsum("na,nb->nab", ideal.rate, ideal.rate)[:, *np.triu_indices(3)]
@@ -111,7 +107,7 @@ def _turned(arm: MovingArm, imu: Stream, rows: ImuRows) -> Alignment | None:
     return aligned(
         rows.time,
         rows.readings[3:].T,
-        lambda at: arm.ideal(at, rows.window).rate,
+        lambda at, _: arm.ideal(at, rows.window).rate,
         lambda at: arm.path.covers(at, 4.0 * rows.window.width),
         Clock(match.offset),
     )
@@ -221,7 +217,7 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
             f"{tracker.name}: its positions do not move as these joints do at any offset of the clocks (correlation of "
             f"speeds {match.likeness:.2f}); expected a target on the tool of this arm, read while the joints were logged"
         )
-    found = aligned(tracker.time, position, lambda at: _features(arm.tips(at)), arm.path.covers, Clock(match.offset))
+    found = aligned(tracker.time, position, lambda at, _: _features(arm.tips(at)), arm.path.covers, Clock(match.offset))
     sizes = np.linalg.svd(found.matrix[:, :3], compute_uv=False)
     if np.any(np.abs(sizes - 1.0) > _SCALE):
         unit = next(
@@ -247,66 +243,8 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
             f"{tracker.name}: after the best placement positions are off by {1e3 * left:.3g} mm rms; expected some mm: "
             "is it this arm, and is the target fixed to the tool?"
         )
-    _tell_drift(tracker, found.clock)
+    tell_drift(tracker, found.clock)
     return found.clock
-
-
-def start_distances(arm: MovingArm, tracker: Stream, distance: np.ndarray) -> Clock:
-    """Lay distances that an instrument reads of the tool onto the motion of an arm; return its clock.
-
-    Of a target t on a tip at (R, p), seen from a, the square of the distance less :math:`|p|^2` is linear in p, R and
-    :math:`R^T p`, with coefficients that a and t give: at the right offset of the clocks nothing is left.
-
-    Args:
-        arm: the arm on its path.
-        tracker: the stream.
-        distance: what it reads, shape (T,) [m].
-
-    Raises:
-        MeasurementError: if they are not of this motion.
-    """
-    begin, end = arm.path.span
-    lasts = min(end - begin, float(np.ptp(tracker.time)))
-    if lasts < _SHORTEST:
-        raise MeasurementError(
-            f"{tracker.name}: distances of {lasts:.3g} s of motion do not tell the offset of the clocks; expected "
-            f"{_SHORTEST:g} s or more"
-        )
-    rows = np.arange(0, len(tracker), max(round(_SEARCHED * tracker.rate), 1))
-    stamps, squares = tracker.time[rows], distance[rows] ** 2
-    grid = np.arange(begin, end, _SEARCHED)
-    known = _of_squares(arm.tips(grid))
-    longest = max(_LEAST * min(end - begin, stamps[-1] - stamps[0]), 0.5 * _SHORTEST)
-    offsets = np.arange(begin + longest - stamps[-1], end - longest - stamps[0], _SEARCHED)
-    left = np.array([_left(stamps + offset, squares, grid, known) for offset in offsets])
-    best = int(np.argmin(left))
-    others = left[np.abs(offsets - offsets[best]) > _APART]
-    if left[best] > _ALIKE or left[best] > _RIVALS * others.min(initial=np.inf):
-        raise MeasurementError(
-            f"{tracker.name}: its distances do not change as these joints move, or as well at several offsets of the clocks "
-            f"({100 * np.sqrt(left[best]):.1f} % are left at best); expected a target on the tool of this arm, read while "
-            "the joints were logged, on a motion that does not repeat"
-        )
-    start = Clock(float(offsets[best]))
-    found = aligned(tracker.time, distance[:, None] ** 2, lambda at: _of_squares(arm.tips(at)), arm.path.covers, start)
-    _tell_drift(tracker, found.clock)
-    return found.clock
-
-
-def _of_squares(tips: np.ndarray) -> np.ndarray:
-    """Return what squares of the distances of a target are linear in, shape (N, 16)."""
-    p, R = tips[:, :, 3], tips[:, :, :3]
-    return np.column_stack([_features(tips), np.einsum("nji,nj->ni", R, p), np.sum(p**2, axis=1)])
-
-
-def _left(at: np.ndarray, values: np.ndarray, grid: np.ndarray, known: np.ndarray) -> float:
-    """Return the part of the variance of values at some times, shape (T,), that is not linear in what is known on a grid."""
-    inside = np.flatnonzero((at > grid[0]) & (at < grid[-1]))
-    near = np.clip(np.searchsorted(grid, at[inside]) - 1, 0, len(grid) - 2)
-    share = ((at[inside] - grid[near]) / (grid[near + 1] - grid[near]))[:, None]
-    A = np.column_stack([known[near] + share * (known[near + 1] - known[near]), np.ones(len(near))])
-    y = values[inside] - values[inside].mean()
-    return float(np.sum((y - A @ np.linalg.lstsq(A, y, rcond=1e-9)[0]) ** 2) / max(np.sum(y**2), 1e-300))
 
 
 def _features(tips: np.ndarray) -> np.ndarray:
@@ -314,7 +252,7 @@ def _features(tips: np.ndarray) -> np.ndarray:
     return np.hstack([tips[:, :, 3], tips[:, :, :3].reshape(len(tips), 9)])
 
 
-def _tell_drift(stream: Stream, clock: Clock) -> None:
+def tell_drift(stream: Stream, clock: Clock) -> None:
     """Warn of a clock that runs at another rate than crystals do."""
     if abs(clock.drift) > max(_DRIFT, 5.0 * clock.sigma[1]):
         runs = "slowly" if clock.drift > 0.0 else "fast"

@@ -13,15 +13,15 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.measure.measurements import Measurements, measurements
-from pincal.measure.sensors.distance import DISTANCE
+from pincal.measure.registry import sensor_class
 from pincal.measure.sensors.imu import FORCE, RATE, Window
-from pincal.measure.sensors.pose import POSITION
 from pincal.motion.clocks import Clock
 from pincal.motion.imu_rows import APART, ImuRows
 from pincal.motion.joint_path import JointPath
 from pincal.motion.moving_arm import MovingArm
+from pincal.motion.reading_starts import start_readings
 from pincal.motion.sessions import Session, Stream
-from pincal.motion.starts import aligned_forces, start_distances, start_imu, start_positions
+from pincal.motion.starts import aligned_forces, start_imu
 from pincal.recorded import Moving
 from pincal.robot.robot import Robot
 
@@ -90,14 +90,13 @@ def ideal_imu_table(arm: MovingArm) -> Measurements:
 
 
 def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
-    if POSITION.name in tracker.readings:
-        clock = start_positions(arm, tracker, tracker.readings[POSITION.name])
-    elif [*tracker.readings] == [DISTANCE.name]:
-        clock = start_distances(arm, tracker, tracker.readings[DISTANCE.name])
-    else:
+    sensor = sensor_class(tracker.readings)
+    if sensor is None or sensor.fields[0].is_name or not sensor.reads_place:
         raise MeasurementError(
-            f"{tracker.name}: {', '.join(tracker.readings)} in motion; expected x y z, or x y z qx qy qz qw, or distance"
+            f"{tracker.name}: {', '.join(tracker.readings)} in motion; expected readings that change with it, such as x y z "
+            "or distance, or u v with point or target; what is held, such as a point in a socket, is a table of its own"
         )
+    clock = start_readings(arm, tracker, sensor)
     at = clock.to_joints(tracker.time)
     inside = arm.path.covers(at)
     readings = {name: values[inside] for name, values in tracker.readings.items()}

@@ -163,6 +163,17 @@ def draw_camera(arm: Arm, rng: np.random.Generator) -> np.ndarray:
     return transform((onto * lean * Rotation.from_rotvec([0.0, 0.0, angle])).as_matrix(), place)
 
 
+def draw_cell_camera(arm: Arm, rng: np.random.Generator) -> np.ndarray:
+    """Return T_camera_base, z along the view, of a camera beside the robot that looks at the middle of its reach."""
+    from scipy.spatial.transform import Rotation
+
+    place = place_beside(arm, rng)
+    towards = np.array([0.0, 0.0, 0.5 * arm.reach]) - place
+    onto = Rotation.align_vectors(towards[None], [[0.0, 0.0, 1.0]])[0]
+    turn = (onto * Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)])).inv().as_matrix()
+    return transform(turn, -turn @ place)
+
+
 def draw_object(arm: Arm, rng: np.random.Generator, *, is_seen: Callable[[np.ndarray], bool]) -> np.ndarray:
     """Stand a calibration object before the robot where the camera can look at all of it.
 

@@ -1,4 +1,4 @@
-"""An instrument beside the robot, such as a laser tracker: it reads position, pose or distance of targets on the tool."""
+"""An instrument beside the robot, such as a laser tracker or a camera: it reads where targets on the tool are."""
 
 from __future__ import annotations
 
@@ -10,8 +10,19 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm, transform
+from pincal.simulate.lens import Lens
 from pincal.simulate.planning import plan_poses
-from pincal.simulate.setup import Machine, Reading, SensorSetup, Table, as_lists, draw_noise, tips_of, transformed
+from pincal.simulate.setup import (
+    Machine,
+    Reading,
+    SensorSetup,
+    Table,
+    as_lists,
+    draw_noise,
+    refuse_scale,
+    tips_of,
+    transformed,
+)
 from pincal.simulate.state import Poses
 from pincal.simulate.tracker import as_read
 
@@ -105,6 +116,39 @@ class Instrument(SensorSetup):
             "targets": {name: target.tolist() for name, target in self.targets.items()},
         }
         return found | ({"anchors_in_base_m": as_lists(self.anchors)} if self.anchors else {})
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellCamera(Instrument):
+    """A camera that stands before the robot and sees targets on the tool; its frame has z along the view.
+
+    Attributes:
+        lens: The camera; what is not in its image is not measured.
+    """
+
+    lens: Lens
+
+    @property
+    def kind(self) -> str:
+        return "fixed_camera_pixel"
+
+    def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:
+        refuse_scale(machine, "an image has none")
+        exact = Instrument(pose=self.pose, targets=self.targets)._read(machine, poses, None)
+        seen = np.column_stack([exact.columns[axis] for axis in "xyz"])
+        names = exact.columns.get("target", np.full(len(seen), next(iter(self.targets)) or "target"))
+        inside = self.lens.sees(seen)
+        if not inside.any():
+            raise BadInputError(
+                "the camera sees the target in no pose; take poses before it, or a lens of shorter focal length"
+            )
+        image = self.lens.project(seen[inside])
+        image = image + draw_noise(image.shape, self.sigma, rng)
+        return Reading(poses, exact.rows[inside], {"target": names[inside], "u": image[:, 0], "v": image[:, 1]})
+
+    def truth(self) -> dict[str, Any]:
+        noise = {"sigma_m": None, "sigma_rad": None, "sigma_px": self.sigma}
+        return super().truth() | {"noise": noise, "camera": self.lens.intrinsics}
 
 
 def _transform(target: Any) -> np.ndarray:

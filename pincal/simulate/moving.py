@@ -79,6 +79,21 @@ class ViaPath:
         moved = share[:, None] * np.diff(self.q, axis=0)[move]
         return np.asarray(self.q[move] + moved if order == 0 else moved)
 
+    @classmethod
+    def through(cls, q: np.ndarray, duration: float, *, speed: float = 1.0, acceleration: float = 3.0) -> ViaPath:
+        """Return a path through poses, shape (V, n), the next one always the nearest, that lasts a duration [s] at least.
+
+        Joints are as fast as :func:`draw_path` has those that turn, or slower where there are not enough poses.
+        """
+        left, order = set(range(1, len(q))), [0]
+        while left:
+            order.append(min(left, key=lambda i: float(np.abs(q[i] - q[order[-1]]).max())))
+            left.remove(order[-1])
+        far = np.abs(np.diff(q[order], axis=0)).max(axis=1)
+        # The largest slope and curvature of 10 s^3 - 15 s^4 + 6 s^5.
+        lasts = np.maximum(np.maximum(1.875 * far / speed, np.sqrt(5.774 * far / acceleration)), 1e-3)
+        return cls(np.append(0.0, np.cumsum(lasts)) * max(duration / float(lasts.sum()), 1.0), q[order])
+
     def truth(self) -> dict[str, Any]:
         """Return all of it, as for JSON."""
         return {name: value.tolist() for name, value in vars(self).items()}

@@ -13,7 +13,7 @@ from pincal.errors import BadInputError
 from pincal.simulate import contact
 from pincal.simulate.arm import Arm
 from pincal.simulate.camera import OBJECTS, EyeInHand
-from pincal.simulate.instrument import Instrument
+from pincal.simulate.instrument import CellCamera, Instrument
 from pincal.simulate.lens import draw_lens
 from pincal.simulate.machine import TrueMachine
 from pincal.simulate.setup import SensorSetup, draw_conditions, spread_payloads
@@ -110,6 +110,15 @@ def _eye_in_hand(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOp
     return replace(setup, object_pose=contact.draw_object(arm, rng, is_seen=is_seen))
 
 
+def _cell_camera(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
+    return CellCamera(
+        pose=contact.draw_cell_camera(arm, rng),
+        targets=_instrument_and_targets(arm, rng, options)[1],
+        lens=draw_lens(rng, **options.lens),
+        sigma=options.sigma,
+    )
+
+
 SENSORS: dict[str, Callable[[str, Arm, np.random.Generator, SetupOptions], SensorSetup]] = {
     "position": _beside,
     "pose": _beside,
@@ -117,6 +126,7 @@ SENSORS: dict[str, Callable[[str, Arm, np.random.Generator, SetupOptions], Senso
     "socket": _contact,
     "camera_point": _eye_in_hand,
     "camera_pixel": _eye_in_hand,
+    "fixed_camera_pixel": _cell_camera,
 }
 """How each kind of measurement is set up, by the names of :attr:`pincal.measure.measurements.Measurements.kind`."""
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm, transform
+from pincal.simulate.camera import EyeInHand
 from pincal.simulate.machine import TrueMachine
 from pincal.simulate.moving import Motion, ViaPath, conditions_along, draw_path, tip_motion
 from pincal.simulate.setup import SensorSetup, Table
@@ -24,6 +25,8 @@ _ACC_DENSITY, _GYRO_DENSITY = 9.80665e-3, 1.7453e-4
 _LEVER = 0.06
 # Modes of a vibrating arm [Hz], how fast they die away, and how far from the IMU they seem to turn about [m].
 _MODES, _DAMPING, _FULCRUM = (11.0, 19.0, 31.0), 0.03, 0.5
+# Time in which a camera goes from one view of its object to the next, or less [s].
+_VIEW = 3.0
 # Rows that a logger loses at once, in the mean.
 _BURST = 4
 
@@ -186,6 +189,10 @@ def draw_session(
     imu = ImuSetup.draw(setup, acc_density=acc, gyro_density=gyro, vibration=options.vibration)
     clocks = [Clock.draw(setup, middle=0.5 * options.duration, drift=options.drift) for _ in range(2)]
     payload = {"payload": options.payload, "payload_com": options.payload_com} if options.payload else {}
+    if isinstance(path, np.random.Generator) and isinstance(tracker, EyeInHand):
+        # A random path would hardly ever look at the object.
+        views = max(int(options.duration / _VIEW), 2)
+        path = ViaPath.through(tracker.plan(arm, views, rng=path, min_height=options.min_height), options.duration)
     return MovingSession(
         path=path if isinstance(path, ViaPath) else draw_path(arm, options.duration, path, min_height=options.min_height),
         duration=options.duration,
@@ -252,7 +259,9 @@ class MovingSession:
             along = conditions_along(self.path, at, **self.conditions)
             read = self.tracker.measure(machine, self.path.at(at), rng=noises["tracker"], **along)
             recorded = {*machine.names, *(f"approach_{name}" for name in machine.names), "time", "payload"}
-            tables["tracker"] = {"time": stamps} | {name: value for name, value in read.items() if name not in recorded}
+            # A pose may be read as several rows, or none.
+            seen = {"time": stamps[np.searchsorted(at, read["time"])]}
+            tables["tracker"] = seen | {name: value for name, value in read.items() if name not in recorded}
         return {name: self._logged(table, noises["lost"]) for name, table in tables.items()}
 
     def _clock(self, name: str) -> Clock:

@@ -41,6 +41,7 @@ class Images(Additive, KnownParameters):
     """
 
     blocks: ClassVar[tuple[Block, ...]] = (Block("image", "px", 2, rounding=1e-9, noise=0.1, axes="uv"),)
+    follows: ClassVar[str] = "as ratios"
     deviation_end: ClassVar[str] = "the component across the view that the image measures"
 
     pixel: np.ndarray

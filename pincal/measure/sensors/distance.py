@@ -38,6 +38,7 @@ class Distances(Additive, Plausible):
 
     kind: ClassVar[str] = "distance"
     blocks: ClassVar[tuple[Block, ...]] = (Block("distance", "m", 1),)
+    follows: ClassVar[str] = "squared"
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS[:3]
     twist_rows: ClassVar[int] = 3
     deviation_end: ClassVar[str] = "the part along the line of sight"
