@@ -91,6 +91,36 @@ def test_an_instrument_with_more_noise_tells_less(offset: tuple[CalibratedModel,
         pincal.diagnose(model, new, sigma=0.0)
 
 
+def test_some_of_very_many_rows_tell_what_changed(
+    offset: tuple[CalibratedModel, Measurements], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is named is the same by some of the rows, which is said; an update refuses the robot by them, too."""
+    model, new = offset
+    new = new.select(np.tile(np.arange(len(new)), 2))
+    everything = pincal.diagnose(model, new)
+    monkeypatch.setattr("pincal.diagnosis.robot_diagnosis._MOST_ROWS", 20)
+    found = pincal.diagnose(model, new)
+
+    assert [(c.effect, c.joint) for c in found.changes] == [(c.effect, c.joint) for c in everything.changes]
+    assert found.found.rows <= 20
+    assert [f"by {found.found.rows} of the {len(new)} rows" in str(note) for note in found.found.warnings].count(True) == 1
+    with pytest.raises(ChangedRobotError):
+        pincal.update(model, new)
+
+
+def test_what_a_change_leaves_is_found_without_the_rest(offset: tuple[CalibratedModel, Measurements]) -> None:
+    """Square and degrees of freedom of a change that was fitted, by the parameters that matter and by all of them."""
+    model, new = offset
+    placed = place_station(model, new)
+    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model))
+    curve = next(i for i, change in enumerate(lineup.changes) if change.belief is None and len(change.parameters) > 1)
+    for happened in ((), (0,), (0, curve)):
+        values = lineup.release(happened, lineup.start)
+        whole = lineup.weigh(values, happened).form
+
+        assert lineup.left(values, happened) == (pytest.approx(whole.square, rel=1e-9), whole.degrees)
+
+
 def test_poses_that_tell_two_changes_apart_are_named(change_examples: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the poses that are named, the change stands out of the noise from its rival; none are named in vain."""
     model = calibrated(change_examples / "cases", "loose40_cobot_6r")

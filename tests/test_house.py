@@ -37,6 +37,7 @@ BOUNDS = {
     "diagnosis.change_search": "_MOST_TRIED _LINEAR _MOST",
     "diagnosis.excluded": "_MORE _TRIED _SHOWN _NAMED _TELLABLE _SEEN",
     "diagnosis.lineup": "_MOST_STEPS _HALVINGS _SHORT",
+    "diagnosis.robot_diagnosis": "_MOST_ROWS",
     "diagnosis.row_evidence": "_POSES",
     "identify.beliefs": "_FARTHEST _FREE _LEAST _MOST",
     "identify.believed": "_LEAST",

@@ -232,8 +232,8 @@ class ChangeVerdict:
             return score
         released = [*self._released, score.change]
         values = self.lineup.release(released, self.values)
-        here, left = self.evidence.form, self.lineup.weigh(values, released).form
-        return self._score(score.change, here.square - left.square, int(here.degrees - left.degrees))
+        here, (square, degrees) = self.evidence.form, self.lineup.left(values, released)
+        return self._score(score.change, here.square - square, int(here.degrees - degrees))
 
     def after(self, step: NamedChange | int) -> ChangeVerdict:
         """Return the search with a change released, or with what was there before; or without a wrong row."""

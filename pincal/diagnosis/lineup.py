@@ -304,22 +304,8 @@ class ChangeHypotheses:
             values: shape (P,), where it is linearised: the robot's parameters as they are known, but for what happened.
             happened: the changes, whose parameters are anything, or uncertain where something is believed of them.
         """
-        A, r = rows_in_noise(self.station, values, self.robot.sigma)
-        free = self.free([i for i in happened if self.changes[i].belief is None])
-        uncertain = [prior_root(self.station, self.known, self.beside)]
-        for places, belief in self._redrawn(happened):
-            root = root_of_inverse(belief, np.diag(belief), ROUNDING)
-            uncertain.append(np.zeros((root.shape[1], len(values))))
-            uncertain[-1][:, places] = root.T
-            r = r + (values - self.start)[places] @ A[places]
-        # Of what is anything, and what is unsure by a unit each; by the parameters, then what they do in the rows.
-        nuisance = np.vstack([*uncertain, np.eye(len(values))[free]])
-        G, g = A @ A.T, A @ r
-        H = nuisance @ G @ nuisance.T
-        H.flat[: (len(H) + 1) * (len(H) - len(free)) : len(H) + 1] += 1.0
-        # Rows of Q = S A are what is projected out, so that V^-1 = 1 - Q^T Q.
-        S = root_of_inverse(H, np.diag(H), ROUNDING).T @ nuisance
-        rank = root_of_inverse(G[np.ix_(free, free)], np.diag(G)[free], ROUNDING).shape[1]
+        A, r, G, S, rank = self._projected(values, happened, np.arange(len(values)))
+        g = A @ r
         across, along = G @ S.T, S @ g
         form = Quadratic(
             names=tuple(parameter.name for parameter in self.station.parameters),
@@ -330,6 +316,34 @@ class ChangeHypotheses:
             whole=np.diag(G).copy(),
         )
         return RowEvidence(form, len(self.station), A, S, r - (along @ S) @ A)
+
+    def left(self, values: np.ndarray, happened: Sequence[int]) -> tuple[float, int]:
+        """Return what :meth:`weigh` finds of the square and of its degrees of freedom, in a fraction of the time."""
+        known = np.flatnonzero(prior_root(self.station, self.known, self.beside).any(axis=0))
+        A, r, _, S, rank = self._projected(values, happened, np.union1d(known, self.free(happened)))
+        return float(r @ r - np.sum((S @ (A @ r)) ** 2)), len(r) - rank
+
+    def _projected(
+        self, values: np.ndarray, happened: Sequence[int], places: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
+        """Return Jacobian A by p parameters, shape (p, R), residuals, shape (R,), A A^T, what is projected out, and its rank.
+
+        That is Q = S A, S of shape (q, p), so that V^-1 = 1 - Q^T Q; parameters at other places are known.
+        """
+        A, r = rows_in_noise(self.station, values, self.robot.sigma, places)
+        free = np.searchsorted(places, self.free([i for i in happened if self.changes[i].belief is None]))
+        uncertain = [prior_root(self.station, self.known, self.beside)[:, places]]
+        for of_change, belief in self._redrawn(happened):
+            at, root = np.searchsorted(places, of_change), root_of_inverse(belief, np.diag(belief), ROUNDING)
+            uncertain.append(np.zeros((root.shape[1], len(places))))
+            uncertain[-1][:, at] = root.T
+            r = r + (values - self.start)[of_change] @ A[at]
+        # Of what is anything, and what is unsure by a unit each; by the parameters, then what they do in the rows.
+        nuisance, G = np.vstack([*uncertain, np.eye(len(places))[free]]), A @ A.T
+        H = nuisance @ G @ nuisance.T
+        H.flat[: (len(H) + 1) * (len(H) - len(free)) : len(H) + 1] += 1.0
+        S = root_of_inverse(H, np.diag(H), ROUNDING).T @ nuisance
+        return A, r, G, S, root_of_inverse(G[np.ix_(free, free)], np.diag(G)[free], ROUNDING).shape[1]
 
     def _redrawn(self, happened: Sequence[int]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield the places of parameters that changed together, and what is believed of them."""

@@ -10,7 +10,7 @@ import numpy as np
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.placing import Placed
-from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, changes_since, doubts_about, relocated
+from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, changes_since, doubts_about, looked_at, relocated
 from pincal.errors import BadInputError, ChangedRobotError, IdentificationError, nearest_first
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.station import together
@@ -48,12 +48,14 @@ def update(
         BadInputError: as :func:`diagnose`, or for an effect that the model does not have.
     """
     model = calibrated.robot_model(measurements.kind)
-    placed = relocated(model, measurements)
+    rows = looked_at(measurements)
+    some = measurements.select(rows)
+    placed = relocated(model, some)
     if anew:
         released = [effect for text in anew for effect in _named(text, model)]
         return _taken_in(model, measurements, sigma=sigma, earlier=_released(model, placed, released))
     verdict = changes_since(model, placed, alpha)
-    if doubts := doubts_about(verdict, placed, measurements):
+    if doubts := doubts_about(verdict, placed, some):
         raise IdentificationError(f"{measurements.source}: not added: {'; '.join(map(str, doubts))}")
     if verdict.changed:
         raise ChangedRobotError(
@@ -61,7 +63,7 @@ def update(
             "rows and these can't be combined; pincal diagnose finds out what has changed and re-identifies it. With --anew "
             "EFFECT:JOINT the rows are added nevertheless, and that effect is re-estimated"
         )
-    kept = np.delete(np.arange(len(measurements)), verdict.wrong_rows)
+    kept = np.delete(np.arange(len(measurements)), rows[list(verdict.wrong_rows)])
     known = model.robot_estimate
     return _taken_in(model, measurements.select(kept), sigma=sigma, earlier=known, before=model.information)
 

@@ -35,6 +35,7 @@ from pincal.io.diagnosis_file import (
     MovedEntry,
 )
 from pincal.measure.admit import check_table
+from pincal.measure.extrinsics import sample_rows
 from pincal.measure.measurements import Measurements
 from pincal.model.conditions import recorded_variable
 from pincal.model.effect import Curve
@@ -43,6 +44,8 @@ from pincal.validate.accuracy import error_summary, pose_error_sizes
 
 # Chance of a false alarm.
 FALSE_ALARM = CHANGES.false_alarm
+# Rows by which changes are looked for: all are held in memory under all that may have happened.
+_MOST_ROWS = 6_000
 
 
 @dataclass(frozen=True, repr=False)
@@ -125,7 +128,8 @@ def diagnose(
     """
     if not 0.0 < alpha < 0.5:
         raise BadInputError(f"alpha is {alpha:g}; expected a probability of a false alarm between 0 and 0.5, such as 0.01")
-    model = calibrated.robot_model(measurements.kind)
+    model, all_rows = calibrated.robot_model(measurements.kind), len(measurements)
+    measurements = measurements.select(looked_at(measurements))
     placed = relocated(model, measurements, sigma=sigma)
     verdict = searched = changes_since(model, placed, alpha)
     if doubts := doubts_about(verdict, placed, measurements):
@@ -161,11 +165,24 @@ def diagnose(
         gap={"before": error_summary(placed.station, placed.values), "after": after},
         station=MovedEntry(**way.to_dict()),
         rows=len(measurements),
-        warnings=doubts_first([*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, placed, measurements)]),
+        warnings=doubts_first(
+            [
+                *doubts,
+                *placed.notes,
+                *_unseen(curves),
+                *_notes(verdict, placed, measurements),
+                *_some_of(len(measurements), all_rows),
+            ]
+        ),
         curves=curves,
         is_judged=not doubts,
     )
     return Diagnosis(found, reidentified)
+
+
+def looked_at(measurements: Measurements) -> np.ndarray:
+    """Return the rows of a table by which changes are looked for, shape (n,): some of very many, of all targets."""
+    return sample_rows(len(measurements), _MOST_ROWS, np.unique(measurements.target, return_inverse=True)[1])
 
 
 def changes_since(model: CalibratedModel, placed: Placed, alpha: float) -> ChangeVerdict:
@@ -253,6 +270,12 @@ def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
             f"curve of {best.joint}, which the calibration had determined in {100 * best.seen:.0f} % of these rows: "
             "elsewhere this is not a change; pincal update --anew adds the rows"
         )
+
+
+def _some_of(some: int, rows: int) -> Iterator[str]:
+    """Yield what is to be said if some of the rows were looked at."""
+    if some < rows:
+        yield f"changes were looked for by {some} of the {rows} rows, drawn from all of the table"
 
 
 def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Iterator[ChangeEntry]:
