@@ -16,6 +16,7 @@ from test_cli import run
 import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import Exit, MeasurementError, PincalWarning
+from pincal.identify.calibrate import doubts_of_known, fit_tables
 from pincal.io.camera_file import read_camera
 from pincal.measure.registry import sensor_class
 from pincal.measure.setup import Setup, read_points
@@ -73,6 +74,7 @@ def seen_of(session: Session) -> Stream:
     return session.tracker
 
 
+@pytest.mark.long
 def test_a_clock_is_found_by_images(hand: tuple[Path, Session], arm: MovingArm) -> None:
     """To some milliseconds by the nominal arm, though one image in fifty has the name of another point."""
     stream = seen_of(hand[1])
@@ -80,9 +82,9 @@ def test_a_clock_is_found_by_images(hand: tuple[Path, Session], arm: MovingArm) 
     names, rng = stream.readings["point"].copy(), np.random.default_rng(0)
     wrong = rng.random(len(names)) < 0.02
     names[wrong] = rng.choice(np.unique(names), wrong.sum())
-    for mixed in (stream, replace(stream, readings={**stream.readings, "point": names})):
-        offset, drift = started(arm, mixed)
-        assert offset == pytest.approx(true["offset"], abs=5e-3) and drift == pytest.approx(1e-3, abs=4e-4)
+    offset, drift = started(arm, replace(stream, readings={**stream.readings, "point": names}))
+
+    assert offset == pytest.approx(true["offset"], abs=5e-3) and drift == pytest.approx(1e-3, abs=4e-4)
 
 
 Corrupt = Callable[[Stream], dict[str, np.ndarray]]
@@ -159,6 +161,21 @@ def calibrated(folder: Path, session: Session) -> pincal.Fit:
 def test_a_camera_in_the_hand_is_read_in_motion(hand: tuple[Path, Session]) -> None:
     """The fit ends at the noise of the images, and the clock, 1000 ppm off, is within its interval."""
     calibrated(*hand)
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
+def test_errors_of_the_path_are_not_laid_on_the_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Points of an image share them, so that many rows contradict no camera; one that is off by 0.1 % they do."""
+    monkeypatch.setattr("test_motion_pixels.NOISE", 0.02)
+    folder = tmp_path / "exact"
+    (table,) = session_tables(ROBOT, [driven(folder)]).values()
+    points, lens = read_points(Path(f"{folder}.points.csv")), read_camera(f"{folder}.camera.json").lens()
+    for given, said in ((lens, ()), (replace(lens, fx=1.001 * lens.fx, fy=1.001 * lens.fy), ("the images contradict",))):
+        options = pincal.Options(effects=pincal.GEOMETRIC, setup=Setup(points=points, lens=given))
+        fit = fit_tables(ROBOT, table, options)
+        assert fit.solution.widened > 2.0
+        assert tuple(doubt[: len("the images contradict")] for doubt in doubts_of_known(fit)) == said
 
 
 @pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")

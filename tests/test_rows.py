@@ -244,6 +244,17 @@ def test_blocks_of_rows_widen_what_rows_that_hang_together_say(kuka: Robot) -> N
     np.testing.assert_allclose(ratio.max(), np.sqrt(wide.of_blocks), rtol=0.01)
 
 
+def test_points_of_one_image_count_as_often_as_they_tell_anything_new() -> None:
+    """Closed form of rows of which k at a time share a part s of their variance: 1 + (k - 1) s."""
+    rng, k, s, images = np.random.default_rng(8), 25, 0.1, 300
+    shared, own = rng.standard_normal((3, images)), rng.standard_normal((3, k * images))
+    scores = np.sqrt(s) * np.repeat(shared, k, axis=1) + np.sqrt(1.0 - s) * own
+    at_once = np.repeat(np.arange(images), k)
+
+    assert _largest_factor(scores, np.eye(3), at_once) == pytest.approx(1.0 + (k - 1) * s, rel=0.15)
+    assert _largest_factor(own, np.eye(3), at_once) == 1.0
+
+
 def test_a_joint_that_moved_steadily_with_each_load_is_told(kuka: Robot) -> None:
     """Poses sorted by a joint, then again with a load, leave no row that tells a drift from the joint; shuffled ones do."""
     rows = table(kuka, 120, NOISE * np.random.default_rng(4).standard_normal((120, 3)), payload=np.repeat([0.0, 90.0], 60))

@@ -49,6 +49,8 @@ _SIZES = np.linspace(-0.4, 0.4, 9)
 _LENGTHS = (5, 10, 20, 40)
 # Readings of a station by which it is told, and stations that are asked.
 _BLOCK_READINGS, _MOST_STATIONS = 1500, 8
+# Points of an image at most, in the mean, by which as many images tell it.
+_MOST_AT_ONCE = 20
 
 
 def dependence(residuals: np.ndarray, position: np.ndarray) -> float:
@@ -177,12 +179,28 @@ class _Seen:
         few = max(most // self.station.reading_size, CRITERIA.fewest_in_order)
         return np.asarray(sound[np.argsort(self.station.position[sound], kind="stable")][:few])
 
+    def first_instants(self, most: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return rows as :meth:`first` does, and which of them are one block at the least, both shape (n,).
+
+        Points of one image of a moving arm have one error of its path: of these there are as many images.
+        """
+        if not self.station.conditions.are_in_motion:
+            some = self.first(most)
+            return some, np.arange(len(some))
+        assert self.station.position is not None
+        some = self.first(_MOST_AT_ONCE * most)
+        at_once = np.unique(self.station.position[some], return_inverse=True)[1]
+        some = some[at_once < most // self.station.reading_size]
+        return some, at_once[: len(some)]
+
     def columns(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return residuals and columns of D free parameters, shape (1 + D, m, n), in units of the noise, and which ones."""
         few = self.station.select(rows)
-        ((_, residuals, jacobian),) = few.linearise_shared(self.values, self.free)
-        J, places = jacobian.dense_columns()
-        return np.concatenate([residuals[None], J]) * (few.weights / self.sigma), places
+        pieces = [
+            (residuals, *jacobian.dense_columns()) for _, residuals, jacobian in few.linearise_shared(self.values, self.free)
+        ]
+        columns = np.concatenate([np.concatenate([residuals[None], J]) for residuals, J, _ in pieces], axis=2)
+        return columns * (few.weights / self.sigma), pieces[0][2]
 
     def serial(self) -> Serial | None:
         """Return how the noise is correlated along the rows as they were read; None where it is not."""
@@ -236,13 +254,13 @@ class _Seen:
         """Return how many times as large variances are as blocks of consecutive rows tell; 1 if not surely larger."""
         if self.station.position is None or self.station.sensor.is_whole:
             return 1.0
-        some = self.first(_BLOCK_READINGS)
+        some, at_once = self.first_instants(_BLOCK_READINGS)
         if len(some) < CRITERIA.fewest_blocks * _LENGTHS[0]:
             return 1.0
         columns, places = self.columns(some)
         J = columns[1:]
         normal = np.tensordot(J, J, axes=((1, 2), (1, 2))) + np.diag(self.sizes[self.free][places] ** -2.0)
-        return _largest_factor(np.einsum("dmn,mn->dn", J, columns[0]), normal)
+        return _largest_factor(np.einsum("dmn,mn->dn", J, columns[0]), normal, at_once)
 
 
 def _seen(fit: ModelFit) -> Iterator[_Seen]:
@@ -313,38 +331,42 @@ def with_blocks(fit: ModelFit, beyond: float = 1.0) -> ModelFit:
     factors = [(every[k].factor(), every[k].station.conditions.are_in_motion) for k in asked]
     # In motion windows of an IMU overlap, and errors of the joints' path last for some rows: that widens, and is no doubt.
     of_blocks = max((factor for factor, in_motion in factors if not in_motion), default=1.0)
-    widest = max((factor for factor, _ in factors), default=1.0)
-    solution = replace(fit.solution, of_blocks=of_blocks)
-    if widest * beyond > 1.0:
-        sigma = solution.sigma * np.sqrt(widest * beyond)
+    widest = beyond * max((factor for factor, _ in factors), default=1.0)
+    solution = replace(fit.solution, of_blocks=of_blocks, widened=max(widest, 1.0))
+    if widest > 1.0:
+        sigma = solution.sigma * np.sqrt(widest)
         solution = replace(solution, wide=posterior_of(fit.problem, replace(solution, sigma=sigma), fit.priors))
     return replace(fit, solution=solution)
 
 
-def _largest_factor(scores: np.ndarray, normal: np.ndarray) -> float:
+def _largest_factor(scores: np.ndarray, normal: np.ndarray, at_once: np.ndarray | None = None) -> float:
     """Return the factor that is surest, of scores, shape (D, n), of rows in their order; 1 if none is sure.
 
-    The reference is that of the same rows in any order, by its first two moments.
+    The reference is that of the same rows in any order, by its first two moments. Rows with the same number in ``at_once``,
+    shape (n,), from 0 on, are in one block always; default: each is one.
     """
+    at_once = np.arange(scores.shape[1]) if at_once is None else at_once
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     try:
         L = cholesky(normal / np.outer(size, size) + 1e-9 * np.eye(len(size)), lower=True, check_finite=False)
     except LinAlgError:
         return 1.0
     u = solve_triangular(L, scores / size[:, None], lower=True, check_finite=False)
-    n, own = u.shape[1], np.sum(u**2, axis=0)
+    n, own, instants = u.shape[1], np.sum(u**2, axis=0), int(at_once[-1]) + 1
     pairs = n * (n - 1)
     mean = (float(np.sum(u.sum(axis=1) ** 2)) - own.sum()) / pairs
     spread = max((float(np.sum((u @ u.T) ** 2)) - float(own @ own)) / pairs, 1e-300)
     surest, factor = CRITERIA.of_blocks, 1.0
-    for length in _LENGTHS:
-        if n < CRITERIA.fewest_blocks * length:
+    for length in (1, *_LENGTHS):
+        if instants < CRITERIA.fewest_blocks * length:
             break
-        whole = n // length * length
-        of_blocks = u[:, :whole].reshape(len(u), -1, length).sum(axis=2)
-        count = whole * (length - 1)
-        beyond = float(np.sum(of_blocks**2)) - own[:whole].sum() - count * mean
-        sure = beyond / np.sqrt(2.0 * count * spread)
+        within = at_once < instants // length * length
+        block = at_once[within] // length
+        of_blocks = np.add.reduceat(u[:, within], np.flatnonzero(np.diff(block, prepend=-1)), axis=1)
+        rows = np.bincount(block)
+        count = int(rows @ (rows - 1))
+        beyond = float(np.sum(of_blocks**2)) - own[within].sum() - count * mean
+        sure = beyond / np.sqrt(2.0 * max(count, 1) * spread)
         if sure > surest:
-            surest, factor = sure, 1.0 + beyond / own[:whole].sum()
+            surest, factor = sure, 1.0 + beyond / own[within].sum()
     return float(factor)

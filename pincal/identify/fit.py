@@ -67,6 +67,7 @@ class Solution:
         free: shape (P,), parameters that were fitted.
         wide: the same with noise as large as what is in doubt beside it; default: nothing is.
         of_blocks: how many times as large variances are, and stated, as blocks of consecutive rows tell.
+        widened: how many times as large they are stated for all that is in doubt, errors of the path of a motion among it.
     """
 
     values: np.ndarray
@@ -82,6 +83,7 @@ class Solution:
     free: np.ndarray
     wide: Posterior | None = None
     of_blocks: float = 1.0
+    widened: float = 1.0
 
     @property
     def known(self) -> Posterior:
