@@ -112,7 +112,7 @@ def test_what_a_change_leaves_is_found_without_the_rest(offset: tuple[Calibrated
     """Square and degrees of freedom of a change that was fitted, by the parameters that matter and by all of them."""
     model, new = offset
     placed = place_station(model, new)
-    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model))
+    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model, placed.station.conditions))
     curve = next(i for i, change in enumerate(lineup.changes) if change.belief is None and len(change.parameters) > 1)
     for happened in ((), (0,), (0, curve)):
         values = lineup.release(happened, lineup.start)

@@ -20,7 +20,7 @@ from pincal.identify.problem import Problem
 # for motions that are chosen, 250 for robots of one cell with a file each, 140 for path accuracy, 70 for an instrument
 # whose coordinates are stretched, 110 for gaps in the curves of drives and sums of splines that are made in bulk, 300 for
 # cameras in motion.
-MOST_LINES = 71_500
+MOST_LINES = 71_390
 TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [
@@ -44,7 +44,8 @@ BOUNDS = {
     "identify.calibrate": "_WEIGHINGS _SAME_WEIGHT _SCALINGS _CLOSE",
     "identify.choices": "_ROWS",
     "identify.dependence": (
-        "_BANDS _NEAR _NEAREST _READINGS _ROWS _STARTS _LONGEST _MEMORIES _LENGTHS _BLOCK_READINGS _MOST_STATIONS"
+        "_BANDS _NEAR _NEAREST _READINGS _ROWS _STARTS _LONGEST _MEMORIES _LENGTHS _BLOCK_READINGS _MOST_STATIONS "
+        "_MOST_AT_ONCE"
     ),
     "identify.equations": "_MOST_KEPT",
     "identify.explain": "_ONE _SAME _RANK _ROWS _TOGETHER",

@@ -326,7 +326,7 @@ class ChangeHypotheses:
     def _projected(
         self, values: np.ndarray, happened: Sequence[int], places: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
-        """Return Jacobian A by p parameters, shape (p, R), residuals, shape (R,), A A^T, what is projected out, and its rank.
+        """Return Jacobian A by p parameters, shape (p, R), residuals, shape (R,), A A^T, what is projected out, its rank.
 
         That is Q = S A, S of shape (q, p), so that V^-1 = 1 - Q^T Q; parameters at other places are known.
         """
