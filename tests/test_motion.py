@@ -309,7 +309,7 @@ def test_the_clock_of_an_imu_is_found(session: tuple[MovingArm, dict[str, dict[s
     grid = np.arange(1.0, 39.0, 0.02)
     speeds = np.linalg.norm(arm.ideal(grid).rate, axis=1)
     start = correlate(grid, speeds, table["time"], np.linalg.norm(rate, axis=1))
-    found = aligned(table["time"], rate, lambda at: arm.ideal(at).rate, arm.path.covers, Clock(start.offset))
+    found = aligned(table["time"], rate, lambda at, _: arm.ideal(at).rate, arm.path.covers, Clock(start.offset))
     stamps = np.linspace(2.0, 37.0, 20)
 
     assert start.is_same and start.is_clear and abs(start.offset - 1.234) < 0.05
@@ -323,7 +323,7 @@ def test_a_clock_that_runs_at_another_rate_is_caught(session: tuple[MovingArm, d
     arm, table = session[0], session[1]["tracker"]
     position, stamps = np.column_stack([table[axis] for axis in "xyz"]), table["time"]
 
-    def poses(at: np.ndarray) -> np.ndarray:
+    def poses(at: np.ndarray, _: np.ndarray) -> np.ndarray:
         tips = arm.tips(at)
         return np.hstack([tips[:, :, 3], tips[:, :, :3].reshape(len(at), -1)])
 
