@@ -18,10 +18,8 @@ from pincal.calibration.caveats import CaveatKind, findings_on_order
 from pincal.calibration.placing import place_station
 from pincal.errors import BadInputError, Exit, MeasurementError
 from pincal.identify import many_rows
-from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import PriorScale
-from pincal.identify.prior_scale import prior_scale
 from pincal.identify.station import Station
 from pincal.identify.whitening import Serial
 from pincal.measure.measurements import concatenate
@@ -59,13 +57,6 @@ def day(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def fit(day: Path) -> pincal.Fit:
     """Return a calibration by both streams."""
     return pincal.calibrate(ROBOT, pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)]), GEOMETRY)
-
-
-@pytest.fixture(scope="module")
-def alone(day: Path) -> pincal.Fit:
-    """Return a calibration by the IMU alone."""
-    tables = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])
-    return pincal.calibrate(ROBOT, tables["monday/imu"], GEOMETRY)
 
 
 def clock_of(fit: ModelFit, station: str, moving: Moving) -> tuple[float, float, float]:
@@ -146,21 +137,10 @@ def test_what_is_off_for_a_moment_is_no_place_of_a_joint(fit: pincal.Fit) -> Non
     assert gathering_of(held, rejected) is not None and bump_in(held, values) is not None
 
 
-def test_what_an_imu_hardly_tells_stays_near_nominal(alone: pincal.Fit) -> None:
-    """Factors on its priors are the likeliest but for a standard deviation, narrower than contacts would have them."""
-    found = {}
-    for excluded in (0.0, None, CRITERIA.wider_prior, np.inf):
-        with pytest.MonkeyPatch.context() as patch:
-            if excluded is not None:
-                patch.setattr("pincal.identify.prior_scale.CRITERIA", replace(CRITERIA, wider_prior_of_imu=excluded))
-            found[excluded] = prior_scale(alone).angles
-    assert found[0.0] <= found[None] <= found[CRITERIA.wider_prior] < found[np.inf] == 1.0
-    assert alone.options.prior_scale is not None and found[None] == alone.options.prior_scale.angles
-
-
-def test_an_imu_alone_holds_lengths(alone: pincal.Fit, day: Path, tmp_path: Path) -> None:
+def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:
     """Lengths stay as in the URDF unless a prior is given; errors are of accelerations; a saved model is the same."""
-    found, table = alone, pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]
+    table = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]
+    found = pincal.calibrate(ROBOT, table, GEOMETRY)
     lengths = [k for k, p in enumerate(found.problem.parameters) if p.unit == "m" and p.effect != "tool_frame"]
     assert len(lengths) >= 12 and not found.values[lengths].any() and not found.solution.free[lengths].any()
     found.save(tmp_path / "model.json")

@@ -34,7 +34,6 @@ _APART = "test_diagnosis.py::test_poses_that_tell_two_changes_apart_are_named"
 _SEEN_CURVE = "test_other_session.py::test_a_curve_that_was_not_seen_everywhere_is_said_to_be_so"
 _JUMP = "test_moves.py::test_a_jump_between_two_days_is_named_with_its_interval"
 _PRIORS = "test_contacts.py::test_priors_are_as_wide_as_the_readings_allow"
-_OF_IMU = "test_motion_stations.py::test_what_an_imu_hardly_tells_stays_near_nominal"
 _NOT_HELD = "test_contacts.py::test_what_contacts_do_not_hold_is_said"
 _STATIONS = "test_moves.py::test_a_robot_that_stays_the_same_moves_in_one_of_a_hundred"
 
@@ -52,9 +51,6 @@ class Criteria:
     wider_prior: float = number(3.84, _GAIN, _PRIORS,
         "by how much readings may be less likely under wider priors where no instrument sees the robot",
         "one-sided limit at 2.5 %")
-    wider_prior_of_imu: float = number(1.0, _GAIN, _OF_IMU,
-        "the same where an IMU sees how it turns, and nothing its places",
-        "one standard deviation: by 3.84, single days of one simulated arm in six ended at twice its nominal error")
     unseen_direction: float = number(0.03, "ratio", "test_contacts.py::test_directions_without_contact_are_named",
         "part of the squares of all directions of readings below which nothing was measured in one",
         "sin^2 of 10 degrees, as far as directions of contact vary by themselves")

@@ -12,9 +12,8 @@ gradient b of the readings about offsets x from the nominal, and priors of covar
 
 Each factor is the largest that is not excluded, so that readings which hardly tell it leave the prior wide.
 
-An IMU alone sees angles, and no place: it tells little of some, such as the zeros of parallel joints one by one, where a
-prior that is wider than the robot's deviations makes them larger than they were. Its factors are the likeliest, but for one
-standard deviation.
+An IMU alone sees angles, and no place: a noisy one tells little of some, where a prior that is wider than the robot's
+deviations makes them larger than they were.
 """
 
 from __future__ import annotations
@@ -78,8 +77,9 @@ def prior_scale(fit: ModelFit) -> PriorScale:
         if best == before:
             break
     widest = {name: np.array(each(best, name)) for name in seen}
-    less = CRITERIA.wider_prior_of_imu if has_instrument(fit) else CRITERIA.wider_prior
-    return best._replace(**{name: _SCALES[int(np.argmax(of >= of.max() - less))] for name, of in widest.items()})
+    return best._replace(
+        **{name: _SCALES[int(np.argmax(of >= of.max() - CRITERIA.wider_prior))] for name, of in widest.items()}
+    )
 
 
 def _information(fit: ModelFit) -> tuple[np.ndarray, np.ndarray]:
