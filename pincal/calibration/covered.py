@@ -182,6 +182,10 @@ class SeenCurve(NamedTuple):
         edges = np.flatnonzero(is_open[1:] != is_open[:-1]).reshape(-1, 2)
         return np.asarray(x[np.minimum(edges, len(x) - 1)])
 
+    def told(self, chain: Chain, estimate: Estimate) -> np.ndarray:
+        """Return the rows at which the training rows determined it, shape (N,)."""
+        return ~self.beyond & ~self.rows_in(self.gaps(chain, estimate)).any(axis=0)
+
     def rows_in(self, gaps: np.ndarray) -> np.ndarray:
         """Return which rows lie in which of G gaps, shape (G, N)."""
         return (self.x >= gaps[:, :1]) & (self.x <= gaps[:, 1:])

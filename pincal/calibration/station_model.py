@@ -262,7 +262,7 @@ class StationModel:
         """Return the rows at which every curve of the model was told by the training rows, shape (N,)."""
         known = np.ones(len(conditions), bool)
         for curve in curves_at(self.model, self.of_its_day(conditions)):
-            known &= ~curve.beyond & ~curve.rows_in(curve.gaps(self.model.chain, self.estimate)).any(axis=0)
+            known &= curve.told(self.model.chain, self.estimate)
         return known
 
     def turned_curves(self, conditions: Conditions) -> list[Turned]:

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import block_diag
 
+from pincal.calibration.covered import SeenCurve, curves_at
 from pincal.calibration.placing import Placed
 from pincal.diagnosis.row_evidence import rows_in_noise
 from pincal.identify.criteria import CHANGES
@@ -20,7 +21,6 @@ from pincal.identify.quadratic import Factor, Form
 from pincal.identify.split import row_groups
 from pincal.io.diagnosis_file import CurveEntry, CurvesEntry
 from pincal.measure.measurements import Measurements
-from pincal.model.conditions import recorded_variable
 from pincal.model.effect import Curve
 
 
@@ -80,11 +80,11 @@ def redrawn_curves(placed: Placed, table: Measurements, *, kept: np.ndarray, ses
         at = np.searchsorted(free, np.concatenate([own, *(places[i] for i in some)]))
         return at, block_diag(np.zeros((len(own),) * 2), *(curves[i][2] for i in some))
 
-    entries = []
-    for i, (effect, span, belief) in enumerate(curves):
+    entries, seen = [], {curve.effect: curve for curve in curves_at(model, placed.station.conditions.select(kept))}
+    for i, (effect, _, _) in enumerate(curves):
         at, believed = reestimated([i])
         change = rows.found(at, believed)[len(own) :]
-        entries.append(_entry(placed, effect, span, belief, change, error=rows.error(at, believed), kept=kept))
+        entries.append(_entry(placed, effect, seen[effect], change, error=rows.error(at, believed)))
     entries.sort(key=lambda entry: entry.error_mm)
     before, after = (1e3 * rows.error(*reestimated(some)) for some in ((), range(len(curves))))
     return CurvesEntry(session=session, as_it_was_mm=before, all_anew_mm=after, joints=tuple(entries))
@@ -111,25 +111,19 @@ def _rows(placed: Placed, free: np.ndarray, *, block: np.ndarray, kept: np.ndarr
     )
 
 
-def _entry(
-    placed: Placed, curve: Curve, span: slice, belief: np.ndarray, change: np.ndarray, *, error: float, kept: np.ndarray
-) -> CurveEntry:
+def _entry(placed: Placed, effect: Curve, seen: SeenCurve, change: np.ndarray, *, error: float) -> CurveEntry:
     """Return what one curve contributes."""
-    chain, joint = placed.station.model.chain, str(curve.locus.joint)
-    i = chain.robot.joint_names.index(joint)
-    q = recorded_variable(chain, placed.station.conditions.select(np.flatnonzero(kept)), joint, span=curve.locus.span)
-    basis = curve.basis(q)
+    model, chain = placed.station.model, placed.station.model.chain
+    basis = effect.basis(seen.x)
     basis = basis - basis.mean(axis=1, keepdims=True)
-    C = placed.model.dense_covariance[span, span]
-    known, believed = (np.einsum("kn,kl,ln->n", basis, part, basis) for part in (C, np.linalg.inv(belief)))
-    old, difference = placed.values[span] @ basis, change @ basis
+    old, difference = placed.values[model.spans[model.effects.index(effect)]] @ basis, change @ basis
     new = old + difference
     both = float(np.linalg.norm(old) * np.linalg.norm(new))
     return CurveEntry(
-        joint=joint,
+        joint=seen.joint,
         error_mm=1e3 * error,
         correlation=float(old @ new) / both if both else None,
         rms=float(np.sqrt(np.mean(difference**2))),
-        unit=chain.robot.joint_units[i],
-        seen=float(np.mean(known <= CHANGES.curve_seen**2 * np.maximum(believed, 1e-300))),
+        unit=chain.robot.joint_units[chain.robot.joint_names.index(seen.joint)],
+        seen=float(np.mean(seen.told(chain, placed.model.estimate))),
     )
