@@ -101,7 +101,7 @@ class Sensor(ABC):
             its orientation, so that repeated poses have an accuracy and a repeatability as ISO 9283 defines them.
         pose_limit: completes "3 poses ..." where many rows can share a pose and yet give no more than six coordinates.
         has_camera: whether a known camera can be given.
-        is_of_joints: whether a row reads but the joints at a touch, see :func:`pincal.identify.believed.slope_of_contacts`.
+        is_of_joints: whether a row reads the joints alone, at a touch (:func:`pincal.identify.believed.slope_of_contacts`).
         is_on_tool: whether the sensor itself sits on the tool, so that its mount can be given.
         reads_place: whether readings tell places, and so lengths, held otherwise; else errors have no size in mm.
         follows: how readings depend on the moving tip: "linearly", "squared" or "as ratios", see ``motion/reading_starts``.
