@@ -13,6 +13,7 @@ from pincal import BadInputError
 from pincal.fleet.checks import FleetWatch, fleet_changes
 from pincal.fleet.history import DIAGNOSED, Visit, benjamini_hochberg
 from pincal.fleet.robot_type import RobotType, learn_type
+from pincal.fleet.summary import look_first
 
 LAMBDA = 80.0
 
@@ -64,7 +65,12 @@ def test_a_batch_that_drifts_is_no_robot_that_changed(family: Family, of: RobotT
             year.drift("supplier", "b", place=12, by=1e-4 / PRIOR)
         year.check(week)
     (change,) = year.changes
+    history = year.watch.history()
 
+    # Its robots are off, and nothing but the drift is strange about them.
+    assert history.drifted == {f"r{k}" for k in range(1, 30, 3)} and not history.open
+    assert min(one.q_value for one in history.last) > 0.05
+    assert {row[1] for row in look_first(history).rows} == {"drifted"}
     assert change.is_group and change.subject == "supplier=b"
     assert year.week_of(change.since) == 6
     assert of.names[12] in (change.what, *change.equals)

@@ -114,6 +114,17 @@ def test_readings_of_one_machine_add_up() -> None:
     np.testing.assert_allclose(two.values, one.values, rtol=1e-6, atol=1e-12)
 
 
+def test_no_machine_counts_twice() -> None:
+    """The same file twice is there once; the same readings by two names, or by none, are refused."""
+    family = Family.drawn(np.random.default_rng(6), parameters=12)
+    whole, _, machines = learned(family, 4)
+    again = learn_type([*machines, machines[1]])
+    np.testing.assert_array_equal(again.type.covariance, whole.type.covariance)
+    for name in ("copy", ""):
+        with pytest.raises(BadInputError, match="very readings of machine 'm1'"):
+            learn_type([*machines, replace(machines[1], name=name)])
+
+
 def test_a_parameter_that_some_machines_lack_is_learned_from_the_others() -> None:
     """And a machine without it takes part with all that it has."""
     family = Family.drawn(np.random.default_rng(8), parameters=12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 from fleet_cases import OPTIONS, Family, rows_of, siblings
 
@@ -20,7 +22,17 @@ import pincal
 from pincal import BadInputError, Robot, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.fleet.checks import fleet_changes
-from pincal.fleet.jobs import CalibrateTables, DiagnoseTables, DiscoverTables, add_model, run_job, visits_of
+from pincal.fleet.jobs import (
+    CalibrateTables,
+    DiagnoseTables,
+    DiscoverTables,
+    Done,
+    add_model,
+    run_job,
+    visits_of,
+    without_information,
+)
+from pincal.fleet.machines import Machine, parquet_bytes
 from pincal.fleet.robot_type import learn_type
 from pincal.fleet.store import Store, open_store
 
@@ -106,7 +118,7 @@ def test_a_job_does_what_is_left(robot: Robot, store: Store, tmp_path: Path) -> 
     again = run_job(store, job)
 
     assert (first.done, first.before, len(first.failed)) == (7, 0, 1)
-    assert (again.done, again.before, again.failed) == (0, 7, {})
+    assert (again.done, again.before, again.failed, again.failed_before) == (0, 6, {}, 1)
     assert content_of(Path(store.place)) == content
     (reason,) = first.failed.values()
     assert "joints" in reason
@@ -159,6 +171,71 @@ def test_models_and_diagnoses(robot: Robot, tmp_path: Path) -> None:
     assert done.done == 3 and len(done.failed) == 1 and "no model" in next(iter(done.failed.values()))
     assert visits["2026-02-02"].p_value > 0.01 and visits["2026-03-02"].p_value < 1e-6
     assert visits["2026-03-02"].machine == "R1"
+
+
+def test_a_job_that_failed_stands_in_no_other_job_s_way(robot: Robot, store: Store) -> None:
+    """Tables that could not be calibrated, as with the wrong robot, are left to do; those that could are not."""
+    wrong = Robot.from_urdf("ur10")
+    tables = store.keys("tables")
+    assert len(run_job(store, CalibrateTables(wrong, OPTIONS), tables=tables[:2]).failed) == 2
+    assert without_information(store) == tables
+    # Each of these rows stands there on two days.
+    done = run_job(store, CalibrateTables(robot, OPTIONS), tables=tables[1:3])
+
+    assert done == Done(2, 0, {})
+    assert without_information(store) == tables[4:]
+
+
+def test_a_model_that_comes_late_is_diagnosed_by(robot: Robot, tmp_path: Path) -> None:
+    """A check that had no model has its turn again, and counts once however often it was diagnosed."""
+    store, machine = open_store(tmp_path / "fleet", create=True), siblings(1)[0]
+    key = store.add_table("R1", "2026-02-02", rows_of(robot, machine, 12, 2), role="check")
+    assert "add its model.json" in run_job(store, DiagnoseTables(sigma=5e-5)).failed[key.path]
+    pincal.calibrate(robot, rows_of(robot, machine, 30, 1), OPTIONS).save(tmp_path / "model.json")
+    add_model(store, "R1", "2026-01-05", tmp_path / "model.json")
+    done = [run_job(store, DiagnoseTables(sigma=sigma)) for sigma in (5e-5, 5e-5, 1e-4)]
+    chances = [frame["p_value"].max() for _, frame in store.frames("diagnoses")]
+
+    assert [(one.done, one.before) for one in done] == [(1, 0), (0, 1), (1, 0)]
+    assert [visit.p_value for visit in visits_of(store)] == [None, *chances]
+
+
+def test_a_calibration_does_not_hide_the_check_of_its_day(robot: Robot, tmp_path: Path) -> None:
+    """As table and as diagnosis: the day is today where none is given. Its own table is calibrated already."""
+    store, machine = open_store(tmp_path, create=True), siblings(1)[0]
+    rows = rows_of(robot, machine, 30, 1)
+    store.add_information(DAY, Machine.of(pincal.calibrate(robot, rows, OPTIONS), "R1"))
+    store.add_table("R1", DAY, rows)
+    check = store.add_table("R1", DAY, rows_of(robot, machine, 12, 2), role="check")
+    facts = {"changed": True, "p_value": 1e-9, "role": "check", "job": "", "table": "", "failure": ""}
+    store.add_text("diagnoses", "R1", DAY, "{}", **facts)
+
+    assert without_information(store) == [check]
+    assert [visit.is_calibration for visit in visits_of(store)] == [True, False]
+
+
+def test_what_stands_in_a_store_by_mistake_is_named(tmp_path: Path) -> None:
+    """A damaged file, one of other columns, the copy of a folder, a day that is none; what is no Parquet file is left."""
+    family, rng = Family.drawn(np.random.default_rng(1), parameters=12), np.random.default_rng(2)
+    store = open_store(tmp_path, create=True)
+    keys = [store.add_information(DAY, family.measured(x, rng, name=f"m{k}")) for k, x in enumerate(family.draw(3, rng))]
+    folder, content = (tmp_path / keys[1].path).parent, (tmp_path / keys[1].path).read_bytes()
+    (folder / "notes.txt").write_text("seen")
+    assert len(list(store.machines())) == 3
+    other = parquet_bytes(pl.DataFrame({"a": [1]}))
+    for place, put, words in (
+        ("junk.parquet", b"junk", "junk.parquet: damaged"),
+        ("cut.parquet", content[:-50], "cut.parquet: damaged"),
+        ("foreign.parquet", other, "foreign.parquet: columns a; expected"),
+        ("../../machine=m1 (copy)/day=2026-11-03/x.parquet", content, "move it elsewhere"),
+        ("../day=soon/x.parquet", content, "day 'soon'"),
+    ):
+        path = folder / place
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(put)
+        with pytest.raises(BadInputError, match=re.escape(words)):
+            list(store.machines())
+        path.unlink()
 
 
 @pytest.mark.long
@@ -223,7 +300,10 @@ def test_what_is_no_store_is_refused(robot: Robot, tmp_path: Path) -> None:
     store, table = open_store(tmp_path / "one", create=True), rows_of(robot, siblings(1)[0], 12, 0)
     for machine, day, role, words in (
         ("", DAY, "check", "machine"),
+        (80 * "\N{CJK UNIFIED IDEOGRAPH-540D}", DAY, "check", "short name"),
         ("R1", "soon", "check", "day"),
+        ("R1", "NaT", "check", "day"),
+        ("R1", "today", "check", "day"),
         ("R1", DAY, "other", "role"),
     ):
         with pytest.raises(BadInputError, match=words):

@@ -210,7 +210,7 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
             )
         if arguments.report is not None:
             click.echo(f"written to {arguments.report}")
-    return Exit.CHANGED if found.open else Exit.DONE
+    return Exit.CHANGED if found.open or found.drifted else Exit.DONE
 
 
 VERBS["fleet"] = click.Group(

@@ -262,13 +262,16 @@ def _run(store: Store, job: Job, tables: Sequence[Key], dask: str | None, genera
         found = run_job(store, job, tables=tables, executor=executor)
     good = found.done - len(found.failed)
     if general.as_json:
-        print_json({"job": job.name, "done": good, "before": before + found.before, "failed": found.failed})
+        counts = {"done": good, "before": before + found.before, "failed_before": found.failed_before}
+        print_json({"job": job.name, **counts, "failed": found.failed})
     else:
         click.echo(f"{good} tables {done}" + (f"; {before} were before" if (before := before + found.before) else ""))
         for path, reason in list(found.failed.items())[:_FAILURES]:
             click.echo(f"failed: {path}: {reason}")
         if len(found.failed) > _FAILURES:
             click.echo(f"failed: {len(found.failed) - _FAILURES} more, see the column failure of {job.kind} in the store")
+        if found.failed_before:
+            click.echo(f"{found.failed_before} failed before, and are not tried again: see the column failure of {job.kind}")
     if found.failed and not good:
         raise BadInputError(f"{store.place}: none of {found.done} tables could be worked on; the reasons are in the store")
     return Exit.DONE

@@ -180,7 +180,8 @@ class FleetWatch:
         """Return what was found so far."""
         last = tuple(sorted(self._last.values(), key=lambda one: -one.log_e))
         changed = frozenset(name for name, epoch in self._epochs.items() if epoch.is_changed)
-        return FleetHistory(tuple(self._changes), last, len(self._epochs), self._checks, changed)
+        drifted = frozenset(name for name, epoch in self._epochs.items() if epoch.drift.any())
+        return FleetHistory(tuple(self._changes), last, len(self._epochs), self._checks, changed, drifted)
 
     def take(self, number: int, visits: Iterable[Visit]) -> tuple[FleetChange, ...]:
         """Go on by one round and return what it shows to have changed.
@@ -211,6 +212,8 @@ class FleetWatch:
             self._note(list(checked), day)
             while (found := self._next(day)) is not None:
                 self._changes.append(found)
+            if any(change.is_group for change in self._changes[before:]):
+                self._note(list(checked), day)
         return tuple(self._changes[before:])
 
     def _begin(self, visit: Visit) -> None:

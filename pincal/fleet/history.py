@@ -90,6 +90,7 @@ class FleetHistory:
         robots: number of robots.
         checks: number of checks.
         open: robots that changed and were not calibrated since.
+        drifted: robots of groups that drifted, likewise.
     """
 
     changes: tuple[FleetChange, ...]
@@ -97,6 +98,7 @@ class FleetHistory:
     robots: int
     checks: int
     open: frozenset[str]
+    drifted: frozenset[str]
 
 
 def benjamini_hochberg(p: np.ndarray) -> np.ndarray:

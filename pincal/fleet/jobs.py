@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -42,7 +42,13 @@ from pincal.spread import spread
 if TYPE_CHECKING:
     import polars as pl
 
+# What the names of results end with that say why a table can't be worked on.
+_FAILED = "-failed"
 _DIAGNOSIS = FileKind("a diagnosis", ModelFileError, whole="what pincal diagnose writes")
+
+
+class _NotYetError(BadInputError):
+    """The store lacks something that may come: nothing is written, so that the table's turn comes again."""
 
 
 class Job(ABC):
@@ -70,8 +76,7 @@ class Job(ABC):
     def nothing(self, key: Key, labels: Mapping[str, str]) -> pl.DataFrame:
         """Return the row of a table that can't be worked on."""
 
-    @final
-    @property
+    @cached_property
     def name(self) -> str:
         """The same for what gives the same results."""
         return f"{self.kind}-{hashlib.sha256(self.facts.encode()).hexdigest()[:8]}"
@@ -148,7 +153,7 @@ class DiagnoseTables(Job):
         """Return the diagnosis."""
         model = last_model(store, key.machine, key.day)
         if model is None:
-            raise BadInputError(f"machine {key.machine!r} has no model of {key.day} or before; add its model.json")
+            raise _NotYetError(f"machine {key.machine!r} has no model of {key.day} or before; add its model.json")
         found = diagnose(model, table, alpha=self.alpha, sigma=self.sigma)
         return _texts(msgspec.json.encode(found.found).decode(), changed=found.changed, p_value=found.found.p_value)
 
@@ -195,20 +200,26 @@ class Done:
     Attributes:
         done: number of tables whose results were added.
         before: number of those that had results before.
-        failed: reasons of tables that can't be worked on, by their path; those of earlier runs are in the store.
+        failed: reasons of tables that can't be worked on, by their path.
+        failed_before: number of those that could not be worked on before, by the same job; the reasons are in the store.
     """
 
     done: int
     before: int
     failed: dict[str, str]
+    failed_before: int = 0
 
 
 def without_information(store: Store) -> list[Key]:
-    """Return the tables of which there is no information yet, by whatever job, nor any added for that machine and day."""
-    known = [(key, key.id.partition("-")[0]) for key in store.keys(INFORMATION)]
-    tables = {table for key, table in known if table != key.id}
-    added = {(key.machine, key.day) for key, table in known if table == key.id}
-    return [key for key in store.keys(TABLES) if key.id not in tables and (key.machine, key.day) not in added]
+    """Return the tables of which there is no information yet, by whatever job.
+
+    Information that was added for a machine and day is that of its table of that day, unless this is a check.
+    """
+    known = store.keys(INFORMATION)
+    done = {key.id.partition("-")[0] for key in known if not key.id.endswith(_FAILED)}
+    added = {(key.machine, key.day) for key in known if "-" not in key.id}
+    left = [key for key in store.keys(TABLES) if key.id not in done]
+    return [key for key in left if (key.machine, key.day) not in added or store.frame(key)["role"][0] == CHECK]
 
 
 def run_job(store: Store, job: Job, *, tables: Sequence[Key] | None = None, executor: Executor | None = None) -> Done:
@@ -225,13 +236,19 @@ def run_job(store: Store, job: Job, *, tables: Sequence[Key] | None = None, exec
         WorkersLostError: if workers died and nobody could go on with their work; what is done is there.
     """
     tables, there = store.keys(TABLES) if tables is None else tables, set(store.keys(job.kind))
-    left = [key for key in tables if job.result(key) not in there]
+    left = [key for key in tables if not there & {job.result(key), _failure(job.result(key))}]
+    failed_before = sum(_failure(job.result(key)) in there for key in tables)
     failed, done = dict[str, str](), 0
     for key, reason in zip(left, spread(partial(_work, store, job), left, label="table", executor=executor), strict=True):
         done += reason is not None
         if reason:
             failed[key.path] = reason
-    return Done(done, len(tables) - len(left), failed)
+    return Done(done, len(tables) - len(left) - failed_before, failed, failed_before)
+
+
+def _failure(result: Key) -> Key:
+    """Return where the reason stands why there is no result."""
+    return replace(result, id=result.id + _FAILED)
 
 
 def _work(store: Store, job: Job, key: Key) -> str | None:
@@ -243,12 +260,15 @@ def _work(store: Store, job: Job, key: Key) -> str | None:
     if job.role not in (None, role):
         return None
     labels = {entry["key"]: entry["value"] for entry in frame["labels"][0]}
+    result = job.result(key)
     try:
         row = job.row(store, key, measurements_of(frame, f"{store.place}/{key.path}"), labels)
+    except _NotYetError as error:
+        return str(error)
     except PincalError as error:
-        row, reason = job.nothing(key, labels), str(error)
+        row, reason, result = job.nothing(key, labels), str(error), _failure(result)
     facts = {"role": role, "job": job.name, "table": key.id, "failure": reason}
-    store.add(job.result(key), row.with_columns(**{name: pl.lit(value) for name, value in facts.items()}))
+    store.add(result, row.with_columns(**{name: pl.lit(value) for name, value in facts.items()}))
     return reason
 
 
@@ -262,14 +282,18 @@ def visits_of(store: Store, *, job: str | None = None) -> Iterator[Visit]:
     Raises:
         BadInputError: if there is information of the same rows by several jobs.
     """
-    informed = set[tuple[str, str]]()
+    informed, chances = set[tuple[str, str]](), dict[tuple[str, str, str], float]()
     for key, machine, role in store.machines(job=job, role=None):
-        informed.add((key.machine, key.day))
+        if role == CHECK:
+            informed.add((key.machine, key.day))
         yield Visit(key.machine, key.day, machine, role == CALIBRATION)
     for keys, frame in store.frames(DIAGNOSES):
-        for key, p, failure in zip(keys, frame["p_value"], frame["failure"], strict=True):
+        for key, p, table, failure in zip(keys, *(frame[n] for n in ("p_value", "table", "failure")), strict=True):
             if not failure and (key.machine, key.day) not in informed:
-                yield Visit(key.machine, key.day, p_value=p)
+                # Rows that were diagnosed more than once, as with another noise, count once.
+                rows = key.machine, key.day, table or key.id
+                chances[rows] = max(p, chances.get(rows, 0.0))
+    yield from (Visit(machine, day, p_value=p) for (machine, day, _), p in chances.items())
 
 
 def add_model(store: Store, machine: str, day: str, path: Path, *, labels: Mapping[str, str] | None = None) -> bool:

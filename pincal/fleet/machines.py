@@ -74,15 +74,26 @@ def gathered(machines: Iterable[Machine], *, like: Sequence[Parameter] = ()) -> 
     """Return machines in the same parameters; what one of them lacks its readings do not determine.
 
     Args:
-        machines: one or more; those of one name are the same machine measured more than once.
+        machines: one or more; those of one name are the same machine measured more than once, and equal ones count once.
         like: parameters to begin with.
 
     Raises:
-        BadInputError: for no machine, different nominal geometries, or a parameter with different units.
+        BadInputError: for no machine, one by two names, different nominal geometries, or a parameter with different units.
     """
-    named = dict[object, Machine]()
+    named, twins = dict[object, Machine](), dict[object, Machine]()
     for k, machine in enumerate(machines):
         key = machine.name or k
+        # Noise makes no two sets of readings alike.
+        own = machine.information
+        readings = own.geometry, own.g.tobytes() or k
+        if (twin := twins.get(readings)) is not None:
+            if machine.name and twin.name == machine.name:
+                continue
+            raise BadInputError(
+                f"{_called(machine)} has the very readings of {_called(twin)}; expected each machine once, by one name: "
+                "leave one out"
+            )
+        twins[readings] = machine
         named[key] = named[key] + machine if key in named else machine
     found = tuple(named.values())
     if not found:
@@ -157,7 +168,7 @@ def machines_of(frame: pl.DataFrame, source: str) -> list[Machine]:
     for k, (schema, name, text, labels) in enumerate(frame.select("schema", "machine", "information", "labels").rows()):
         if schema != SCHEMA_VERSION:
             raise ModelFileError(f"{source}: row {k} has schema {schema}; expected {SCHEMA_VERSION}")
-        information = information_of(text, f"{source}: row {k}")
+        information = information_of(text, f"{source}: row {k}, machine {name!r}")
         found.append(Machine(name, information, {entry["key"]: entry["value"] for entry in labels}))
     return found
 

@@ -13,12 +13,11 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
-
-import numpy as np
 
 from pincal.atomic import ELSEWHERE, write_atomic
 from pincal.errors import BadInputError, OutputError, needed
@@ -41,6 +40,8 @@ TABLES, INFORMATION, DIAGNOSES, DISCOVERIES, MODELS = STORED = (
 _MARK, _FORMAT, _VERSION = "store.json", "pincal-store", 1
 # Files read at a time: those of information on 40 parameters take 10 MB.
 _PIECE = 1000
+# Characters of a machine's name as it stands in a path: file systems allow 255.
+_LONGEST = 240
 
 
 @dataclass(frozen=True, order=True)
@@ -66,9 +67,17 @@ class Key:
 
     @classmethod
     def of(cls, path: str) -> Key:
-        """Return the key of a path that ends as :attr:`path`."""
+        """Return the key of a path that ends as :attr:`path`.
+
+        Raises:
+            BadInputError: for any other path, such as that of a copy.
+        """
         kind, machine, day, name = path.replace("\\", "/").split("/")[-4:]
-        return cls(kind, unquote(machine.removeprefix("machine=")), day.removeprefix("day="), name.removesuffix(".parquet"))
+        machine, day = unquote(machine.removeprefix("machine=")), day.removeprefix("day=")
+        found = cls(kind, machine, day, name.removesuffix(".parquet"))
+        if not path.replace("\\", "/").endswith(found.path) or iso_day(day) != day:
+            raise BadInputError(f"{path}: no file that pincal wrote to a store; expected {found.path}: move it elsewhere")
+        return found
 
 
 @dataclass(frozen=True)
@@ -166,15 +175,19 @@ class Store:
         keys = self.keys(kind)
         for start in range(0, len(keys), _PIECE):
             some = keys[start : start + _PIECE]
-            if self._is_url:
-                frame = pl.concat([self.frame(key) for key in some])
-            else:
-                try:
+            try:
+                if self._is_url:
+                    frame = pl.concat([self.frame(key) for key in some])
+                else:
                     frame = pl.read_parquet([Path(self.place) / key.path for key in some], glob=False)
-                except (OSError, pl.exceptions.PolarsError) as error:
-                    raise BadInputError(
-                        f"{self.place}/{kind}: a file is damaged ({error}); delete it and add it again"
-                    ) from None
+            except (OSError, pl.exceptions.PolarsError):
+                # The first that can't be read says so itself; else one has other columns than the rest.
+                columns = [self.frame(key).schema for key in some]
+                odd = min(range(len(some)), key=lambda k: columns.count(columns[k]))
+                raise BadInputError(
+                    f"{self.place}/{some[odd].path}: columns {', '.join(columns[odd])[:200]}; expected those of other "
+                    f"{kind}: move it elsewhere"
+                ) from None
             if len(frame) != len(some):
                 raise BadInputError(f"{self.place}/{kind}: {len(frame)} rows in {len(some)} files; expected one in each")
             yield some, frame
@@ -356,8 +369,8 @@ def named_machine(machine: str) -> str:
     Raises:
         BadInputError: if not.
     """
-    if not machine or machine in (".", "..") or len(machine) > 200:
-        raise BadInputError(f"machine {machine!r}; expected a name, such as its serial number")
+    if not machine or machine in (".", "..") or len(quote(machine, safe="")) > _LONGEST:
+        raise BadInputError(f"machine {machine[:_LONGEST]!r}; expected a short name, such as its serial number")
     return machine
 
 
@@ -368,7 +381,7 @@ def iso_day(day: str) -> str:
         BadInputError: if it is none.
     """
     try:
-        return str(np.datetime64(day, "D"))
+        return datetime.fromisoformat(day).date().isoformat()
     except ValueError:
         raise BadInputError(f"day {day!r}; expected an ISO date such as 2026-11-03") from None
 

@@ -296,11 +296,14 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
         Column("adjusted", kind=Kind.NUMBER, show="{:.2g}".format),
     )
     what = {one.subject: f"{one.what} {_by(one)}".removesuffix(" -") for one in found.changes}
-    ranked = sorted(found.last, key=lambda one: (one.machine not in found.open, -one.log_e))
+    state = {one.machine: "watch" for one in found.last if one.q_value < _ALPHA}
+    state = dict.fromkeys(found.drifted, "drifted") | state | dict.fromkeys(found.open, "changed")
+    order = ("changed", "watch", "drifted", "as it was")
+    ranked = sorted(found.last, key=lambda one: (order.index(state.get(one.machine, order[-1])), -one.log_e))
     rows = [
         (
             one.machine,
-            "changed" if one.machine in found.open else "watch" if one.q_value < _ALPHA else "as it was",
+            state.get(one.machine, order[-1]),
             what.get(one.machine, "-") if one.machine in found.open else "-",
             one.day,
             one.log_e / np.log(10.0),
@@ -332,6 +335,7 @@ def plain_history(found: FleetHistory) -> dict[str, Any]:
         "robots": found.robots,
         "checks": found.checks,
         "open": sorted(found.open),
+        "drifted": sorted(found.drifted),
         "changes": [one | {"equals": list(one["equals"])} for one in changes],
         "last": last,
     }

@@ -129,6 +129,9 @@ def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str
         version: of pincal.
     """
     tone, words = ("bad", f"{len(found.open)} to look at") if found.open else ("good", "nothing to look at")
+    if found.drifted:
+        words = f"{words}, {len(found.drifted)} drifted" if found.open else f"{len(found.drifted)} drifted"
+        tone = "bad"
     lines = list(summary.history_lines(found))
     answer = rich('<p><span class="tag {}">{}</span> {}</p>', tone, words, lines[0])
     blocks = [answer, *(paragraph(line, "care") for line in lines[1:])]
