@@ -33,6 +33,7 @@ import numpy as np
 import pinocchio as pin
 import polars as pl
 from discovery_cases import draw_case
+from fleet_cases import Family
 
 import pincal
 from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Fit, Measurements, Model, Options, Robot, read_measurements
@@ -40,6 +41,9 @@ from pincal.builtin import kuka_urdf_path
 from pincal.compensate.ik_problem import Bounds, IkProblem
 from pincal.compensate.solve_ik import solve_ik
 from pincal.discover.run import Discovery, run_discovery
+from pincal.fleet.jobs import CalibrateTables, run_job
+from pincal.fleet.robot_type import learn_type
+from pincal.fleet.store import open_store
 from pincal.identify.calibrate import Tables
 from pincal.identify.noise import Loss
 from pincal.model.chain import MOMENT_FRAMES
@@ -416,6 +420,27 @@ def _status(name: str) -> float:
     return float(next(row.split()[1] for row in text.splitlines() if row.startswith(name))) / 1024.0
 
 
+def time_fleet() -> Iterator[Line]:
+    """Time tables calibrated from a store beside calibrations alone, and a type of many machines beside one of few."""
+    rng, options = np.random.default_rng(0), Options(effects=GEOMETRIC, sigma=NOISE)
+    table = table_of(30, with_elasticity=False)
+    with tempfile.TemporaryDirectory() as folder:
+        store = open_store(folder, create=True)
+        for k in range(31):
+            store.add_table(f"R{k}", "2026-01-05", replace(table, temperature=np.full(30, float(k))))
+        keys, job = store.keys("tables"), CalibrateTables(ROBOT, options)
+        run_job(store, job, tables=keys[:1])
+        whole = seconds(lambda: run_job(store, job), 1)[0] / (len(keys) - 1)
+    alone = float(np.median(seconds(partial(pincal.calibrate, ROBOT, table, options), 30)))
+    yield line("a table of 30 poses, calibrated from a store", 1e3 * whole, None, "{:.1f} ms")
+    yield line("  over a calibration alone", whole / alone, 2.5, "{:.2f}")
+    family = Family.drawn(rng, unseen=15)
+    many = [family.measured(x, rng) for x in family.draw(1200, rng)]
+    taken = [seconds(partial(learn_type, many[:count]), 1)[0] / count for count in (400, 1200)]
+    yield line("a type of 1200 machines of 40 parameters", 1200 * taken[1], None, "{:.2f} s")
+    yield line("  a machine, over that of a type of 400", taken[1] / taken[0], 1.5, "{:.2f}")
+
+
 def time_processes() -> Iterator[Line]:
     """Time whole processes, started warm: the import, and a calibration from the command line."""
     yield line("python -c 'import pincal', best of 5", _process("-c", "import pincal"), 0.6, "{:.2f} s")
@@ -462,6 +487,7 @@ QUICK: dict[str, Callable[[], Iterator[Line]]] = {
     "design": time_design,
     "compensate": time_compensation,
     "discover": time_discovery,
+    "fleet": time_fleet,
     "process": time_processes,
 }
 SLOW: dict[str, Callable[[], Iterator[Line]]] = {

@@ -23,6 +23,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from fleet_cases import (
     OPTIONS,
@@ -42,6 +43,7 @@ from pincal import Robot, calibrate
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.fleet.jobs import CalibrateTables, run_job
+from pincal.fleet.machines import Machine
 from pincal.fleet.robot_type import RobotType, calibrate_of_type, learn_type
 from pincal.fleet.store import open_store
 from pincal.simulate.urdf_arm import read_arm
@@ -193,13 +195,21 @@ def _errors(robot: Robot, machine: sim.TrueMachine, of: RobotType, rng: np.rando
 
 
 def _real(seed: int, name: str) -> dict[str, Any]:
-    """Return errors of a real machine, with the priors alone and with a type of the others."""
+    """Return errors of a real machine, with the priors alone, with a type of the others, and of all types pooled."""
     machines = {other: (kind, machine) for kind, other, machine in real_machines()}
     kind, machine = machines[name]
     robot = nominal_arm(kind)
     others = [(other, m) for other, (of, m) in machines.items() if of == kind and other != name]
-    of = learn_type(sibling_of(robot, m, n, poses=MANY, seed=1000 * seed + k) for k, (n, m) in enumerate(others)).type
-    return {"type": kind, "siblings": len(others), "errors": _errors(robot, machine, of, np.random.default_rng(seed))}
+    known = [sibling_of(robot, m, n, poses=MANY, seed=1000 * seed + k) for k, (n, m) in enumerate(others)]
+    errors = _errors(robot, machine, learn_type(known).type, np.random.default_rng(seed))
+    for k, (other, (of, m)) in enumerate(machines.items()):
+        if of != kind:
+            # As if theirs were this one's nominal geometry.
+            own = sibling_of(nominal_arm(of), m, other, poses=MANY, seed=1000 * seed + 50 + k).information
+            known.append(Machine(other, msgspec.structs.replace(own, geometry=known[0].information.geometry)))
+    pooled = _errors(robot, machine, learn_type(known).type, np.random.default_rng(seed))
+    found = [one | {"pooled_mm": other["type_mm"]} for one, other in zip(errors, pooled, strict=True)]
+    return {"type": kind, "siblings": len(others), "errors": found}
 
 
 def _year(seed: int, way: str) -> dict[str, Any]:
@@ -243,8 +253,7 @@ def _store(seed: int, tables: int) -> dict[str, Any]:
     family = Siblings(nominal, "alike", np.random.default_rng(seed))
     machines = [family.draw() for _ in range(20)]
     with tempfile.TemporaryDirectory() as folder:
-        store = open_store(folder, create=True)
-        begun = time.perf_counter()
+        store, begun = open_store(folder, create=True), time.perf_counter()
         for k in range(tables):
             day = str(np.datetime64("2026-01-01") + k // 500)
             store.add_table(f"R{k % 500}", day, table_of(robot, machines[k % 20], 30, k))
@@ -254,10 +263,9 @@ def _store(seed: int, tables: int) -> dict[str, Any]:
             done = run_job(store, job, executor=executor)
             taken = time.perf_counter() - begun
             memory = [*executor.map(_memory, range(8))]
-        again = time.perf_counter()
-        rest = run_job(store, job)
-        again = time.perf_counter() - again
         begun = time.perf_counter()
+        rest = run_job(store, job)
+        again, begun = time.perf_counter() - begun, time.perf_counter()
         count = sum(1 for _ in store.machines())
         listed = time.perf_counter() - begun
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -276,7 +284,8 @@ def _store(seed: int, tables: int) -> dict[str, Any]:
 
 
 def _memory(_: int) -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    """Return the largest memory of this process [MB]; that of ``getrusage`` begins with its parent's."""
+    return float(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1e3
 
 
 def study(
@@ -359,6 +368,8 @@ def _lines_of_errors(part: str, found: Sequence[dict[str, Any]]) -> Iterator[str
             words.append(
                 f"{poses}: {a.mean():.3f} -> {b.mean():.3f} mm ({ratio:.3f} +- {error:.3f}, covers {100 * cover:.0f} %)"
             )
+            if "pooled_mm" in own[0]["errors"][k]:
+                words[-1] += f", types pooled {np.mean([one['errors'][k]['pooled_mm'] for one in own]) / a.mean():.3f}"
         yield f"{part} {title} ({len(own)}): " + "; ".join(words)
 
 
