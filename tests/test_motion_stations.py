@@ -143,6 +143,7 @@ def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:
     found = pincal.calibrate(ROBOT, table, GEOMETRY)
     lengths = [k for k, p in enumerate(found.problem.parameters) if p.unit == "m" and p.effect != "tool_frame"]
     assert len(lengths) >= 12 and not found.values[lengths].any() and not found.solution.free[lengths].any()
+    assert {"gear_eccentricity", "friction_windup", "joint_elasticity"} <= {effect.name for effect in found.model.effects}
     found.save(tmp_path / "model.json")
     q = table.q[:3]
     np.testing.assert_allclose(pincal.load_model(tmp_path / "model.json").predict(q), found.predict(q), atol=1e-12)

@@ -34,6 +34,7 @@ from pincal.measure.sensor import KnownParameters, Sensor
 from pincal.measure.table import stations_of
 from pincal.model.catalogue.bearing_features import without_idle_features
 from pincal.model.catalogue.masses import with_masses
+from pincal.model.catalogue.motion import with_drives
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effects import Effect
 from pincal.parameters import is_on_link
@@ -130,8 +131,13 @@ def tables_of(measurements: Tables) -> dict[str, Measurements]:
 
 
 def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurements]) -> Options:
-    """Return the options with all points that the training rows name, and the masses that nobody knows as effects."""
+    """Return the options with all points that the training rows name, and as effects the masses that nobody knows.
+
+    Where IMUs alone tell all there is, what drives do is among the effects, too.
+    """
     options = Options() if options is None else options
+    if options.earlier is None and all(table.sensor and not table.sensor.reads_place for table in tables.values()):
+        options = replace(options, effects=with_drives(robot, options.effects))
     options = replace(options, effects=with_masses(robot, options.effects))
     unknown = set(options.stations) - set(tables)
     if unknown:

@@ -6,17 +6,21 @@ used at rest.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.model.catalogue.drives import ORDERS, GearEccentricity
 from pincal.model.chain import Chain
+from pincal.model.compliances import JointElasticity
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family, Locus, Term
 from pincal.model.effect_bases import PLAY, DriveInMotion, recorded
 from pincal.parameters import ANYWHERE, Parameter, Scope
+from pincal.robot.robot import Robot
 
 # Typical size of a servo's delay [s].
 _LAG = 1e-3
@@ -120,3 +124,18 @@ class FrictionWindup(DriveInMotion):
     def of_velocity(self, velocity: np.ndarray) -> np.ndarray:
         """Return minus its direction, which changes smoothly."""
         return -np.tanh(velocity / self.slow)
+
+
+def with_drives(robot: Robot, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Return effects with what every drive does, which an IMU alone would else take for zeros of parallel joints.
+
+    These are the compliance of drives, where the masses are known, eccentric gears, and friction; the priors hold each.
+    """
+    revolute = [name for name, kind in zip(robot.joint_names, robot.joint_types, strict=True) if kind == "revolute"]
+    more: tuple[Effect, ...] = (
+        *(GearEccentricity(joint, order) for joint in revolute for order in ORDERS),
+        *(FrictionWindup(joint) for joint in robot.joint_names),
+    )
+    if not robot.massless and not any(isinstance(effect, JointElasticity) for effect in effects):
+        more = (JointElasticity(), *more)
+    return (*effects, *(effect for effect in more if effect not in effects))
