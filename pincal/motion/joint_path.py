@@ -8,7 +8,7 @@ coefficients through N readings it is N RSS / (N - K)^2, here the geometric mean
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -85,6 +85,13 @@ class JointPath:
         squares = [np.sum((q[part] - fit(own[part])) ** 2, axis=0) for part, fit in zip(stretches, fits, strict=True)]
         freedom = sum(part.stop - part.start - len(fit.c) for part, fit in zip(stretches, fits, strict=True))
         return cls(tuple(fits), 1.0 / rate, np.sqrt(np.sum(squares, axis=0) / max(freedom, 1)), float(time[0]))
+
+    def mapped(self, matrix: np.ndarray, offsets: np.ndarray | float = 0.0) -> JointPath:
+        """Return the path of joints that are linear in these, shape (n, n), plus offsets, shape (n,) [rad or m]."""
+        from scipy.interpolate import BSpline
+
+        parts = tuple(BSpline(part.t, part.c @ matrix.T + offsets, part.k) for part in self.parts)
+        return replace(self, parts=parts, scatter=np.abs(matrix) @ self.scatter)
 
     @property
     def span(self) -> tuple[float, float]:
