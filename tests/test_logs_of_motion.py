@@ -219,6 +219,17 @@ def test_a_target_that_is_lost_is_left_out(logs: Tables, lost: str, tmp_path: Pa
         read(tmp_path, tables)
 
 
+def test_readings_of_something_else_are_left_out(logs: Tables, tmp_path: Path) -> None:
+    """Single ones that jump off those beside them; the clock is that of the others, of which none is missed."""
+    tables, rng = copied({name: logs[name] for name in ("joints", "tracker")}), np.random.default_rng(0)
+    rows = np.sort(rng.choice(np.arange(600, 1800, 6), 40, replace=False))
+    tables["tracker"]["z"][rows] += rng.choice([-0.8, 0.8], 40)
+    clean, jumps = (laid(read(tmp_path, each)[0]) for each in (logs, tables))
+    assert "tracker.csv: 40 of 2400 rows" in jumps[2] and "jump off those beside them" in jumps[2]
+    assert "tracker.csv" not in clean[2] and jumps[1] == clean[1] - 40
+    assert jumps[0] == pytest.approx(clean[0], abs=1e-4)
+
+
 def test_an_instrument_of_few_digits_keeps_its_rows(logs: Tables, tmp_path: Path) -> None:
     """Steps of 10 mm repeat where the arm is slow; nothing of that is lost, and a log that is too fast is told."""
     tracker, joints = logs["tracker"], logs["joints"]

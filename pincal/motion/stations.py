@@ -33,6 +33,8 @@ from pincal.robot.robot import Robot
 WIDTH = 0.03
 # Joints that change by less than this rest [rad, m].
 _RESTS = 3e-4
+# Rows a second from which on no arm turns back so far within two of them that one seems to jump.
+_FAST = 20.0
 # Smallest steps by which the reading of an instrument of few digits changes.
 _STEPS = 2.5
 
@@ -171,6 +173,9 @@ def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
     again = tracker.repeats
     if again.any():
         tracker = _without_stale(arm, tracker, clock, again, tracker.readings[_sensor(tracker).fields[0].name])
+    values = tracker.readings[_sensor(tracker).fields[0].name]
+    if tracker.rate > _FAST and not tracker.things.any():
+        tracker = tracker.without(~steady(values.reshape(len(values), -1)), "jump off those beside them: of something else")
     at = clock.to_joints(tracker.time)
     inside = arm.path.covers(at)
     readings = {name: values[inside] for name, values in tracker.readings.items()}
