@@ -98,6 +98,13 @@ class JointPath:
         """First and last time of the log [s]."""
         return self.origin + float(self.parts[0].t[0]), self.origin + float(self.parts[-1].t[-1])
 
+    def grid(self, step: float) -> np.ndarray:
+        """Return times that are so far apart [s], but for those in and beside gaps of the log, shape (K,)."""
+        times = np.arange(*self.span, step)
+        kept = np.flatnonzero(self.covers(times))
+        inner = np.arange(kept[0], kept[-1] + 1) if len(kept) else kept
+        return np.delete(times, np.setdiff1d(inner, kept))
+
     def covers(self, time: np.ndarray, margin: float = 0.0) -> np.ndarray:
         """Return at which times, shape (N,), and those nearer than a margin [s], the splines can be trusted, shape (N,)."""
         inside = np.zeros(np.shape(time), bool)

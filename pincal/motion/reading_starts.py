@@ -57,8 +57,7 @@ def start_readings(arm: MovingArm, tracker: Stream, sensor: type[Sensor]) -> Clo
             f"{tracker.name}: {what} of {lasts:.3g} s of motion do not tell the offset of the clocks; expected "
             f"{SHORTEST:g} s or more"
         )
-    grid = np.arange(begin, end, _SEARCHED)
-    grid = grid[arm.path.covers(grid)]
+    grid = arm.path.grid(_SEARCHED)
     known, longest = _functions(arm.tips(grid)), max(_LEAST * lasts, 0.5 * SHORTEST)
     offsets = np.arange(begin + longest - last, end - longest - first, _SEARCHED)
     found = np.array([[thing.left(offset, grid, known) for offset in offsets] for thing in things])

@@ -127,9 +127,7 @@ def _turned(arm: MovingArm, imu: Stream, rows: ImuRows) -> Alignment | None:
 
 def _match(arm: MovingArm, stream: Stream, time: np.ndarray, speed: np.ndarray, *, by_rate: bool) -> SpeedMatch:
     """Return how speeds of a stream lie on those of the arm's tip, turning or moving."""
-    begin, end = arm.path.span
-    grid = np.arange(begin, end, _GRID)
-    grid = grid[arm.path.covers(grid)]
+    grid = arm.path.grid(_GRID)
     tips = arm.ideal(grid).rate if by_rate else np.gradient(arm.tips(grid)[:, :, 3], grid, axis=0)
     match = correlate(grid, np.linalg.norm(tips, axis=1), time, speed)
     if match.is_same and not match.is_clear:
