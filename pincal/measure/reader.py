@@ -262,8 +262,16 @@ def read_columns(
     return found
 
 
-def joint_columns(path: str | os.PathLike[str], names: Iterable[str], options: TableOptions) -> tuple[str, ...]:
+def joint_columns(
+    path: str | os.PathLike[str], names: Iterable[str], options: TableOptions, *, by_words: bool = True
+) -> tuple[str, ...]:
     """Return those of some joints that have a column in a table, in the order of the columns, without reading its rows.
+
+    Args:
+        path: the table.
+        names: of the joints.
+        options: how the table is to be read.
+        by_words: whether names may stand amid other words where no column has one for its own, as in logs of motion.
 
     Raises:
         MeasurementError: for a file that can't be read.
@@ -281,7 +289,7 @@ def joint_columns(path: str | os.PathLike[str], names: Iterable[str], options: T
         here = {name: said for name, said in options.columns.items() if any(is_named(text, name) for text in sheet.labels)}
         labels = renamed(sheet.labels, here, source=place.name)
     found = [spelled(label, angles) or spelled(label, lengths) for label in labels]
-    if not any(found):
+    if by_words and not any(found):
         found = [(joint, "") for family in joint_families(labels, known)[:1] for joint in family]
     return tuple(dict.fromkeys(name for name, _ in filter(None, found)))
 
@@ -296,7 +304,7 @@ def of_path(path: str | os.PathLike[str], names: Collection[str], options: Table
         return options
     for end in (i + 1 for i, letter in enumerate(first) if letter == "_"):
         own = {name[end:]: name for name in names if name.startswith(first[:end])}
-        if len(own) == len(names) and own.keys() <= set(joint_columns(path, own, options)):
+        if len(own) == len(names) and own.keys() <= set(joint_columns(path, own, options, by_words=False)):
             return replace(options, columns={**options.columns, **own})
     return options
 
