@@ -67,6 +67,24 @@ def test_logs_are_of_the_path_by_their_clocks(tmp_path: Path) -> None:
         np.testing.assert_allclose(np.column_stack([imu[letter + axis] for axis in "xyz"]), expected, rtol=0.0, atol=1e-4)
 
 
+def test_cameras_take_thirty_images_a_second(tmp_path: Path) -> None:
+    """As cameras do; a tracker is read 250 times."""
+    for sensor, rate in (("fixed_camera_pixel", 30.0), ("position", 250.0)):
+        given = [
+            "--path",
+            "5s",
+            "--sensor",
+            sensor,
+            "--out",
+            tmp_path / sensor,
+            "--truth",
+            tmp_path / "truth.json",
+            "--quiet",
+        ]
+        assert run("simulate", URDF, *given) == 0
+        assert json.loads((tmp_path / "truth.json").read_text())["rates_hz"]["tracker"] == rate
+
+
 @pytest.mark.long
 def test_the_same_seed_drives_the_same_path(tmp_path: Path) -> None:
     """Byte for byte; another pose seed drives the same machine along another path, with the same IMU."""

@@ -71,7 +71,7 @@ def load_sessions(
 
     motion.check(reading.joints, paths)  # type: ignore[arg-type]
     sessions = list[Session]()
-    plain: dict[str, Any] = {"columns": reading.columns, "ignore": reading.ignore}
+    plain: dict[str, Any] = {"columns": reading.columns, "ignore": reading.ignore, "orientation": reading.orientation}
     if motion.are_given:
         given: dict[str, Any] = {"joints": reading.joints, "imu": motion.imu, "tracker": motion.tracker}
         sessions.append(read_streams(robot, **given, **plain))
@@ -183,7 +183,10 @@ class MotionArguments:
         words="0.001deg",
     )
     log_rates: tuple[float, float, float] | None = option(
-        "Samples a second of joints, IMU and tracker.", metavar="HZ,HZ,HZ", type=_RatesType(), words="150,100,250"
+        "Samples a second of joints, IMU and tracker.",
+        metavar="HZ,HZ,HZ",
+        type=_RatesType(),
+        words="150,100,250, cameras 30",
     )
     clock_drift: float | None = option(
         "Drift of the clocks of IMU and tracker.",

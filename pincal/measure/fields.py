@@ -141,6 +141,8 @@ class Schema:
         following: puts the others where they follow, in positions of shape (N, n).
         resting: joints that may be absent, with the positions where they rest then [rad or m].
         may_lack_joints: whether a table without any joint is allowed.
+        is_stream: whether it is what a logger wrote of an arm that moves: columns may have the names of loggers, those that
+            nobody asked for are left out, and so are rows that lack a cell.
         options: what the user declares of it.
     """
 
@@ -151,6 +153,7 @@ class Schema:
     following: Callable[[np.ndarray], np.ndarray] = np.copy
     resting: Mapping[str, float] = field(default_factory=dict)
     may_lack_joints: bool = False
+    is_stream: bool = False
     options: TableOptions = field(default_factory=TableOptions)
 
     def __post_init__(self) -> None:

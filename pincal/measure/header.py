@@ -11,21 +11,29 @@ from pincal.errors import MeasurementError, nearest_first, warn
 from pincal.measure.fields import CONDITIONS, SIGMA, Field, Schema
 from pincal.measure.labels import (
     Label,
+    check_one,
     columns_listed,
+    joint_families,
     numbered_joints,
-    place_columns,
+    numbered_of_stream,
     renamed,
     spelled,
+    splits,
     unignored,
     unit_in,
     unit_of,
+    vector_columns,
     without_unit,
+    words_of,
 )
 from pincal.measure.orientation import CONVENTIONS, Convention, find_orientation, looks_like_orientation, looks_like_place
 from pincal.measure.sheet import Sheet, SheetColumn
+from pincal.units import SIZES
 
 # Unknown columns that are looked at, and those that a message lists.
 _LOOKED_AT, _LISTED = 500, 20
+# Columns of a stream that are not read, which a note lists.
+_UNREAD = 8
 
 
 @dataclass(frozen=True)
@@ -57,8 +65,9 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
     source, options = sheet.path.name, schema.options
     labels = unignored(renamed(sheet.labels, options.columns, source=source), options.ignore)
     quantities = schema.quantities(source=source)
-    labels = _timed(with_joints(labels, schema, quantities, source=source), sheet, quantities)
-    labels = _with_place(labels, sheet, quantities)
+    labels = with_joints(labels, schema, quantities, sheet=sheet)
+    labels = _timed_stream(labels, sheet, quantities) if schema.is_stream else _timed(labels, sheet, quantities)
+    labels = _with_vectors(labels, sheet, quantities, schema)
     orientation = None
     if any(part.is_unit for part in schema.fields):
         orientation = _orientation(labels, schema, quantities, source=source)
@@ -76,7 +85,9 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
     readings = [part for part in schema.fields if part.name not in CONDITIONS and part != SIGMA]
     told = {*columns, *(rotations(schema.fields).columns if orientation else ())}
     flag = next((label for label in unknown if label.name.casefold() in FLAGS), None)
-    if "*" not in options.ignore and not sheet.takes_unknown:
+    if schema.is_stream:
+        _tell_unread(sheet, unknown)
+    elif "*" not in options.ignore and not sheet.takes_unknown:
         free = {name: quantity for name, quantity in quantities.items() if name not in columns}
         found = [told.intersection(part.columns) for part in readings if told.intersection(part.columns)]
         is_whole = bool(found) and all(
@@ -89,6 +100,8 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
         is_turned = orientation is None and looks_like_orientation([label.name for label in others])
         _check_unknown(sheet, others, free, is_complete=is_whole and not is_turned)
     measured = {name for part in readings for name in part.columns} | {*(orientation.columns if orientation else ())}
+    if schema.is_stream:
+        measured |= {*columns}
     return Header(
         tuple(columns.values()),
         joints,
@@ -102,6 +115,17 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
 FLAGS = ("valid", "is_valid", "isvalid", "ok", "visible", "tracked", "status", "state", "quality", "flag", "flags")
 
 
+# Names of a time in a stream: the stamp of a reading goes before that of who recorded it.
+_STAMPS = (("header", "stamp"), ("stamp",), ("timestamp",), ("time", "stamp"), ("time",), ("t",), ("elapsed",), ("clock",))
+# What the seconds and the nanoseconds of a stamp are called that has a column for each.
+_SECONDS = (("sec",), ("secs",), ("seconds",))
+_NANOSECONDS = (("nanosec",), ("nanosecs",), ("nsec",), ("nsecs",), ("nanoseconds",))
+# A time since 1970 in this century [s].
+_EPOCH = 9.4e8, 4.2e9
+NANOSECONDS = "\0nanoseconds"
+"""What is to be added to the time."""
+
+
 def _timed(labels: list[Label], sheet: Sheet, quantities: Mapping[str, str]) -> list[Label]:
     """Return the labels with a column timestamp of numbers taken for the time, if nothing else is."""
     stamps = [label for label in labels if without_unit(label.name).casefold() in ("timestamp", "time_stamp", "time stamp")]
@@ -113,29 +137,110 @@ def _timed(labels: list[Label], sheet: Sheet, quantities: Mapping[str, str]) -> 
     return [replace(label, meant=f"time [{unit}]") if label in stamps else label for label in labels]
 
 
-def _with_place(labels: list[Label], sheet: Sheet, quantities: Mapping[str, str]) -> list[Label]:
-    """Return the labels with three replaced that are a position by another name, such as ``TCP_X``, if there is no other."""
+def _timed_stream(labels: list[Label], sheet: Sheet, quantities: dict[str, str]) -> list[Label]:
+    """Return the labels of a stream with the time among them, in the unit of its numbers where that is since 1970.
+
+    Raises:
+        MeasurementError: where several columns may be it.
+    """
+    source = sheet.path.name
+    exact = [label for label in labels if (spelled(label, quantities) or ("",))[0] == "time"]
+    whole, rest = ([label for label in labels if words_of(label.meant)[-1:] in ends] for ends in (_SECONDS, _NANOSECONDS))
+    if not exact and len(whole) == len(rest) == 1:
+        quantities[NANOSECONDS] = "time"
+        warn(f'{source}: the time is "{whole[0].text}" and "{rest[0].text}"; if that is wrong, --ignore both')
+        meant = {whole[0]: "time [s]", rest[0]: f"{NANOSECONDS} [ns]"}
+        return [replace(label, meant=meant.get(label, label.meant)) for label in labels]
+    units = {label: next((pair for pair in splits(label.meant, "time") if pair[1]), (label.name, "")) for label in labels}
+    ranks = dict[Label, int]()
+    for label, (name, _) in units.items():
+        words = words_of(name)
+        if places := [k for k, end in enumerate(_STAMPS) if words[-len(end) :] == end]:
+            ranks[label] = places[0]
+    found = exact or [label for label in ranks if ranks[label] == min(ranks.values())] or whole
+    if not found:
+        return labels
+    check_one([[label] for label in found], "time", source=source)
+    (stamp,) = found
+    unit = units[stamp][1] or ("s" if stamp in whole else _unit_since_1970(sheet.first_cells(stamp.index, 1)))
+    if stamp in exact and (units[stamp][1] or not unit):
+        return labels
+    told = f"time [{unit}]" if unit else "time"
+    warn(f'{source}: "{stamp.text[:40]}" is read as time [{unit or "s"}]; if that is wrong, --ignore it')
+    return [replace(label, meant=told) if label is stamp else label for label in labels]
+
+
+def _unit_since_1970(cells: Sequence[str]) -> str:
+    """Return the unit in which a number is a time of this century, if it is smaller than a second; empty otherwise."""
+    try:
+        size = float((cells or [""])[0])
+    except ValueError:
+        return ""
+    return next((unit for unit in ("ms", "us", "ns") if _EPOCH[0] < size * SIZES[unit] < _EPOCH[1]), "")
+
+
+def _with_vectors(labels: list[Label], sheet: Sheet, quantities: Mapping[str, str], schema: Schema) -> list[Label]:
+    """Return the labels with those replaced that are a vector by another name, such as ``TCP_X``, if there is no other."""
     named = {(spelled(label, quantities) or ("",))[0] for label in labels}
-    guessed = place_columns([label for label in labels if not sheet.has_words(label.index)])
-    if not guessed or not {"x", "y", "z"} <= quantities.keys() or named & {"x", "y", "z"}:
+    free = [label for label in labels if not spelled(label, quantities) and not sheet.has_words(label.index)]
+    wanted = {name: quantity for name, quantity in quantities.items() if name not in named}
+    guessed = vector_columns(free, wanted, is_stream=schema.is_stream, source=sheet.path.name)
+    if not guessed:
         return labels
     pairs = ", ".join(f"{label}={axis}" for label, axis in guessed.items())
-    warn(f"{sheet.path.name}: the position is taken from the columns {pairs}; if that is wrong, map them with --columns")
+    what = "read by what they seem to be:" if schema.is_stream else "the position is taken from the columns"
+    warn(f"{sheet.path.name}: {what} {pairs}; if that is wrong, map them with --columns")
     return [replace(label, meant=guessed.get(label.meant, label.meant)) for label in labels]
 
 
-def with_joints(labels: list[Label], schema: Schema, quantities: Mapping[str, str], *, source: str) -> list[Label]:
-    """Return the labels with those replaced that number the joints, if no joint has a column under its name."""
-    names = set(schema.joint_names)
+def with_joints(labels: list[Label], schema: Schema, quantities: Mapping[str, str], *, sheet: Sheet) -> list[Label]:
+    """Return the labels with those replaced that number the joints, if no joint has a column under its name.
+
+    Raises:
+        MeasurementError: for a stream in which several sets of columns may be the joints.
+    """
+    names, source = set(schema.joint_names), sheet.path.name
     if not names or any(label.name in names or (spelled(label, quantities) or ("", ""))[0] in names for label in labels):
         return labels
     free = [label for label in labels if label.name not in quantities]
-    guessed = numbered_joints(free, schema.own_joints)
+    guessed = _joints_of_stream(free, schema, sheet) if schema.is_stream else numbered_joints(free, schema.own_joints)
     if not guessed:
         return labels
     pairs = ", ".join(f"{label}={joint}" for label, joint in guessed.items())
     warn(f"{source}: joints are taken from the columns {pairs}; if that is wrong, map them with --columns")
     return [replace(label, meant=guessed.get(label.meant, label.meant)) for label in labels]
+
+
+def _joints_of_stream(free: Sequence[Label], schema: Schema, sheet: Sheet) -> dict[str, str]:
+    """Return the labels of a stream that are joints, by their names amid others or by numbers, as they are meant."""
+    numeric, needed = [label for label in free if not sheet.has_words(label.index)], schema.needed_joints
+    whole = [family for family in joint_families(numeric, schema.joint_names) if family.keys() >= {*needed}]
+    if not whole:
+        n, more = len(schema.own_joints), list[dict[int, tuple[Label, str]]]()
+        for numbered in numbered_of_stream(numeric):
+            if sorted(numbered) not in ([*range(n)], [*range(1, n + 1)]):
+                more += [numbered] if len(numbered) > n else []
+                continue
+            order = [*schema.own_joints]
+            # A recording of ROS has columns of names beside those of positions.
+            said = [label for label in free if words_of(label.meant)[-2:-1] == ("name",) and label not in numeric]
+            texts = {
+                int(words_of(label.meant)[-1]): (sheet.first_cells(label.index, 1) or [""])[0].strip() for label in said
+            }
+            if {texts.get(k) for k in numbered} == {*order}:
+                order = [texts[k] for k in sorted(numbered)]
+            whole.append(dict(zip(order, (numbered[k] for k in sorted(numbered)), strict=True)))
+        if more and not whole:
+            first, last = (more[0][end(more[0])][0].text for end in (min, max))
+            raise MeasurementError(
+                f'{sheet.path.name}: "{first}" to "{last}" number {len(more[0])} joints; expected {n}, those of the arm: '
+                f"leave out what is none of its, such as a gripper (--ignore {last})"
+            )
+    columns = [[label for label, _ in family.values()] for family in whole]
+    check_one(columns, "joints", source=sheet.path.name, example=next(iter(whole[-1]), "") if whole else "")
+    if not whole:
+        return {}
+    return {label.meant: f"{joint} [{unit}]" if unit else joint for joint, (label, unit) in whole[0].items()}
 
 
 def _orientation(labels: list[Label], schema: Schema, quantities: Mapping[str, str], *, source: str) -> Convention | None:
@@ -195,6 +300,21 @@ def check_joints(missing: Sequence[str], unknown: Sequence[Label], sheet: Sheet)
         f"{sheet.path.name}: no column for joint {', '.join(texts)}; expected a column named as in the URDF, or "
         f"--columns 'NAME={missing[0]},...', or a log of the joints (--joints LOG); {columns_listed(sheet.labels)}"
     )
+
+
+def _tell_unread(sheet: Sheet, unknown: Sequence[Label]) -> None:
+    """Say which columns of a stream are left out; of numbers that may be a quaternion, why."""
+    texts = [label.text for label in unknown if not sheet.is_blank(label.index)]
+    by_name = {label.name.casefold(): label.text for label in unknown}
+    if {"q0", "q1", "q2", "q3"} <= by_name.keys() and "q4" not in by_name:
+        warn(
+            f"{sheet.path.name}: q0 q1 q2 q3 may be a quaternion, of which they do not tell the order, and are left out; "
+            "say --columns q0=qw,q1=qx,q2=qy,q3=qz or q0=qx,q1=qy,q2=qz,q3=qw, or --ignore them"
+        )
+    if texts:
+        named = ", ".join(f'"{text[:60]}"' for text in texts[:_UNREAD])
+        more = f" and {len(texts) - _UNREAD} more" if len(texts) > _UNREAD else ""
+        warn(f"{sheet.path.name}: columns that are not read: {named}{more}")
 
 
 def _check_unknown(sheet: Sheet, unknown: Sequence[Label], free: Mapping[str, str], *, is_complete: bool) -> None:

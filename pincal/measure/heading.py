@@ -20,7 +20,15 @@ NUMBERED = re.compile(
 
 # Units as people write them out.
 _WRITTEN = {"°": ("degree", "degrees", "º"), "mm": ("millimeter", "millimeters", "millimetre", "millimetres")}
-_WRITTEN |= {"m": ("meter", "meters", "metre", "metres"), "rad": ("radian", "radians"), "s": ("sec", "second", "seconds")}
+_WRITTEN |= {
+    "m": ("meter", "meters", "metre", "metres"),
+    "rad": ("radian", "radians"),
+    "s": ("sec", "secs", "second", "seconds"),
+}
+_WRITTEN |= {
+    short: (f"{short[0]}sec", f"{short[0]}secs", f"{long}sec", f"{long}secs", f"{long}second", f"{long}seconds")
+    for short, long in (("ms", "milli"), ("us", "micro"), ("ns", "nano"))
+}
 _SPELLED = {word: unit for unit, words in _WRITTEN.items() for word in (unit, *words)} | {"deg": "deg"}
 # What stands below a name that has no unit of its own, or one that no column needs.
 _NO_UNITS = (

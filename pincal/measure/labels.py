@@ -15,6 +15,26 @@ _PLACES = frozenset(
     ("p", "pos", "position", "tcp", "point", "target", "meas", "measured", "tracker", "reflector", "smr", "laser", "trans",
      "translation", "t", "loc", "location", "coord", "coordinate", "actual", "act", "value")
 )  # fmt: skip
+_FORCES = frozenset(("a", "acc", "accel", "acceleration", "accelerometer", "specific force"))
+_RATES = frozenset(
+    ("w", "g", "gyr", "gyro", "gyroscope", "omega", "angular velocity", "angular rate", "gyro rate", "turn rate")
+)
+_TURNS = frozenset(("q", "quat", "quaternion", "orientation", "rotation", "rot", "attitude"))
+# Vectors of a stream, and what their names end in beside the letter of an axis.
+_VECTORS = {
+    ("x", "y", "z"): _PLACES,
+    ("ax", "ay", "az"): _FORCES,
+    ("wx", "wy", "wz"): _RATES,
+    ("qx", "qy", "qz", "qw"): _TURNS,
+}
+# Words about a joint that say that its position is meant, and some by which a number is one of something else.
+_POSITIONS = frozenset(("position", "positions", "pos", "q", "angle", "value", "actual", "act", "measured", "meas"))
+_NUMBERS = _POSITIONS | {"j", "joint", "joints", "a", "axis", "theta", "rax", "achse", "gelenk"}
+_OTHERS = frozenset(
+    ("velocity", "velocities", "vel", "speed", "qd", "dq", "qdd", "effort", "torque", "tau", "current", "error", "command",
+     "commanded", "cmd", "desired", "des", "target", "setpoint", "goal", "reference", "ref", "nominal", "temperature",
+     "temp", "covariance", "std", "bias", "voltage", "load", "magnetic", "mag", "gravity", "angular")
+)  # fmt: skip
 # `x [mm]` is how pincal writes a unit; these are the other spellings: `x (mm)`, `x_mm`, `x mm`, `x/mm`.
 _OTHER_SPELLINGS = (r"(.*?)\s*\(\s*([^()]*?)\s*\)", r"(.*)_([^_]*)", r"(.*?)\s+(\S*)", r"(.*?)\s*/\s*(\S*)")
 # An ending that is a unit and a word of its own.
@@ -162,7 +182,7 @@ def numbered_joints(labels: Sequence[Label], joints: Sequence[str]) -> dict[str,
     """
     families: dict[str, dict[int, tuple[Label, str]]] = {}
     for label in labels:
-        for base, unit in _splits(label.meant):
+        for base, unit in splits(label.meant):
             if match := NUMBERED.fullmatch(base):
                 prefix = base[: match.start(2)].casefold()
                 families.setdefault(prefix, {})[int(match[2])] = label, unit
@@ -179,45 +199,145 @@ def numbered_joints(labels: Sequence[Label], joints: Sequence[str]) -> dict[str,
     return {label.meant: f"{joint} [{unit}]" if unit else joint for (label, unit), joint in pairs}
 
 
-def without_unit(text: str) -> str:
-    """Return a label without the unit of an angle or a length, in whatever spelling.
+def without_unit(text: str, *quantities: str) -> str:
+    """Return a label without the unit of an angle or a length, or of other quantities, in whatever spelling.
 
     Example:
         >>> without_unit("Roll (deg)"), without_unit("rx_deg"), without_unit("q_1")
         ('Roll', 'rx', 'q_1')
     """
-    return next((base for base, unit in _splits(text) if unit), name_of(text))
+    return next((base for base, unit in splits(text, *quantities) if unit), name_of(text))
 
 
-def _splits(text: str) -> Iterator[tuple[str, str]]:
-    """Yield a label as name and unit, in all spellings."""
+def splits(text: str, *quantities: str) -> Iterator[tuple[str, str]]:
+    """Yield a label as name and unit of an angle, a length or of other quantities, in all spellings."""
     yield name_of(text), unit_in(text) if "[" in text else ""
-    known: Collection[str] = {*UNITS["angle"], *UNITS["length"]}
+    known: Collection[str] = {unit for quantity in quantities or ("angle", "length") for unit in UNITS[quantity]}
     for pattern in _OTHER_SPELLINGS:
         match = re.fullmatch(pattern, text)
         if match and normal_unit(match[2]) in known:
             yield match[1], normal_unit(match[2])
 
 
-def place_columns(labels: Sequence[Label]) -> dict[str, str]:
-    """Return the labels, as they are meant, that name a position otherwise than by x y z; empty if none do or several.
+def words_of(text: str) -> tuple[str, ...]:
+    """Return the words of a label in small letters, divided at signs, capitals and numbers.
+
+    Example:
+        >>> words_of("/imu/linearAcceleration.x"), words_of("position[0]")
+        (('imu', 'linear', 'acceleration', 'x'), ('position', '0'))
+    """
+    return tuple(re.findall(r"[^\W\d_]+|\d+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).casefold()))
+
+
+def vector_columns(
+    labels: Sequence[Label], quantities: Mapping[str, str], *, is_stream: bool = False, source: str = ""
+) -> dict[str, str]:
+    """Return the labels, as they are meant, that name a vector otherwise than by x y z and the like.
+
+    Args:
+        labels: columns that are not known.
+        quantities: what the others may hold.
+        is_stream: whether names may begin with anything, such as the topic of a recording, and vectors are those of an IMU
+            and orientations, too; otherwise only positions are looked for.
+        source: the file, for messages.
+
+    Raises:
+        MeasurementError: for a stream of which several columns may be meant.
 
     Example:
         >>> labels = [Label(i, text, text) for i, text in enumerate(("TCP_X (mm)", "TCP_Y (mm)", "TCP_Z (mm)", "RMS"))]
-        >>> place_columns(labels)
+        >>> vector_columns(labels, dict.fromkeys("xyz", "length"))
         {'TCP_X (mm)': 'x [mm]', 'TCP_Y (mm)': 'y [mm]', 'TCP_Z (mm)': 'z [mm]'}
     """
-    found: dict[tuple[str, ...], dict[str, tuple[Label, str]]] = {}
+    guessed = dict[str, str]()
+    for columns, names in _VECTORS.items():
+        if not quantities.keys() >= {*columns} or (columns[0] != "x" and not is_stream):
+            continue
+        families, letters = dict[tuple[str, ...], dict[str, tuple[Label, str]]](), {column[-1] for column in columns}
+        for label in labels:
+            for base, unit in splits(label.meant, quantities[columns[0]]):
+                # ``PosX`` may be written as one word.
+                parts = [
+                    part
+                    for word in words_of(base)
+                    for part in ((word[:-1], word[-1]) if word[:-1] in names and word[-1] in letters else (word,))
+                ]
+                axes = [part for part in parts if part in letters]
+                rest = tuple(part for part in parts if part not in axes)
+                is_named = names.issuperset(rest)
+                if is_stream:
+                    ends = [k for k in (2, 1) if " ".join(rest[-k:]) in names]
+                    is_named = bool(ends) and not (_OTHERS - names) & {*rest[: -ends[0]]}
+                if len(axes) == 1 and rest and is_named:
+                    families.setdefault(rest, {}).setdefault(axes[0], (label, unit))
+        whole = [axes for axes in families.values() if len(axes) == len(columns)]
+        if is_stream:
+            check_one([[label for label, _ in axes.values()] for axes in whole], " ".join(columns), source=source)
+        if len(whole) == 1:
+            by_axis = {column[-1]: column for column in columns}
+            pairs = ((label, by_axis[axis], unit) for axis, (label, unit) in whole[0].items())
+            guessed |= {label.meant: f"{column} [{unit}]" if unit else column for label, column, unit in pairs}
+    return guessed
+
+
+def check_one(families: Sequence[Sequence[Label]], what: str, *, source: str, example: str = "") -> None:
+    """Refuse columns of which several may be meant."""
+    if len(families) > 1:
+        firsts = " and ".join(f'"{family[0].text}"' for family in families)
+        cure = f"{families[-1][0].text}={example or what.split()[0]}"
+        raise MeasurementError(
+            f"{source}: {what} may be the columns of {firsts}; expected one set: name the right ones (--columns "
+            f"'{cure}{',...' if len(families[-1]) > 1 else ''}'), or leave out the others (--ignore)"
+        )
+
+
+def joint_families(labels: Sequence[Label], joints: Collection[str]) -> list[dict[str, tuple[Label, str]]]:
+    """Return the columns that name joints amid other words, with their units, by joint: one entry for each set of words.
+
+    The word joint itself, topics and namespaces before a name, and words for a position do not matter; a velocity or a
+    commanded position is none.
+
+    Example:
+        >>> texts = ("/joint_states/elbow_joint/position", "/joint_states/elbow_joint/velocity", "elbow.pos")
+        >>> labels = [Label(i, text, text) for i, text in enumerate(texts)]
+        >>> [family["elbow_joint"][0].text for family in joint_families(labels, ["elbow_joint"])]
+        ['/joint_states/elbow_joint/position', 'elbow.pos']
+    """
+    cores = {joint: _core(joint) for joint in joints}
+    families = dict[tuple[tuple[str, ...], ...], dict[str, tuple[Label, str]]]()
     for label in labels:
-        for base, unit in _splits(label.meant):
-            words = [word for word in re.split(r"[^a-z0-9]+", base.casefold()) if word]
-            # ``PosX`` is one word.
-            parts = [part for word in words for part in ((word[:-1], word[-1]) if word[:-1] in _PLACES else (word,))]
-            rest = tuple(part for part in parts if part not in ("x", "y", "z"))
-            axes = [part for part in parts if part in ("x", "y", "z")]
-            if len(axes) == 1 and rest and _PLACES.issuperset(rest):
-                found.setdefault(rest, {}).setdefault(axes[0], (label, unit))
-    whole = [axes for axes in found.values() if len(axes) == 3]
-    if len(whole) != 1:
-        return {}
-    return {label.meant: f"{axis} [{unit}]" if unit else axis for axis, (label, unit) in whole[0].items()}
+        for base, unit in splits(label.meant):
+            words, found = _core(base), list[tuple[int, int, str]]()
+            for joint, core in cores.items():
+                found += [
+                    (len(core), at, joint) for at in range(len(words) - len(core) + 1) if words[at : at + len(core)] == core
+                ]
+            if not found:
+                continue
+            size, at, joint = max(found)
+            before, after = words[:at], words[at + size :]
+            if not _OTHERS & {*before, *after} and _POSITIONS.issuperset(after):
+                families.setdefault((before, after), {}).setdefault(joint, (label, unit))
+                break
+    return list(families.values())
+
+
+def _core(name: str) -> tuple[str, ...]:
+    """Return the words of a name without the word joint, unless only a number is left."""
+    words = words_of(name)
+    short = tuple(word for word in words if word != "joint")
+    return short if any(word.isalpha() for word in short) else words
+
+
+def numbered_of_stream(labels: Sequence[Label]) -> list[dict[int, tuple[Label, str]]]:
+    """Return the columns that number joints after any words, by number: one entry for each set of words."""
+    families = dict[tuple[str, ...], dict[int, tuple[Label, str]]]()
+    for label in labels:
+        text = re.sub(r"\[(\d+)\]", r"_\1", label.meant)
+        for base, unit in splits(text):
+            words = words_of(base)
+            at = next((k for k in range(len(words) - 1, 0, -1) if words[k].isdigit()), 0)
+            if at and words[at - 1] in _NUMBERS and _POSITIONS.issuperset(words[at + 1 :]) and not _OTHERS & {*words}:
+                families.setdefault((*words[:at], *words[at + 1 :]), {}).setdefault(int(words[at]), (label, unit))
+                break
+    return list(families.values())

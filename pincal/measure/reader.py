@@ -17,9 +17,9 @@ from pincal.errors import MeasurementError, warn
 from pincal.measure.approach import BY_COLUMNS, agreeing, completed, moves_of_table, tells_order
 from pincal.measure.excel_sheet import ENDINGS, open_excel
 from pincal.measure.fields import CONDITIONS, FIRST, OF_EACH_JOINT, OTHERS, SECOND, Field, Schema, TableOptions, link_of
-from pincal.measure.header import check_joints, matched, rotations, understood, with_joints
+from pincal.measure.header import NANOSECONDS, check_joints, matched, rotations, understood, with_joints
 from pincal.measure.joined import Log, held_rows, join
-from pincal.measure.labels import is_named, renamed, spelled, unignored
+from pincal.measure.labels import is_named, joint_families, renamed, spelled, unignored
 from pincal.measure.nested_sheet import nested_kind, open_nested
 from pincal.measure.orientation import Convention
 from pincal.measure.recordings import is_bag, is_dataset, open_bag, open_dataset, open_parquet
@@ -145,6 +145,8 @@ def cells_of(sheet: Sheet, schema: Schema, *, is_part: bool = False, was_joined:
     with typed_errors(path):
         header = understood(sheet, schema)
         values, rows = read_cells(sheet, header.columns, readings=header.readings, flag=header.flag)
+    if NANOSECONDS in values:
+        values["time"] = values["time"] + values.pop(NANOSECONDS)
     if header.orientation is not None:
         found = header.orientation.quaternions(values, where=path.name)
         values = {name: value for name, value in values.items() if name not in header.orientation.columns}
@@ -260,8 +262,16 @@ def read_columns(
     return found
 
 
-def joint_columns(path: str | os.PathLike[str], names: Iterable[str], options: TableOptions) -> tuple[str, ...]:
+def joint_columns(
+    path: str | os.PathLike[str], names: Iterable[str], options: TableOptions, *, by_words: bool = True
+) -> tuple[str, ...]:
     """Return those of some joints that have a column in a table, in the order of the columns, without reading its rows.
+
+    Args:
+        path: the table.
+        names: of the joints.
+        options: how the table is to be read.
+        by_words: whether names may stand amid other words where no column has one for its own, as in logs of motion.
 
     Raises:
         MeasurementError: for a file that can't be read.
@@ -269,15 +279,18 @@ def joint_columns(path: str | os.PathLike[str], names: Iterable[str], options: T
     angles = dict.fromkeys(names, "angle")
     known = tuple(angles)
     lengths = dict.fromkeys(angles, "length")
-    others: tuple[str, ...] = ()
     if options.joints is not None:
         with typed_errors(Path(path)):
-            others = open_sheet(Path(path), ignore=options.ignore, joints=known, sheet=options.sheet).labels
+            open_sheet(Path(path), ignore=options.ignore, joints=known, sheet=options.sheet)
     place = Path(path if options.joints is None else options.joints)
     with typed_errors(place):
         sheet = open_sheet(place, ignore=options.ignore, only_joints=True, joints=known, sheet=options.sheet)
-        labels = renamed(sheet.labels, options.columns, source=place.name, others=others)
+        # What a name means that is not here is refused, or of another file, where rows are read.
+        here = {name: said for name, said in options.columns.items() if any(is_named(text, name) for text in sheet.labels)}
+        labels = renamed(sheet.labels, here, source=place.name)
     found = [spelled(label, angles) or spelled(label, lengths) for label in labels]
+    if by_words and not any(found):
+        found = [(joint, "") for family in joint_families(labels, known)[:1] for joint in family]
     return tuple(dict.fromkeys(name for name, _ in filter(None, found)))
 
 
@@ -291,7 +304,7 @@ def of_path(path: str | os.PathLike[str], names: Collection[str], options: Table
         return options
     for end in (i + 1 for i, letter in enumerate(first) if letter == "_"):
         own = {name[end:]: name for name in names if name.startswith(first[:end])}
-        if len(own) == len(names) and own.keys() <= set(joint_columns(path, own, options)):
+        if len(own) == len(names) and own.keys() <= set(joint_columns(path, own, options, by_words=False)):
             return replace(options, columns={**options.columns, **own})
     return options
 
@@ -331,7 +344,7 @@ def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
     with typed_errors(path):
         log = open_sheet(path, ignore=options.ignore, only_joints=True, joints=schema.joint_names)
         labels = unignored(renamed(log.labels, options.columns, source=path.name, others=sheet.labels), options.ignore)
-        labels = with_joints(labels, schema, quantities, source=path.name)
+        labels = with_joints(labels, schema, quantities, sheet=log)
         columns, unknown = matched(labels, told, {}, source=path.name)
         check_joints([name for name in schema.needed_joints if name not in columns], unknown, log)
         values, _ = read_cells(log, tuple(columns.values()))

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 # A date and a time of day as in ISO 8601.
 _DATE = r"^\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}:\d{2}"
+# By how much a time of day is ahead of Greenwich.
+_ZONE = r" ?([+-])(\d{2}):?(\d{2})$"
 # A time of day alone, of whatever day.
 _CLOCK, _DAY = r"^\d{1,2}:\d{2}:\d{2}(\.\d+)?$", "2000-01-01"
 # Longest name [bytes]: that of a file on most systems.
@@ -247,8 +249,11 @@ def _seconds(text: pl.Series) -> pl.Series:
     import polars as pl
 
     shape = "%Y-%m-%dT%H:%M:%S%.f"
-    plain = text.str.replace(" ", "T", literal=True).str.strip_suffix("Z")
-    return plain.str.to_datetime(shape, time_unit="us", strict=False).dt.epoch("us").cast(pl.Float64) * 1e-6
+    plain = text.str.replace(" ", "T", literal=True).str.strip_suffix("Z").str.replace(_ZONE, "")
+    zone = [text.str.extract(_ZONE, k).cast(pl.Float64).fill_null(0.0) for k in (2, 3)]
+    sign = text.str.extract(_ZONE, 1).replace_strict({"-": -1.0, "+": 1.0}, default=0.0, return_dtype=pl.Float64)
+    here = plain.str.to_datetime(shape, time_unit="us", strict=False).dt.epoch("us").cast(pl.Float64) * 1e-6
+    return here - sign * (3600.0 * zone[0] + 60.0 * zone[1])
 
 
 def _check_cells(
@@ -268,6 +273,7 @@ def _check_cells(
         value = raw[column.name][row]
         found = "an empty cell" if value is None or str(value).strip() in ("", '""') else f'"{value}"'
         expected = "a name" if column.is_name else expected_number(column.quantity)
+        expected += ", or a date and time such as 2026-01-31T12:00:00.5" if column.quantity == "time" else ""
         raise MeasurementError(
             f'{source}, line {rows[row]}, column "{column.label}": {found}; expected {expected}; '
             f"cells like this in the table: {total}; correct them, delete their rows, or leave the "

@@ -21,6 +21,10 @@ _RATE, _OVERLAP = 50.0, 0.3
 _SAME_MOTION, _CLEAR, _APART = 0.6, 0.03, 1.0
 # First stretch that is aligned [s], rows of it at most, steps at most, and the change that is none [s].
 _FIRST, _ROWS, _STEPS, _SETTLED = 60.0, 6_000, 20, 1e-6
+# Part of what the block tells of a clock that tells most, from which on one is looked at.
+_MOVES = 0.05
+# Rows of a block in which a clock is looked at by itself, blocks at most, and those on either side of a jump at least.
+_BLOCK, _BLOCKS, _BESIDE = 40, 40, 3
 # Step by which what the arm does is differentiated [s].
 _STEP = 1e-3
 
@@ -124,12 +128,14 @@ class Alignment:
         matrix: shape (m, k), readings by features.
         constant: shape (m,).
         scatter: shape (m,), standard deviation of what is left.
+        jump: by how much the clock jumps where that fits best [s], the standard deviation of this, and the stamp [s].
     """
 
     clock: Clock
     matrix: np.ndarray
     constant: np.ndarray
     scatter: np.ndarray
+    jump: tuple[float, float, float]
 
 
 def aligned(
@@ -188,4 +194,27 @@ def _aligned(
         clock = replace(clock.moved(*step.tolist()), sigma=(float(sigma[0]), float(sigma[1])))
         if abs(step[0]) < _SETTLED and abs(step[1]) * np.ptp(since) < _SETTLED:
             break
-    return Alignment(clock, solution[:-1].T, solution[-1], scatter)
+    jump = _jump(since + clock.middle, left * weights, rate * weights)
+    return Alignment(clock, solution[:-1].T, solution[-1], scatter, jump)
+
+
+def _jump(time: np.ndarray, left: np.ndarray, rate: np.ndarray) -> tuple[float, float, float]:
+    """Return the jump of a clock that explains best what is left, shape (N, m), by rates of change; see `Alignment`."""
+    parts = np.array_split(np.arange(len(time)), min(max(len(time) // _BLOCK, 1), _BLOCKS))
+    # An arm that rests tells nothing of a clock.
+    squares = [float(np.sum(rate[part] ** 2)) for part in parts]
+    parts = [part for part, size in zip(parts, squares, strict=True) if size > _MOVES * max(squares)]
+    if len(parts) < 2 * _BESIDE:
+        return 0.0, np.inf, float(time[0])
+    known = np.array([np.sum(rate[part] ** 2) for part in parts])
+    offsets = np.array([np.sum(rate[part] * left[part]) for part in parts]) / np.maximum(known, 1e-300)
+    weights, middles = np.sqrt(known / known.max()), np.array([time[part].mean() for part in parts])
+    best = (np.inf, 0.0, np.inf, 0.0)
+    for k in range(_BESIDE, len(parts) - _BESIDE + 1):
+        # Less than what a drift makes of it.
+        A = np.column_stack([np.ones(len(parts)), middles - middles.mean(), np.arange(len(parts)) >= k]) * weights[:, None]
+        solution = np.linalg.lstsq(A, offsets * weights, rcond=None)[0]
+        square = float(np.sum((offsets * weights - A @ solution) ** 2))
+        spread = square / (len(parts) - 3) * float(np.linalg.pinv(A.T @ A)[2, 2])
+        best = min(best, (square, float(solution[2]), float(np.sqrt(spread)), float(time[parts[k][0]])))
+    return best[1:]

@@ -74,6 +74,8 @@ def _filters(time: np.ndarray, middles: np.ndarray, window: Window) -> tuple[Any
     F = csr_array((cells[columns] * np.exp(-0.5 * away**2), columns, starts), shape=(len(middles), len(time)))
     # Moments of the window are those of a Gaussian, so that the mean of a parabola is exact.
     gram = _moments(F, away)
+    # In a gap there is nothing to weigh; such rows are not found.
+    gram[count < 3] = np.eye(3)
     factors = np.linalg.solve(
         gram + 1e-12 * np.eye(3) * gram[:, :1, :1], np.tile([[1.0], [0.0], [1.0]], (len(middles), 1, 1))
     )

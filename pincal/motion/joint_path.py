@@ -8,7 +8,7 @@ coefficients through N readings it is N RSS / (N - K)^2, here the geometric mean
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -86,10 +86,24 @@ class JointPath:
         freedom = sum(part.stop - part.start - len(fit.c) for part, fit in zip(stretches, fits, strict=True))
         return cls(tuple(fits), 1.0 / rate, np.sqrt(np.sum(squares, axis=0) / max(freedom, 1)), float(time[0]))
 
+    def mapped(self, matrix: np.ndarray, offsets: np.ndarray | float = 0.0) -> JointPath:
+        """Return the path of joints that are linear in these, shape (n, n), plus offsets, shape (n,) [rad or m]."""
+        from scipy.interpolate import BSpline
+
+        parts = tuple(BSpline(part.t, part.c @ matrix.T + offsets, part.k) for part in self.parts)
+        return replace(self, parts=parts, scatter=np.abs(matrix) @ self.scatter)
+
     @property
     def span(self) -> tuple[float, float]:
         """First and last time of the log [s]."""
         return self.origin + float(self.parts[0].t[0]), self.origin + float(self.parts[-1].t[-1])
+
+    def grid(self, step: float) -> np.ndarray:
+        """Return times that are so far apart [s], but for those in and beside gaps of the log, shape (K,)."""
+        times = np.arange(*self.span, step)
+        kept = np.flatnonzero(self.covers(times))
+        inner = np.arange(kept[0], kept[-1] + 1) if len(kept) else kept
+        return np.delete(times, np.setdiff1d(inner, kept))
 
     def covers(self, time: np.ndarray, margin: float = 0.0) -> np.ndarray:
         """Return at which times, shape (N,), and those nearer than a margin [s], the splines can be trusted, shape (N,)."""

@@ -8,28 +8,28 @@ clocks leaves something of what is read; the right one hardly anything.
 
 from __future__ import annotations
 
+import contextlib
+import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, PincalWarning
 from pincal.measure.sensor import Sensor
 from pincal.motion.clocks import Alignment, Clock, aligned
 from pincal.motion.moving_arm import MovingArm
-from pincal.motion.sessions import Stream
-from pincal.motion.starts import start_positions, tell_drift
+from pincal.motion.starts import SHORTEST, OtherMotionError, check_clock, start_positions, steady
+from pincal.motion.stream import Stream
 
 # Steps by which offsets are searched [s], and rows of a thing that are looked at; things that are looked at, and the rows
 # that the others have at least, by those of the first.
 _SEARCHED, _SAMPLED, _THINGS, _MANY = 0.1, 400, 3, 0.3
-# Part of the shorter log that has to overlap, and the shortest one that so many functions of a motion do not follow anyhow.
-_LEAST, _SHORTEST = 0.3, 20.0
+# Part of the shorter log that has to overlap.
+_LEAST = 0.3
 # Part of the variance that may be left at the best offset, where robots leave 1e-5 to 1e-3 and less says no more; of the
 # logarithm of likelihood there, what any offset may have that is farther from it than this [s].
 _ALIKE, _FLOOR, _RIVALS, _APART = 1e-2, 1e-5, 0.75, 1.0
-# Readings next to each other, and how far one is off their median, by how much all vary, before it is of something else.
-_NEIGHBOURS, _JUMP = 5, 0.2
 # Handedness of axes, 1 or -1 but for what the nominal arm has wrong, from which on they are mirrored.
 _MIRRORED = -0.5
 
@@ -47,18 +47,18 @@ def start_readings(arm: MovingArm, tracker: Stream, sensor: type[Sensor]) -> Clo
     """
     parts = list(_most_seen(tracker))
     if sensor.reads_pose:
-        return start_positions(arm, parts[0], parts[0].readings[sensor.fields[0].name])
+        return _start_poses(arm, parts[0], parts[0].readings[sensor.fields[0].name])
     things = [_Thing.of(part, sensor) for part in parts]
     what, (begin, end) = f"{sensor.blocks[0].name}s", arm.path.span
     first, last = min(thing.time[0] for thing in things), max(thing.time[-1] for thing in things)
     lasts = min(end - begin, last - first)
-    if lasts < _SHORTEST:
+    if lasts < SHORTEST:
         raise MeasurementError(
             f"{tracker.name}: {what} of {lasts:.3g} s of motion do not tell the offset of the clocks; expected "
-            f"{_SHORTEST:g} s or more"
+            f"{SHORTEST:g} s or more"
         )
-    grid = np.arange(begin, end, _SEARCHED)
-    known, longest = _functions(arm.tips(grid)), max(_LEAST * lasts, 0.5 * _SHORTEST)
+    grid = arm.path.grid(_SEARCHED)
+    known, longest = _functions(arm.tips(grid)), max(_LEAST * lasts, 0.5 * SHORTEST)
     offsets = np.arange(begin + longest - last, end - longest - first, _SEARCHED)
     found = np.array([[thing.left(offset, grid, known) for offset in offsets] for thing in things])
     # What is left of fewer rows says less.
@@ -66,7 +66,7 @@ def start_readings(arm: MovingArm, tracker: Stream, sensor: type[Sensor]) -> Clo
     best = int(np.argmin(score))
     left, others = float(np.mean(found[:, best, 0])), score[np.abs(offsets - offsets[best]) > _APART]
     if left > _ALIKE or others.min(initial=0.0) < _RIVALS * score[best]:
-        raise MeasurementError(
+        raise OtherMotionError(
             f"{tracker.name}: its {what} do not change as these joints move, or as well at several offsets of the clocks "
             f"({100 * np.sqrt(left):.1f} % are left at best); expected a target on the tool of this arm, or points that are "
             "seen from it, read while the joints were logged, on a motion of some minutes that does not repeat"
@@ -78,8 +78,31 @@ def start_readings(arm: MovingArm, tracker: Stream, sensor: type[Sensor]) -> Clo
             f"{tracker.name}: {what} are those of a mirrored arm; expected a right-handed frame, of images u to the right "
             f"and v down as the camera sees them: swap two of {columns}, or turn the sign of one"
         )
-    tell_drift(tracker, lain.clock)
+    check_clock(tracker, lain)
     return lain.clock
+
+
+def _start_poses(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Clock:
+    from scipy.spatial.transform import Rotation
+
+    quaternions = tracker.readings.get("quaternion")
+    try:
+        return start_positions(arm, tracker, position)
+    except OtherMotionError:
+        turned: MeasurementError | None = None
+        if quaternions is not None:
+            with contextlib.suppress(MeasurementError), warnings.catch_warnings():
+                warnings.simplefilter("ignore", PincalWarning)
+                back = Rotation.from_quat(quaternions).inv()
+                inverted = {**tracker.readings, "quaternion": back.as_quat()}
+                start_positions(arm, replace(tracker, readings=inverted), -back.apply(position))
+                turned = MeasurementError(
+                    f"{tracker.name}: poses are those of the instrument as the target sees it; expected the target's in the "
+                    "instrument's frame: invert them"
+                )
+        if turned is not None:
+            raise turned from None
+        raise
 
 
 def _most_seen(tracker: Stream) -> Iterator[Stream]:
@@ -115,14 +138,9 @@ class _Thing:
 
     @classmethod
     def of(cls, seen: Stream, sensor: type[Sensor]) -> _Thing:
-        from scipy.signal import medfilt
-
         values, is_square = seen.readings[sensor.fields[0].name].reshape(len(seen), -1), sensor.follows == "squared"
         values = values**2 if is_square else values
-        # What jumps off its neighbours was read of something else.
-        jump = np.abs(values - medfilt(values, (_NEIGHBOURS, 1))) / np.maximum(values.std(axis=0), 1e-300)
-        kept = np.all(jump < _JUMP, axis=1)
-        kept |= 2 * kept.sum() < len(kept)
+        kept = steady(values)
         seen, values = seen.select(kept), values[kept]
         values = (values - values.mean(axis=0)) / np.maximum(values.std(axis=0), 1e-300)
         functions = slice(0, 16) if is_square else slice(3, 15) if sensor.is_on_tool else slice(0, 12)
@@ -159,11 +177,16 @@ class _Thing:
         at, rows = at[inside], rows[inside]
         near = np.clip(np.searchsorted(grid, at) - 1, 0, len(grid) - 2)
         share = ((at - grid[near]) / (grid[near + 1] - grid[near]))[:, None]
+        # Between the parts of a log nothing is known.
+        kept = grid[near + 1] - grid[near] < 1.5 * _SEARCHED
+        at, rows, near, share = at[kept], rows[kept], near[kept], share[kept]
+        if not len(at):
+            return 1.0, 0.0
         here = known[near] + share * (known[near + 1] - known[near])
         A, y = self.columns(here, rows, here.mean(axis=0)), self.values[rows]
         H, b = A.T @ A, A.T @ y
         H[np.diag_indices_from(H)] += 1e-9 * H.max()
-        return float(y @ y - b @ np.linalg.solve(H, b)) / max(len(y) * float(y.var()), 1e-300), float(inside.mean())
+        return float(y @ y - b @ np.linalg.solve(H, b)) / max(len(y) * float(y.var()), 1e-300), len(y) / _SAMPLED
 
     def handedness(self, solution: np.ndarray) -> float:
         """Return 1 for axes like those of a solution, of all things or this first one, -1 for mirrored ones; or between."""

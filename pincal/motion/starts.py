@@ -17,7 +17,7 @@ from pincal.measure.sensors.imu import FORCE, RATE, Window
 from pincal.motion.clocks import Alignment, Clock, SpeedMatch, aligned, correlate
 from pincal.motion.imu_rows import ImuRows
 from pincal.motion.moving_arm import MovingArm
-from pincal.motion.sessions import Stream
+from pincal.motion.stream import Stream
 from pincal.robot.se3 import nearest_rotation, rotation_vectors
 
 # Samples a second of the arm's speeds, and the window of rates that are compared with them [s].
@@ -30,8 +30,16 @@ _DEGREE = np.pi / 180.0
 # which the scatter is half unsure: errors of the nominal arm turn the mount, too, in each move by another angle. Part of the
 # usual speed from which on a row tells, and of the most that a block turns across its main axis from which on it does.
 _TURNED, _SLIPPED, _CLEARLY, _BLOCK, _FEW, _TELLS = 0.2, 0.01, 6.0, 40, 3, 0.1
+# Poses whose turns are compared.
+_SAMPLED = 400
+# Readings next to each other, and how far one is off their median, by how much all vary, before it is of something else.
+_NEIGHBOURS, _JUMP = 5, 0.2
 # What positions may be off after the best placement, of how far they move, before they are of another arm.
 _OFF = 0.1
+# Jump of a clock that the errors of a nominal arm do not make [s].
+_JUMPS = 0.01
+# Shorter readings than this [s] hardly tell where in the motion they were taken.
+SHORTEST = 20.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +55,10 @@ class ImuStart:
     clock: Clock
     mount: np.ndarray
     rows: ImuRows
+
+
+class OtherMotionError(MeasurementError):
+    """Readings that do not follow the joints: one or the other is of another motion, or not what it seems to be."""
 
 
 def start_imu(
@@ -70,12 +82,12 @@ def start_imu(
         whose = (
             f"it is of {names[0]}: were two IMUs, or two files, swapped?" if names else "is it of another arm or session?"
         )
-        raise MeasurementError(
+        raise OtherMotionError(
             f"{imu.name}: its rates do not follow these joints at any offset of the clocks; {whose} Expected an IMU on the "
             "tool, logged while the joints were"
         )
     _check_rates(imu, found)
-    tell_drift(imu, found.clock)
+    check_clock(imu, found)
     rows = rows.select(arm.path.covers(found.clock.to_joints(rows.time), 4.0 * rows.window.width))
     mount = nearest_rotation(found.matrix).T
     _check_forces(arm, imu, rows, found.clock, mount)
@@ -115,8 +127,7 @@ def _turned(arm: MovingArm, imu: Stream, rows: ImuRows) -> Alignment | None:
 
 def _match(arm: MovingArm, stream: Stream, time: np.ndarray, speed: np.ndarray, *, by_rate: bool) -> SpeedMatch:
     """Return how speeds of a stream lie on those of the arm's tip, turning or moving."""
-    begin, end = arm.path.span
-    grid = np.arange(begin, end, _GRID)
+    grid = arm.path.grid(_GRID)
     tips = arm.ideal(grid).rate if by_rate else np.gradient(arm.tips(grid)[:, :, 3], grid, axis=0)
     match = correlate(grid, np.linalg.norm(tips, axis=1), time, speed)
     if match.is_same and not match.is_clear:
@@ -136,7 +147,7 @@ def _check_rates(imu: Stream, found: Alignment) -> None:
             "`wy [deg/s]`, `wz [deg/s]` in the header"
         )
     if np.any(np.abs(sizes - 1.0) > _SCALE):
-        raise MeasurementError(
+        raise OtherMotionError(
             f"{imu.name}: rates are {', '.join(f'{size:.3g}' for size in sizes)} times those of the arm along three axes; "
             "expected 1: look at units, and whether two columns are the same"
         )
@@ -208,12 +219,15 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
     Raises:
         MeasurementError: if they are not of this motion, in another unit, or in a left-handed frame.
     """
+    # What jumps off its neighbours was read of something else.
+    if not (kept := steady(position)).all():
+        tracker, position = tracker.select(kept), position[kept]
     smooth = max(round(0.02 * tracker.rate), 1)
     moved = (position[smooth:] - position[:-smooth]) / (tracker.time[smooth:] - tracker.time[:-smooth])[:, None]
     middles = 0.5 * (tracker.time[smooth:] + tracker.time[:-smooth])
     match = _match(arm, tracker, middles, np.linalg.norm(moved, axis=1), by_rate=False)
     if not match.is_same:
-        raise MeasurementError(
+        raise OtherMotionError(
             f"{tracker.name}: its positions do not move as these joints do at any offset of the clocks (correlation of "
             f"speeds {match.likeness:.2f}); expected a target on the tool of this arm, read while the joints were logged"
         )
@@ -231,7 +245,12 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
         cure = (
             f"looks like [{unit}]: write `x [{unit}]` in the header" if unit else "look at its unit and at the robot's size"
         )
-        raise MeasurementError(f"{tracker.name}: positions move {sizes.mean():.3g} times as far as the arm; {cure}")
+        text = f"{tracker.name}: positions move {sizes.mean():.3g} times as far as the arm; {cure}"
+        if not unit and np.ptp(tracker.time) < SHORTEST:
+            text = (
+                f"{text}; or are {np.ptp(tracker.time):.3g} s of it too short to be found in the motion? Log {SHORTEST:g} s"
+            )
+        raise MeasurementError(text) if unit else OtherMotionError(text)
     if np.linalg.det(found.matrix[:, :3]) < 0.0:
         raise MeasurementError(
             f"{tracker.name}: positions are those of a mirrored arm; expected a right-handed frame: swap two of x, y, z, or "
@@ -239,12 +258,54 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
         )
     left = float(np.linalg.norm(found.scatter))
     if left > _OFF * float(np.linalg.norm(position.std(axis=0))):
-        raise MeasurementError(
+        raise OtherMotionError(
             f"{tracker.name}: after the best placement positions are off by {1e3 * left:.3g} mm rms; expected some mm: "
             "is it this arm, and is the target fixed to the tool?"
         )
-    tell_drift(tracker, found.clock)
+    check_clock(tracker, found)
+    if "quaternion" in tracker.readings:
+        _check_turns(arm, tracker, found)
     return found.clock
+
+
+def _check_turns(arm: MovingArm, tracker: Stream, found: Alignment) -> None:
+    """Refuse orientations that do not turn as the arm does, with the order of their components in which they do."""
+    from scipy.spatial.transform import Rotation
+
+    at = found.clock.to_joints(tracker.time)
+    rows = np.flatnonzero(arm.path.covers(at))
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _SAMPLED)).astype(int)]
+    # From the axes of the instrument to those of the nominal tip, by where it is.
+    seen = np.swapaxes(arm.tips(at[rows])[:, :, :3], 1, 2) @ nearest_rotation(found.matrix[:, :3]).T
+
+    def off(q: np.ndarray) -> float:
+        turned = seen @ Rotation.from_quat(q[rows]).as_matrix()
+        mean = nearest_rotation(turned.mean(axis=0))
+        return float(np.median(np.linalg.norm(rotation_vectors(turned @ mean.T), axis=1)))
+
+    quaternions = tracker.readings["quaternion"]
+    if off(quaternions) < _TURNED:
+        return
+    others = {
+        "in the order w x y z (--orientation wxyz, or names of columns)": quaternions[:, [1, 2, 3, 0]],
+        "in the order x y z w (--orientation xyzw, or names of columns)": quaternions[:, [3, 0, 1, 2]],
+        "inverted": quaternions * np.array([-1.0, -1.0, -1.0, 1.0]),
+    }
+    cures = [f"they would {words}" for words, other in others.items() if off(other) < _TURNED]
+    raise MeasurementError(
+        f"{tracker.name}: orientations do not turn as the arm does, they are off by {np.degrees(off(quaternions)):.0f} deg; "
+        f"{(*cures, 'look at their convention (--orientation) and order')[0]}; or leave them out (--ignore, one by one): "
+        "positions are enough"
+    )
+
+
+def steady(values: np.ndarray) -> np.ndarray:
+    """Return which readings, shape (T, k), do not jump off their neighbours, shape (T,); all if most do."""
+    from scipy.signal import medfilt
+
+    jump = np.abs(values - medfilt(values, (_NEIGHBOURS, 1))) / np.maximum(values.std(axis=0), 1e-300)
+    kept = np.asarray(np.all(jump < _JUMP, axis=1))
+    return np.asarray(kept | (2 * kept.sum() < len(kept)))
 
 
 def _features(tips: np.ndarray) -> np.ndarray:
@@ -252,8 +313,14 @@ def _features(tips: np.ndarray) -> np.ndarray:
     return np.hstack([tips[:, :, 3], tips[:, :, :3].reshape(len(tips), 9)])
 
 
-def tell_drift(stream: Stream, clock: Clock) -> None:
-    """Warn of a clock that runs at another rate than crystals do."""
+def check_clock(stream: Stream, found: Alignment) -> None:
+    """Refuse a clock that jumps, and warn of one that runs at another rate than crystals do."""
+    clock, (jump, sigma, when) = found.clock, found.jump
+    if abs(jump) > max(_JUMPS, _CLEARLY * sigma):
+        raise MeasurementError(
+            f"{stream.name}: its clock, or that of the joints, jumps by about {abs(jump):.2g} s near {when:.6g} s of its "
+            "stamps; give the parts before and after as sessions of their own"
+        )
     if abs(clock.drift) > max(_DRIFT, 5.0 * clock.sigma[1]):
         runs = "slowly" if clock.drift > 0.0 else "fast"
         warn(

@@ -6,27 +6,37 @@ drift, and how well they are known, is found with everything else (:class:`pinca
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, PincalWarning
 from pincal.measure.measurements import Measurements, measurements
 from pincal.measure.registry import sensor_class
+from pincal.measure.sensor import Sensor
 from pincal.measure.sensors.imu import FORCE, RATE, Window
 from pincal.motion.clocks import Clock
 from pincal.motion.imu_rows import APART, ImuRows
 from pincal.motion.joint_path import JointPath
 from pincal.motion.moving_arm import MovingArm
 from pincal.motion.reading_starts import start_readings
-from pincal.motion.sessions import Session, Stream
-from pincal.motion.starts import aligned_forces, start_imu
+from pincal.motion.sessions import Session
+from pincal.motion.starts import OtherMotionError, aligned_forces, start_imu, steady
+from pincal.motion.stream import Stream
 from pincal.recorded import Moving
 from pincal.robot.robot import Robot
 
 # Standard deviation of the windows of an IMU's rows [s]; from 1 to 12 Hz made no difference on a real arm.
 WIDTH = 0.03
+# Joints that change by less than this rest [rad, m].
+_RESTS = 3e-4
+# Rows a second from which on no arm turns back so far within two of them that one seems to jump.
+_FAST = 20.0
+# Smallest steps by which the reading of an instrument of few digits changes.
+_STEPS = 2.5
 
 
 def session_tables(robot: Robot, sessions: Sequence[Session]) -> dict[str, Measurements]:
@@ -47,12 +57,60 @@ def session_tables(robot: Robot, sessions: Sequence[Session]) -> dict[str, Measu
         arm, others = arms[session.name], [(name, arm) for name, arm in arms.items() if name != session.name]
         parts = {"imu": session.imu, "tracker": session.tracker}
         there = [what for what, stream in parts.items() if stream is not None]
+        wrong = list[MeasurementError]()
         for what in there:
             name = session.name if session.name and len(there) == 1 else "/".join(filter(None, (session.name, what)))
             stream = parts[what]
             assert stream is not None
-            found[name] = _imu_table(arm, stream, others) if what == "imu" else _tracker_table(arm, stream)
+            try:
+                found[name] = _imu_table(arm, stream, others) if what == "imu" else _tracker_table(arm, stream)
+            except OtherMotionError as error:
+                wrong.append(error)
+        if wrong:
+            # Joints that one instrument follows are right.
+            raise _at_fault(arm, session, wrong) if len(wrong) == len(there) else wrong[0]
     return found
+
+
+def _at_fault(arm: MovingArm, session: Session, wrong: Sequence[MeasurementError]) -> MeasurementError:
+    """Return the error that names the file at fault: the joints' where all follow other joints, or all but they."""
+    name = session.joints.name
+    for words, path in _mistaken(arm):
+        try:
+            other = MovingArm(arm.robot, path)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", PincalWarning)
+                if session.imu is not None:
+                    start_imu(other, session.imu)
+                if session.tracker is not None:
+                    start_tracker(other, session.tracker)
+        except MeasurementError:
+            continue
+        return MeasurementError(f"{name}: the readings follow these joints {words}; they do not as they are ({wrong[0]})")
+    if session.imu is None or session.tracker is None or len(wrong) < 2:
+        return wrong[0]
+    return MeasurementError(
+        f"{name}: neither {session.imu.name} nor {session.tracker.name} follows these joints; expected joints of the same "
+        f"motion: look at their session, unit, order, signs and zeros ({'; '.join(map(str, wrong))})"
+    )
+
+
+def _mistaken(arm: MovingArm) -> Iterator[tuple[str, JointPath]]:
+    """Yield in words how joints are often mistaken, and the path that is then meant."""
+    names, n = arm.robot.joint_names, arm.robot.n_joints
+    one = np.eye(n)
+    for i in range(n):
+        yield f"with the sign of {names[i]} turned (--sign {names[i]})", arm.path.mapped(one - 2.0 * np.diag(one[i]))
+    for i, j in itertools.combinations(range(n), 2):
+        order = np.arange(n)
+        order[[i, j]] = j, i
+        yield f"with the columns {names[i]} and {names[j]} exchanged", arm.path.mapped(one[order])
+    yield "in the order from the flange to the base", arm.path.mapped(one[::-1])
+    yield "in revolutions: multiply them by 2 pi", arm.path.mapped(2.0 * np.pi * one)
+    for i, quarter in itertools.product(range(1, n), (1, -1, 2)):
+        if arm.robot.joint_types[i] == "revolute":
+            words = f"with {90 * quarter:+d} deg added to {names[i]}, whose zero differs from the URDF's"
+            yield words, arm.path.mapped(one, 0.5 * np.pi * quarter * one[i])
 
 
 def _path(session: Session) -> JointPath:
@@ -74,7 +132,7 @@ def _imu_table(arm: MovingArm, imu: Stream, others: Sequence[tuple[str, MovingAr
     # Noise of both where the arm vibrates, relative to what is usual.
     sigma = np.sqrt(np.prod(rows.sigma / np.median(rows.sigma, axis=1, keepdims=True), axis=0))
     readings = {FORCE.name: rows.readings[:3].T, RATE.name: rows.readings[3:].T, "sigma": sigma}
-    lines = np.searchsorted(imu.time, rows.time) + 2
+    lines = imu.lines[np.searchsorted(imu.time, rows.time)]
     return _table(arm, imu, clock, rows.time, at, lines, readings, offsets=rows.window.offsets, delay=delay)
 
 
@@ -89,19 +147,67 @@ def ideal_imu_table(arm: MovingArm) -> Measurements:
     return _table(arm, stream, Clock(), at, at, np.arange(2, len(at) + 2), readings, offsets=window.offsets)
 
 
-def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
+def start_tracker(arm: MovingArm, tracker: Stream) -> Clock:
+    """Return the clock of an instrument that reads an arm in motion.
+
+    Raises:
+        MeasurementError: for readings that do not change with the motion, or are not of it.
+    """
+    sensor = _sensor(tracker)
+    again = tracker.repeats
+    return start_readings(arm, tracker.select(~again) if again.any() else tracker, sensor)
+
+
+def _sensor(tracker: Stream) -> type[Sensor]:
     sensor = sensor_class(tracker.readings)
     if sensor is None or sensor.fields[0].is_name or not sensor.reads_place:
         raise MeasurementError(
             f"{tracker.name}: {', '.join(tracker.readings)} in motion; expected readings that change with it, such as x y z "
             "or distance, or u v with point or target; what is held, such as a point in a socket, is a table of its own"
         )
-    clock = start_readings(arm, tracker, sensor)
+    return sensor
+
+
+def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
+    clock = start_tracker(arm, tracker)
+    again = tracker.repeats
+    if again.any():
+        tracker = _without_stale(arm, tracker, clock, again, tracker.readings[_sensor(tracker).fields[0].name])
+    values = tracker.readings[_sensor(tracker).fields[0].name]
+    if tracker.rate > _FAST and not tracker.things.any():
+        tracker = tracker.without(~steady(values.reshape(len(values), -1)), "jump off those beside them: of something else")
     at = clock.to_joints(tracker.time)
     inside = arm.path.covers(at)
     readings = {name: values[inside] for name, values in tracker.readings.items()}
-    lines = np.flatnonzero(inside) + 2
+    lines = tracker.lines[inside]
     return _table(arm, tracker, clock, tracker.time[inside], at[inside], lines, readings)
+
+
+def _without_stale(arm: MovingArm, tracker: Stream, clock: Clock, again: np.ndarray, values: np.ndarray) -> Stream:
+    """Return what an instrument reads without rows that repeat the one before though the arm moves by more than it resolves.
+
+    Args:
+        arm: the arm.
+        tracker: the stream.
+        clock: of the stream.
+        again: which rows repeat the one before of the same thing, shape (T,).
+        values: the readings that matter, shape (T,) or (T, k).
+    """
+    order = np.argsort(tracker.things, kind="stable")
+    q, values, again = arm.path.at(clock.to_joints(tracker.time))[order], values.reshape(len(order), -1)[order], again[order]
+    starts = np.flatnonzero(~again)
+    run = np.cumsum(~again) - 1
+    moved = np.maximum.reduceat(np.abs(q - q[starts[run]]).max(axis=1), starts)
+    # One that resolves no more goes on by its smallest step.
+    steps = np.abs(np.diff(values[starts], axis=0, append=np.inf))
+    finest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
+    is_stale = (moved > _RESTS) & np.any(steps > _STEPS * finest, axis=1)
+    # A target that is out of sight may be given another place; else the first row is what was seen last.
+    seen = np.append(starts[1:], len(q)) - starts == 1
+    seen |= steady(values[starts])
+    stale = np.zeros(len(q), bool)
+    stale[order] = is_stale[run] & (again | ~seen[run])
+    return tracker.without(stale, "repeat the one before while the arm moves: the target was lost, or the log is too fast")
 
 
 def _table(

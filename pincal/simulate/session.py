@@ -11,6 +11,7 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm, transform
 from pincal.simulate.camera import EyeInHand
+from pincal.simulate.instrument import CellCamera
 from pincal.simulate.machine import TrueMachine
 from pincal.simulate.moving import Motion, ViaPath, conditions_along, draw_path, tip_motion
 from pincal.simulate.setup import SensorSetup, Table
@@ -151,7 +152,7 @@ class SessionOptions:
         imu_noise: Densities of accelerometer and gyroscope [m/s^2/sqrt(Hz), rad/s/sqrt(Hz)].
         vibration: Of the arm at full speed, rms along each axis [m/s^2].
         resolution: Step to which joint positions are rounded [rad or m].
-        rates: Samples a second of joints, IMU and tracker.
+        rates: Samples a second of joints, IMU and tracker; default: 150, 100, 250, and 30 of a camera.
         drift: Of the clocks of IMU and tracker [1]; drawn if None.
         dropped: Part of the rows that loggers lose.
         payload: At the tip [kg].
@@ -164,7 +165,7 @@ class SessionOptions:
     imu_noise: tuple[float, float] = (_ACC_DENSITY, _GYRO_DENSITY)
     vibration: float = 0.1
     resolution: float = 1.7453e-5
-    rates: tuple[float, float, float] = (150.0, 100.0, 250.0)
+    rates: tuple[float, float, float] | None = None
     drift: float | None = None
     dropped: float = 0.005
     payload: float = 0.0
@@ -193,12 +194,13 @@ def draw_session(
         # A random path would hardly ever look at the object.
         views = max(int(options.duration / _VIEW), 2)
         path = ViaPath.through(tracker.plan(arm, views, rng=path, min_height=options.min_height), options.duration)
+    rates = options.rates or (150.0, 100.0, 30.0 if isinstance(tracker, (EyeInHand, CellCamera)) else 250.0)
     return MovingSession(
         path=path if isinstance(path, ViaPath) else draw_path(arm, options.duration, path, min_height=options.min_height),
         duration=options.duration,
         tracker=tracker,
         imu=imu if options.imu else None,
-        rates=dict(zip(("joints", "imu", "tracker"), options.rates, strict=True)),
+        rates=dict(zip(("joints", "imu", "tracker"), rates, strict=True)),
         clocks=dict(zip(("imu", "tracker"), clocks, strict=True)),
         resolution=options.resolution,
         dropped=options.dropped,

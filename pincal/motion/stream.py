@@ -1,0 +1,373 @@
+"""A stream: what one device logged of an arm that moves, and whether it can be right by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from pincal.errors import MeasurementError, warn
+from pincal.measure.sensors.imu import FORCE, RATE
+from pincal.units import STANDARD_GRAVITY
+
+# Slowest log that a motion can be followed by [Hz], slowest instrument beside it, the fastest log that there is, and the
+# fastest that is usual.
+_SLOWEST, _SLOW, _FASTEST, _USUAL = 9.0, 2.0, 2e4, 2e3
+# A gap is longer than so many samples; one of more than this [s] is told.
+_GAP, _LONG = 3.0, 0.2
+# A gap that is none [s].
+_ENDLESS = 3600.0
+# Part of the rows that may be lost, by being doubled or cut off, before a stream is no good; by a target out of sight.
+_FEW, _MOST = 0.05, 0.5
+# What gravity is in units in which logs have it, and by how much it may be off.
+_GRAVITIES = {"g": 1.0, "mg": 1e3, "mm/s^2": 1e3 * STANDARD_GRAVITY}
+_NEAR = 1.5
+# Samples in a row at the same largest value from which an axis is cut off there, and times that this has to happen.
+_FLAT, _OFTEN = 3, 3
+# How far from a full turn a jump may be that is one [rad]; how many times the usual speed, and how many rad/s or m/s, no arm
+# reaches; part of the rows that repeat the one before from which on a log is faster than its controller.
+_TURN, _SUDDEN, _OFTEN_SAME = 0.3, 5.0, 0.3
+# Time for which an axis may read the same while others move by so much of what they do altogether [s].
+_FROZEN, _MOVES = 1.0, 0.5
+# Smallest steps of a sensor by which it does not change from one sample to the next after it stood still.
+_JUMPS = 8.0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Stream:
+    """Readings of one device, one after the other.
+
+    Attributes:
+        name: of its file, for messages.
+        time: by its own clock, shape (T,), increasing [s].
+        readings: values in SI units, shape (T,) or (T, k) each: "q" of joints, "specific_force" and "angular_rate" of an
+            IMU, of an instrument the fields of its sensor.
+        units: that the header gave, by column.
+        lines: of the file, shape (T,); default: one after the other below a header.
+    """
+
+    name: str
+    time: np.ndarray
+    readings: Mapping[str, np.ndarray]
+    units: Mapping[str, str]
+    lines: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+
+    def __post_init__(self) -> None:
+        if not len(self.lines):
+            object.__setattr__(self, "lines", np.arange(2, len(self.time) + 2))
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __repr__(self) -> str:
+        return f"Stream({self.name!r}: {', '.join(self.readings)}, {len(self)} rows at {self.rate:.4g} Hz)"
+
+    @property
+    def rate(self) -> float:
+        """Samples a second, gaps left out."""
+        return 1.0 / float(np.median(self.steps))
+
+    @property
+    def steps(self) -> np.ndarray:
+        """From one stamp to the next that differs [s]."""
+        steps = np.diff(self.time)
+        return steps[steps > 0.0]
+
+    @property
+    def things(self) -> np.ndarray:
+        """What each row is about, such as a named point, as numbers from 0, shape (T,): one instant may tell of several."""
+        found = np.zeros(len(self), int)
+        for values in self.readings.values():
+            if values.dtype.kind not in "fi":
+                names, index = np.unique(values, return_inverse=True)
+                found = np.unique(found * len(names) + index, return_inverse=True)[1]
+        return found
+
+    @property
+    def repeats(self) -> np.ndarray:
+        """Which rows are exactly the one before of the same thing but for their time, shape (T,)."""
+        things = self.things
+        order = np.argsort(things, kind="stable")
+        values = np.column_stack([v[order] for v in self.readings.values() if v.dtype.kind == "f"])
+        found = np.zeros(len(self), bool)
+        found[order[1:]] = np.all(np.diff(values, axis=0) == 0.0, axis=1) & (np.diff(things[order]) == 0)
+        return found
+
+    def select(self, rows: np.ndarray) -> Stream:
+        """Return some of the rows (mask or indices)."""
+        chosen = {name: values[rows] for name, values in self.readings.items()}
+        return replace(self, time=self.time[rows], readings=chosen, lines=self.lines[rows])
+
+    def without(self, lost: np.ndarray, why: str) -> Stream:
+        """Return the stream without some rows (mask), which is said.
+
+        Raises:
+            MeasurementError: if that are most of them.
+        """
+        if not lost.any():
+            return self
+        text = f"{self.name}: {int(lost.sum())} of {len(lost)} rows, the first in line {self.lines[lost][0]}, {why}"
+        kept = self.select(~lost)
+        if kept.covered < (1.0 - _MOST) * self.covered:
+            raise MeasurementError(f"{text}; expected readings for most of the time: log again")
+        warn(f"{text}; they are left out")
+        return kept
+
+    @property
+    def covered(self) -> float:
+        """Time of which there are readings, gaps left out [s]."""
+        steps = self.steps
+        return float(steps[steps <= max(_GAP * float(np.median(steps)), _LONG)].sum()) if len(steps) else 0.0
+
+
+def in_order(stream: Stream) -> Stream:
+    """Return a stream whose stamps increase and come as fast as a log's; say where they do not."""
+    steps, name = np.diff(stream.time), stream.name
+    if len(stream) < 2 * _SLOWEST:
+        raise MeasurementError(f"{name}: {len(stream)} rows; expected a log of some minutes")
+    if np.any(back := steps < 0.0):
+        k = int(np.argmax(back))
+        stamps = f"from {_shown(stream.time[k])} to {_shown(stream.time[k + 1])}"
+        where = f"{name}, line {stream.lines[k + 1]}: time runs back {stamps}"
+        if -steps.min() < _GAP * _FLAT * float(np.median(np.abs(steps))):
+            raise MeasurementError(
+                f"{where}, {int(back.sum())} rows stand out of order; expected stamps of the device: sort the rows by them"
+            )
+        raise MeasurementError(
+            f"{where}; expected one log in order: give logs that were appended to each other as sessions of their own, and "
+            "add its range to a counter that overflowed"
+        )
+    order = np.lexsort((things := stream.things, stream.time))
+    same = np.zeros(len(stream), bool)
+    same[order[1:]] = (np.diff(stream.time[order]) == 0.0) & (np.diff(things[order]) == 0)
+    if same.mean() > _FEW:
+        raise MeasurementError(
+            f"{name}: {100 * same.mean():.0f} % of the rows have the stamp of the row before: stamps are those of "
+            "packets, not of samples, or lost digits; log the device's own time stamps, with all their digits"
+        )
+    if same.any():
+        warn(f"{name}: {int(same.sum())} rows with the stamp of the row before are left out")
+        stream = stream.select(~same)
+    steps = np.diff(stream.time)
+    _check_rate(stream)
+    gaps = steps > max(_GAP * float(np.median(stream.steps)), _LONG)
+    if gaps.any():
+        k = int(np.argmax(steps))
+        if steps[k] > _ENDLESS:
+            raise MeasurementError(
+                f"{name}, line {stream.lines[k + 1]}: time jumps from {_shown(stream.time[k])} to "
+                f"{_shown(stream.time[k + 1])}; expected one log: give the parts as sessions of their own, or delete rows "
+                "from before the clock was set"
+            )
+        warn(
+            f"{name}: {int(gaps.sum())} gaps of more than {_LONG} s, the longest {steps[k]:.3g} s from "
+            f"{_shown(stream.time[k])} on: what lies in them is left out"
+        )
+    return stream
+
+
+def _shown(stamp: float) -> str:
+    return f"{stamp:.6g} s" if abs(stamp) < 1e5 else f"{stamp:.3f} s"
+
+
+def _check_rate(stream: Stream) -> None:
+    """Refuse stamps in another unit than is said, or that count samples."""
+    step, slowest = float(np.median(stream.steps)), _SLOWEST if {"q", FORCE.name} & stream.readings.keys() else _SLOW
+    if 1.0 / _FASTEST <= step <= 1.0 / slowest:
+        usual = float(np.mean(stream.steps[stream.steps < max(_GAP * step, _LONG)]))
+        if usual > _GAP * step:
+            raise MeasurementError(
+                f"{stream.name}: rows come in bursts, mostly {step:.2g} s apart, on the average {usual:.2g} s: stamps are "
+                "those of their arrival; log the device's own time stamps"
+            )
+        return
+    if step == 1.0 and np.all(stream.time == np.round(stream.time)):
+        raise MeasurementError(
+            f"{stream.name}: time counts 1, 2, 3, ...: frames or samples; expected seconds: divide by the rate of the device"
+        )
+    units = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+    fits = next((unit for unit, size in units.items() if 1.0 / _USUAL <= step * size <= 1.0 / slowest), None)
+    is_untold = fits and "time" not in stream.units
+    cure = f"looks like [{fits}]: write `time [{fits}]` in the header" if is_untold else "look at its unit"
+    raise MeasurementError(
+        f"{stream.name}: a row every {step:.3g} s; expected {slowest:g} to {_FASTEST:g} rows a second; {cure}"
+    )
+
+
+def checked_joints(stream: Stream, names: Sequence[str], turning: np.ndarray) -> Stream:
+    """Return the stream of joints without what can't be: rows that a logger repeats, or that no arm is fast enough for.
+
+    Args:
+        stream: with "q".
+        names: of the joints.
+        turning: which are revolute, shape (n,); a jump of one by a full turn is none.
+
+    Raises:
+        MeasurementError: for joints that jump and stay there.
+    """
+    stream = _unwrapped(_at_own_rate(stream), names, turning)
+    q, usual = stream.readings["q"], np.maximum(np.diff(stream.time), float(np.median(stream.steps)))[:, None]
+    steps, lost = np.abs(np.diff(q, axis=0)), np.zeros(len(q), bool)
+    speed = steps / usual
+    jumps = np.flatnonzero(np.any(speed > _SUDDEN * np.maximum(np.quantile(speed, 0.99, axis=0), 1.0), axis=1))
+    starts, ends, run = _still(q)
+    # Who goes on after standing still begins with the smallest steps, not with one that is larger than those that follow.
+    finest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
+    for begin, end in zip(starts[ends - starts > _FLAT], ends[ends - starts > _FLAT], strict=True):
+        after = steps[end : end + _FLAT].max(axis=0, initial=0.0)
+        if end < len(q) and np.any(steps[end - 1] > _SUDDEN * after + _JUMPS * finest):
+            lost[begin + 1 : end] = True
+    for k in jumps:
+        # What stands still before it, from the second row on, and what does after it from the first.
+        lost[starts[run[k]] + 1 : k + 1] = True
+        if ends[run[k + 1]] > k + 2:
+            lost[k + 1 : ends[run[k + 1]]] = True
+    for first, last in pairwise(jumps):
+        if stream.time[last] - stream.time[first + 1] < _LONG:
+            lost[first + 1 : last + 1] = True
+    if stays := [k for k in jumps if not lost[max(k - 1, 0) : k + 3].any() and usual[k, 0] < _LONG]:
+        k, j = stays[0], int(np.argmax(speed[stays[0]]))
+        raise MeasurementError(
+            f"{stream.name}, line {stream.lines[k + 1]}: {names[j]} jumps by {q[k + 1, j] - q[k, j]:.3g} within "
+            f"{usual[k, 0]:.2g} s and stays there; expected one motion: give logs that were appended to each other as "
+            "sessions of their own"
+        )
+    return stream.without(lost, "repeat the one before, or are off the motion, and end in a jump: the log was interrupted")
+
+
+def _still(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return first and past the last row of each stretch in which nothing changes, and the stretch of each row."""
+    new = np.append(True, np.any(np.diff(q, axis=0) != 0.0, axis=1))
+    starts = np.flatnonzero(new)
+    return starts, np.append(starts[1:], len(q)), np.cumsum(new) - 1
+
+
+def _at_own_rate(stream: Stream) -> Stream:
+    """Return a log of joints without rows that repeat the one before because it is faster than their controller."""
+    starts, ends, run = _still(stream.readings["q"])
+    again = (np.arange(len(stream)) > starts[run]) & (stream.time[ends - 1] - stream.time[starts] < 0.5 * _LONG)[run]
+    if again.mean() < _OFTEN_SAME:
+        return stream
+    share = f"{100 * again.mean():.0f} %"
+    warn(f"{stream.name}: {share} of the rows repeat the one before and are left out; log joints at their own rate")
+    return stream.select(~again)
+
+
+def _unwrapped(stream: Stream, names: Sequence[str], turning: np.ndarray) -> Stream:
+    """Return joints that turn on where a log begins anew at half a turn."""
+    steps = np.diff(stream.readings["q"], axis=0)
+    turns = np.round(steps / (2.0 * np.pi))
+    turns[(np.abs(steps - 2.0 * np.pi * turns) > _TURN) | ~turning] = 0.0
+    if not turns.any():
+        return stream
+    k, j = np.argwhere(turns)[0].tolist()
+    warn(f"{stream.name}, line {stream.lines[k + 1]}: {names[j]} jumps by a full turn; it is taken to turn on there")
+    q = stream.readings["q"].copy()
+    q[1:] -= 2.0 * np.pi * np.cumsum(turns, axis=0)
+    return replace(stream, readings={**stream.readings, "q": q})
+
+
+def checked_imu(stream: Stream) -> Stream:
+    """Return the stream of an IMU that can be right.
+
+    Samples that are cut off at the end of a range, or that repeat the one before because a log is faster than the device,
+    are left out.
+
+    Raises:
+        MeasurementError: for accelerations in other units or without gravity, and for axes that are frozen or cut off.
+    """
+    force, rate = stream.readings[FORCE.name], stream.readings[RATE.name]
+    _check_gravity(stream, float(np.median(np.linalg.norm(force, axis=1))))
+    columns = dict(zip((*FORCE.columns, *RATE.columns), np.column_stack([force, rate]).T, strict=True))
+    repeats = np.append(False, np.all(np.diff(np.column_stack([force, rate]), axis=0) == 0.0, axis=1))
+    held = _held(force) | _held(rate) if repeats.mean() < _MOST else np.zeros(len(stream), bool)
+    if (repeats & ~held).mean() > _FEW:
+        share = f"{100 * repeats.mean():.0f} %"
+        warn(f"{stream.name}: {share} of the rows repeat the one before and are left out; log the IMU at its own rate")
+    cut = np.zeros(len(stream), bool)
+    for column, values in columns.items():
+        flat = _cut_off(values)
+        if flat.mean() > _FEW:
+            raise MeasurementError(
+                f"{stream.name}: column {column!r} is cut off at {np.abs(values).max():.4g} in {100 * flat.mean():.0f} "
+                "% of the rows; choose a larger range of the IMU, or drive more slowly"
+            )
+        cut |= flat
+    for k, (column, values) in enumerate(columns.items()):
+        beside = np.delete(force if k < 3 else rate, k % 3, axis=1)
+        if stuck := _longest_stuck(stream.time, values, beside):
+            raise MeasurementError(
+                f"{stream.name}: column {column!r} stands still for {stuck:.3g} s while others change; the axis is "
+                "broken or not logged: repair the log, or leave that part out"
+            )
+    if cut.any():
+        warn(f"{stream.name}: {int(cut.sum())} rows are cut off at the end of the IMU's range and are left out")
+    kept = stream.without(held, "hold the same forces or rates, which jump before or after: they were read no more")
+    return kept.select(~(cut | repeats)[~held]) if np.any(cut | repeats) else kept
+
+
+def _held(values: np.ndarray) -> np.ndarray:
+    """Return which rows, shape (T,), are the same several times while what is before or after jumps by many of its steps."""
+    steps = np.abs(np.diff(values, axis=0))
+    smallest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
+    far = np.append(np.any(steps > _JUMPS * smallest, axis=1), False)
+    starts = np.flatnonzero(np.append(True, np.any(steps > 0.0, axis=1)))
+    found = np.zeros(len(values), bool)
+    for begin, end in _runs(starts, len(values)):
+        if end - begin > _FLAT and (far[end - 1] or far[begin - 1]):
+            found[begin:end] = True
+    return found
+
+
+def _check_gravity(stream: Stream, size: float) -> None:
+    """Refuse specific forces whose median can't be gravity."""
+    if STANDARD_GRAVITY / _NEAR < size < _NEAR * STANDARD_GRAVITY:
+        return
+    text = f"{stream.name}: specific forces of {size:.4g} m/s^2 in the median; expected about 9.8"
+    for unit, gravity in _GRAVITIES.items():
+        if gravity / _NEAR < size < _NEAR * gravity and "ax" not in stream.units:
+            raise MeasurementError(
+                f"{text}; looks like [{unit}]: write `ax [{unit}]`, `ay [{unit}]`, `az [{unit}]` in the header"
+            )
+    if "ax" in stream.units:
+        raise MeasurementError(f"{text}; values in another unit under [{stream.units['ax']}]?")
+    if size < STANDARD_GRAVITY / 3.0:
+        raise MeasurementError(f"{text}: gravity was taken out; log raw accelerations")
+    is_raw = np.all(stream.readings[FORCE.name] == np.round(stream.readings[FORCE.name]))
+    raise MeasurementError(f"{text}; {'raw counts? Multiply all by their scales' if is_raw else 'look at its unit'}")
+
+
+def _longest_stuck(time: np.ndarray, values: np.ndarray, beside: np.ndarray) -> float:
+    """Return for how long a value stands still while those of the other axes, shape (T, 2), move; 0 if that is short [s]."""
+    starts = np.flatnonzero(np.append(True, np.diff(values) != 0.0))
+    spread, longest, steps = beside.std(axis=0), 0.0, np.abs(np.diff(values))
+    most = _JUMPS * float(np.min(steps[steps > 0.0], initial=np.inf))
+    for begin, end in _runs(starts, len(values)):
+        if steps[max(begin - 1, 0)] <= most and steps[min(end - 1, len(steps) - 1)] <= most < np.inf:
+            continue  # A sensor of few digits.
+        lasts = float(time[end - 1] - time[begin])
+        if lasts > _FROZEN and np.any(np.ptp(beside[begin:end], axis=0) > _MOVES * spread):
+            longest = max(longest, lasts)
+    return longest
+
+
+def _runs(starts: np.ndarray, count: int) -> Iterator[tuple[int, int]]:
+    """Yield first and past the last of stretches that begin at some rows and are longer than one."""
+    ends = np.append(starts[1:], count)
+    long = ends - starts > 1
+    yield from zip(starts[long].tolist(), ends[long].tolist(), strict=True)
+
+
+def _cut_off(values: np.ndarray) -> np.ndarray:
+    """Return which samples stand at an end of a range, shape (T,): several in a row, several times, few just before it."""
+    found, near = np.zeros(len(values), bool), 0.01 * float(np.ptp(values))
+    for end in (values.max(), values.min()):
+        at = values == end
+        starts = np.flatnonzero(at & ~np.append(False, at[:-1]))
+        ends = np.flatnonzero(at & ~np.append(at[1:], False))
+        is_often = np.sum(ends - starts + 1 >= _FLAT) >= _OFTEN
+        if is_often and at.sum() > np.sum(~at & (np.abs(values - end) < near)):
+            found |= at
+    return found
