@@ -207,13 +207,14 @@ def _with_tip(text: bytes, tree: UrdfTree, robot: Robot, T_tip_calibrated: np.nd
 
 def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
     """Say what a file of the rigid geometry leaves to ``model.json``."""
-    names = [effect.name for effect in model.effects if effect.locus.acts_on != "clock"]
+    # Each once: an effect may be there for every joint.
+    of = {effect.name: effect for effect in model.effects if effect.locus.acts_on != "clock"}
+    names, read = list(of), [name for name, effect in of.items() if effect.is_sighted]
     elastic = [
-        effect.name
-        for effect in model.effects
+        name
+        for name, effect in of.items()
         if effect.uses_moments or effect.family is Family.ELASTICITY or effect.bodies(model.chain)
     ]
-    read = [effect.name for effect in model.effects if effect.is_sighted]
     others = [n for n in names if n not in (*_GEOMETRIC_NAMES, "base_frame", "tool_frame", *elastic, *read)]
     notes = []
     if elastic:
