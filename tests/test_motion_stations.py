@@ -15,6 +15,7 @@ from test_cli import run
 import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.caveats import CaveatKind, findings_on_order
+from pincal.calibration.moves import _information_of, shared_places
 from pincal.calibration.placing import place_station
 from pincal.errors import BadInputError, Exit, MeasurementError
 from pincal.identify import many_rows
@@ -120,6 +121,19 @@ def test_what_follows_the_motion_is_no_change_of_the_setup(fit: pincal.Fit) -> N
         serial = Serial(np.full(m, 0.9), np.full(m, 0.5), np.arange(n, dtype=float), np.ones(n, bool))
         told.append([found.kind for found in findings_on_order(replace(station, serial=serial))])
     assert told == [[], [CaveatKind.LEFT_IN_MOTION], [CaveatKind.DEPENDENT_ROWS]]
+
+
+def test_what_follows_the_motion_tells_of_no_move(fit: pincal.Fit) -> None:
+    """Motions differ from session to session, and so does what a model lacks of them: such a station has no say."""
+    imu, tracker = fit.problem.stations
+    m, n = int(tracker.block_sizes.sum()), len(tracker)
+    left = replace(tracker, serial=Serial(np.full(m, 0.9), np.full(m, 0.5), np.arange(n, dtype=float), np.ones(n, bool)))
+    shared = shared_places(fit)
+    without, with_it = (
+        _information_of(replace(fit, problem=replace(fit.problem, stations=(imu, station))), shared).seen[1].any()
+        for station in (left, tracker)
+    )
+    assert with_it and not without
 
 
 def test_what_is_off_for_a_moment_is_no_place_of_a_joint(fit: pincal.Fit) -> None:

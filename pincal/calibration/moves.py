@@ -139,7 +139,10 @@ def _information_of(fit: ModelFit, shared: np.ndarray) -> _StationsInformation:
     K = len(problem.stations)
     G, g, seen = np.zeros((K, F, F)), np.zeros((K, F)), np.zeros((K, F), bool)
     for k in range(K):
-        rows, blocks = problem.rows[k], problem.block_spans[k]
+        rows, blocks, station = problem.rows[k], problem.block_spans[k], problem.stations[k]
+        if station.serial is not None and station.sensor.reads_place and station.conditions.are_in_motion:
+            # What the model lacks follows the motion, which is another one at each station.
+            continue
         weights = solution.weights[rows]
         # So many rows do not contradict the robot by mistake: it is another one there.
         weights = weights if np.mean(weights == 0.0) <= CHANGES.wrong_rows else np.ones_like(weights)

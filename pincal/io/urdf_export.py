@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
@@ -210,11 +211,8 @@ def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
     # Each once: an effect may be there for every joint.
     of = {effect.name: effect for effect in model.effects if effect.locus.acts_on != "clock"}
     names, read = list(of), [name for name, effect in of.items() if effect.is_sighted]
-    elastic = [
-        name
-        for name, effect in of.items()
-        if effect.uses_moments or effect.family is Family.ELASTICITY or effect.bodies(model.chain)
-    ]
+    bends = [e.uses_moments or e.family is Family.ELASTICITY or bool(e.bodies(model.chain)) for e in of.values()]
+    elastic = list(compress(names, bends))
     others = [n for n in names if n not in (*_GEOMETRIC_NAMES, "base_frame", "tool_frame", *elastic, *read)]
     notes = []
     if elastic:

@@ -132,10 +132,10 @@ def with_drives(robot: Robot, effects: Sequence[Effect]) -> tuple[Effect, ...]:
     These are the compliance of drives, where the masses are known, eccentric gears, and friction; the priors hold each.
     """
     revolute = [name for name, kind in zip(robot.joint_names, robot.joint_types, strict=True) if kind == "revolute"]
+    is_told = robot.massless or any(isinstance(effect, JointElasticity) for effect in effects)
     more: tuple[Effect, ...] = (
+        *(() if is_told else (JointElasticity(),)),
         *(GearEccentricity(joint, order) for joint in revolute for order in ORDERS),
         *(FrictionWindup(joint) for joint in robot.joint_names),
     )
-    if not robot.massless and not any(isinstance(effect, JointElasticity) for effect in effects):
-        more = (JointElasticity(), *more)
     return (*effects, *(effect for effect in more if effect not in effects))
