@@ -16,6 +16,7 @@ ALLOWED = {
     "pincal.model.catalogue": "registers the catalogue",
     "pincal.model.effects": "lists what an elastic model is made of",
     "pincal.model.catalogue.bearing_features": "is the elasticity of a bearing in directions of its own",
+    "pincal.model.catalogue.motion": "names what every drive does, which an IMU alone sees",
     "pincal.validate.agreement": "zeros that data have pulled far are looked for",
     "pincal.validate.cures": "looks for the zeros of joints",
     "pincal.identify.explain": "a reason names base and tool",
