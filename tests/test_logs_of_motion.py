@@ -312,16 +312,6 @@ MISTAKEN: dict[str, tuple[Callable[[Table], None], str]] = {
 }
 
 
-@pytest.mark.parametrize("mistake", MISTAKEN)
-def test_joints_that_are_mistaken_are_at_fault(logs: Tables, mistake: str, tmp_path: Path) -> None:
-    """Not the instrument that does not follow them."""
-    change, said = MISTAKEN[mistake]
-    tables = copied({name: logs[name] for name in ("joints", "tracker")})
-    change(tables["joints"])
-    with pytest.raises(MeasurementError, match=f"^joints.csv.*{said}"):
-        laid(read(tmp_path, tables)[0])
-
-
 def rolled(table: Table) -> None:
     table["qx"], table["qy"], table["qz"], table["qw"] = table["qw"], table["qx"], table["qy"], table["qz"]
 
@@ -354,13 +344,13 @@ WRONG: dict[str, tuple[Callable[[Table], None], str]] = {
 }
 
 
-@pytest.mark.parametrize("fault", WRONG)
-def test_a_tracker_that_cannot_be_right_is_refused(logs: Tables, fault: str, tmp_path: Path) -> None:
-    """By what only the arm can tell, or by its stamps."""
-    change, said = WRONG[fault]
+@pytest.mark.parametrize(("at", "fault"), [*(("joints", m) for m in MISTAKEN), *(("tracker", w) for w in WRONG)])
+def test_the_stream_at_fault_is_refused(logs: Tables, at: str, fault: str, tmp_path: Path) -> None:
+    """Of joints that are mistaken not the instrument, which does not follow them; by the arm, or by its stamps."""
+    change, said = (MISTAKEN if at == "joints" else WRONG)[fault]
     tables = copied({name: logs[name] for name in ("joints", "tracker")})
-    change(tables["tracker"])
-    with pytest.raises(MeasurementError, match=f"^tracker.csv.*{said}"):
+    change(tables[at])
+    with pytest.raises(MeasurementError, match=f"^{at}.csv.*{said}"):
         laid(read(tmp_path, tables)[0])
 
 

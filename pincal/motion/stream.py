@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -237,11 +237,11 @@ def checked_joints(stream: Stream, names: Sequence[str], turning: np.ndarray) ->
     return stream.without(lost, "repeat the one before, or are off the motion, and end in a jump: the log was interrupted")
 
 
-def _still(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _still(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return first and past the last row of each stretch in which nothing changes, and the stretch of each row."""
-    new = np.append(True, np.any(np.diff(q, axis=0) != 0.0, axis=1))
+    new = np.append(True, np.any(np.diff(values, axis=0) != 0.0, axis=1))
     starts = np.flatnonzero(new)
-    return starts, np.append(starts[1:], len(q)), np.cumsum(new) - 1
+    return starts, np.append(starts[1:], len(values)), np.cumsum(new) - 1
 
 
 def _at_own_rate(stream: Stream) -> Stream:
@@ -281,7 +281,7 @@ def checked_imu(stream: Stream) -> Stream:
     force, rate = stream.readings[FORCE.name], stream.readings[RATE.name]
     _check_gravity(stream, float(np.median(np.linalg.norm(force, axis=1))))
     columns = dict(zip((*FORCE.columns, *RATE.columns), np.column_stack([force, rate]).T, strict=True))
-    repeats = np.append(False, np.all(np.diff(np.column_stack([force, rate]), axis=0) == 0.0, axis=1))
+    repeats = stream.repeats
     held = _held(force) | _held(rate) if repeats.mean() < _MOST else np.zeros(len(stream), bool)
     if (repeats & ~held).mean() > _FEW:
         share = f"{100 * repeats.mean():.0f} %"
@@ -313,12 +313,8 @@ def _held(values: np.ndarray) -> np.ndarray:
     steps = np.abs(np.diff(values, axis=0))
     smallest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
     far = np.append(np.any(steps > _JUMPS * smallest, axis=1), False)
-    starts = np.flatnonzero(np.append(True, np.any(steps > 0.0, axis=1)))
-    found = np.zeros(len(values), bool)
-    for begin, end in _runs(starts, len(values)):
-        if end - begin > _FLAT and (far[end - 1] or far[begin - 1]):
-            found[begin:end] = True
-    return found
+    starts, ends, run = _still(values)
+    return np.asarray(((ends - starts > _FLAT) & (far[ends - 1] | far[starts - 1]))[run])
 
 
 def _check_gravity(stream: Stream, size: float) -> None:
@@ -341,23 +337,16 @@ def _check_gravity(stream: Stream, size: float) -> None:
 
 def _longest_stuck(time: np.ndarray, values: np.ndarray, beside: np.ndarray) -> float:
     """Return for how long a value stands still while those of the other axes, shape (T, 2), move; 0 if that is short [s]."""
-    starts = np.flatnonzero(np.append(True, np.diff(values) != 0.0))
+    starts, ends, _ = _still(values[:, None])
     spread, longest, steps = beside.std(axis=0), 0.0, np.abs(np.diff(values))
     most = _JUMPS * float(np.min(steps[steps > 0.0], initial=np.inf))
-    for begin, end in _runs(starts, len(values)):
+    for begin, end in zip(starts[ends - starts > 1], ends[ends - starts > 1], strict=True):
         if steps[max(begin - 1, 0)] <= most and steps[min(end - 1, len(steps) - 1)] <= most < np.inf:
             continue  # A sensor of few digits.
         lasts = float(time[end - 1] - time[begin])
         if lasts > _FROZEN and np.any(np.ptp(beside[begin:end], axis=0) > _MOVES * spread):
             longest = max(longest, lasts)
     return longest
-
-
-def _runs(starts: np.ndarray, count: int) -> Iterator[tuple[int, int]]:
-    """Yield first and past the last of stretches that begin at some rows and are longer than one."""
-    ends = np.append(starts[1:], count)
-    long = ends - starts > 1
-    yield from zip(starts[long].tolist(), ends[long].tolist(), strict=True)
 
 
 def _cut_off(values: np.ndarray) -> np.ndarray:
