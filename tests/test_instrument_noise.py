@@ -28,6 +28,7 @@ from pincal.simulate.tracker import cartesian, spherical
     [
         ("10um+0.3um/m,15um+6um/m", (5e-6, 1.5e-7, 7.5e-6, 3e-6)),
         ("leica_at500", (5e-6, 1.5e-7, 7.5e-6, 3e-6)),
+        ("leica_at960", (7.5e-6, 3e-6, 7.5e-6, 3e-6)),
         ("0.02mm , 5urad", (1e-5, 0.0, 0.0, 2.5e-6)),
         ("15um + 6ppm", (7.5e-6, 3e-6, 7.5e-6, 3e-6)),
     ],
@@ -131,7 +132,7 @@ def test_calibrate_takes_an_instrument_by_its_name(tmp_path: Path, capsys: pytes
     assert noise["source"] == "declared"
     assert noise["sigma_m"] == pytest.approx(InstrumentNoise.of("leica_at500").sigma(rows.position), rel=0.02)
     for more, message in (
-        (["laica"], "expected leica_at500"),
+        (["laica"], "expected leica_at500, leica_at960"),
         (["leica_at500", "--noise", "0.05mm"], "expected one of the two"),
     ):
         capsys.readouterr()

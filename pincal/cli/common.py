@@ -248,9 +248,9 @@ class SetupOptions:
     )
     noise_angle: float | None = option("Standard deviation of one orientation component.", type=ANGLE, words="estimated")
     instrument: str | None = option(
-        "Noise of positions by range and direction: an instrument (leica_at500), or its maximum permissible errors along "
-        "and across the line of sight (10um+0.3um/m,15um+6um/m), half of which is the standard deviation. Positions are "
-        "in the instrument's own frame.",
+        "Noise of positions by range and direction: an instrument (leica_at500, leica_at960), or its maximum permissible "
+        "errors along and across the line of sight (10um+0.3um/m,15um+6um/m), half of which is the standard deviation. "
+        "Positions are in the instrument's own frame.",
         metavar="NAME|MPE",
         words="the same everywhere",
     )

@@ -36,6 +36,8 @@ class _Sheet(NamedTuple):
 INSTRUMENTS = {
     # e_ADM +- 10 um + 0.3 um/m and e_T +- 15 um + 6 um/m, MPE by ISO 10360-10:2021, Annex D.
     "leica_at500": _Sheet("10um+0.3um/m,15um+6um/m", "Leica Absolute Tracker AT500 User Manual, section 2.8.2"),
+    # U_x,y,z +- 15 um + 6 um/m, MPE of each coordinate; what it permits along the line of sight alone is not taken from it.
+    "leica_at960": _Sheet("15um+6um/m", "Hexagon, Leica Absolute Tracker AT960, technical data: accuracy U_x,y,z"),
 }
 """Instruments by name, with their data sheets; of all others the numbers can be given."""
 
