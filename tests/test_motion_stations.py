@@ -15,8 +15,8 @@ from test_cli import run
 import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.caveats import CaveatKind, findings_on_order
-from pincal.calibration.moves import _information_of, shared_places
 from pincal.calibration.placing import place_station
+from pincal.calibration.station_information import SharedInformation
 from pincal.errors import BadInputError, Exit, MeasurementError
 from pincal.identify import many_rows
 from pincal.identify.fit import ModelFit
@@ -128,9 +128,8 @@ def test_what_follows_the_motion_tells_of_no_move(fit: pincal.Fit) -> None:
     imu, tracker = fit.problem.stations
     m, n = int(tracker.block_sizes.sum()), len(tracker)
     left = replace(tracker, serial=Serial(np.full(m, 0.9), np.full(m, 0.5), np.arange(n, dtype=float), np.ones(n, bool)))
-    shared = shared_places(fit)
     without, with_it = (
-        _information_of(replace(fit, problem=replace(fit.problem, stations=(imu, station))), shared).seen[1].any()
+        SharedInformation.of(replace(fit, problem=replace(fit.problem, stations=(imu, station)))).whole[1].any()
         for station in (left, tracker)
     )
     assert with_it and not without

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from pincal.calibration.moves import information_at
+from pincal.calibration.station_information import information_at
 from pincal.errors import BadInputError, ModelFileError
 from pincal.identify.fit import ModelFit
 from pincal.identify.quadratic import ROUNDING, Quadratic

@@ -27,9 +27,10 @@ from pincal.calibration.caveats import (
 )
 from pincal.calibration.held_out import LeftOut, StationRows, errors_held_out, headline_of
 from pincal.calibration.improvement import findings_without_instrument, improvements
-from pincal.calibration.moves import moves_of, spent_at
+from pincal.calibration.moves import moves_of
 from pincal.calibration.placing import moved
 from pincal.calibration.result_tables import ParameterRecord, ParameterRow, parameter_rows
+from pincal.calibration.station_information import spent_at
 from pincal.identify.fit import ModelFit
 from pincal.identify.prior_scale import has_instrument
 from pincal.identify.station import Station

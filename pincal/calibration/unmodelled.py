@@ -12,17 +12,15 @@ taken up :math:`K R^T G \hat b` of them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import compress
 from typing import Annotated
 
 import numpy as np
 
-from pincal.calibration.moves import information_at, shared_places
+from pincal.calibration.station_information import fit_with, information_at, shared_places
 from pincal.identify.criteria import CHANGES
-from pincal.identify.fit import ModelFit, Priors
+from pincal.identify.fit import ModelFit
 from pincal.identify.posterior import eliminate
-from pincal.identify.problem import extended
 from pincal.identify.quadratic import Form, Quadratic
 from pincal.identify.selection import Scored, select_stepwise
 from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, packed_covariance, packed_matrix
@@ -124,22 +122,7 @@ def _information(
         That of the effects' E parameters, names of the K parameters of the robot that were fitted, and what these take up of
         a unit of each, shape (K, E).
     """
-    problem, solution = fit.problem, fit.solution
-    some = replace(problem, stations=tuple(problem.stations[k].select(rows) for k, rows in sample.items()))
-    wider, _ = extended(some, effects)
-    values, known, free, sizes = (
-        problem.carried_over(of, wider)
-        for of in (solution.values, np.ones(len(solution.values), bool), solution.free, fit.priors.sizes)
-    )
-    found = replace(
-        solution,
-        values=values,
-        free=free | ~known,
-        weights=np.concatenate([solution.weights[problem.rows[k]][rows] for k, rows in sample.items()]),
-        sigma=np.concatenate([solution.sigma[problem.block_spans[k]] for k in sample]),
-    )
-    priors = Priors(np.where(known, sizes, np.inf), np.full(len(sizes), np.inf))
-    wide = replace(fit, problem=wider, solution=found, priors=priors)
+    wide, known = fit_with(fit, effects, sample)
     shared = shared_places(wide)
     n = len(shared)
     H, g, whole = np.zeros((n, n)), np.zeros(n), np.zeros(n)
@@ -149,8 +132,8 @@ def _information(
         g[said.places] += said.form.g
         whole[said.places] += said.form.whole
     robot = known[shared]
-    rest, taken = eliminate(Form(H, g, whole), robot, priors.sizes[shared], values[shared])
-    names = tuple(wider.parameters[place].name for place in shared)
+    rest, taken = eliminate(Form(H, g, whole), robot, wide.priors.sizes[shared], wide.values[shared])
+    names = tuple(wide.problem.parameters[place].name for place in shared)
     return (
         Quadratic(**vars(rest), names=tuple(compress(names, ~robot)), square=0.0, degrees=0.0),
         tuple(compress(names, robot)),

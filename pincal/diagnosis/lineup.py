@@ -101,8 +101,7 @@ def _catalogue(model: Model, situation: PoseSet) -> Iterator[Effect]:
 def _of_parameters(model: Model) -> Iterator[PossibleChange]:
     """Yield each parameter of the robot alone, and those that change together: an effect's on a joint, a bent link's."""
     for effect in model.effects:
-        # Links don't lose weight, and bearings stay in their places.
-        if effect.scope == "station" or effect.bodies(model.chain) or effect.locus.acts_on == "place":
+        if effect.scope == "station" or effect.is_lasting(model.chain):
             continue
         single = effect.family in (Family.GEOMETRY, Family.ELASTICITY)
         by_element: dict[str, list[Parameter]] = {}

@@ -161,6 +161,10 @@ class Effect(ABC):
         """Return what each parameter adds to the masses of which the static moments are taken; most add nothing."""
         return ()
 
+    def is_lasting(self, chain: Chain) -> bool:
+        """Return whether it stays what it was: links don't lose weight, and bearings stay in their places."""
+        return bool(self.bodies(chain)) or self.locus.acts_on == "place"
+
     def smoothness(self) -> np.ndarray | None:
         """Return what is believed of its K parameters together, as information beyond their sizes, shape (K, K).
 

@@ -78,10 +78,10 @@ class MovedParameter(TypedDict):
     """Value at one station of a robot parameter that differs between stations [SI units].
 
     Attributes:
-        name: of the parameter.
+        name: of the parameter; JOINT.curve for the curve of a drive that the model does not have.
         unit: its unit.
         change: difference from the first station that determines it; for an effect of this station alone: its
-            value.
+            value; for a curve: root mean square of the difference over the station's rows, its mean apart.
         sigma: standard deviation of the change.
         moved: whether it changed significantly since the previous station.
     """
