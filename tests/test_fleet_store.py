@@ -126,6 +126,8 @@ def test_a_job_does_what_is_left(robot: Robot, store: Store, tmp_path: Path) -> 
     assert [machine.name for machine in found] == ["R/0", "R/0", "R/1", "R/1", "R/2", "R/2"]
     assert learn_type(found).type.machines == 3
     assert run_job(store, CalibrateTables(robot, replace(OPTIONS, sigma=1e-4))).done == 7
+    heavier = replace(robot, masses=robot.masses + 1.0)
+    assert len({CalibrateTables(of, OPTIONS).name for of in (robot, replace(robot), heavier)}) == 2
     with pytest.raises(BadInputError, match="choose a job"):
         list(store.machines())
     assert len(list(store.machines(job=job.name))) == 6

@@ -107,8 +107,9 @@ class CalibrateTables(Job):
     @property
     def facts(self) -> str:
         """Robot, options and type."""
-        of = "" if self.type is None else f"{self.type.mean.tolist()} {self.type.covariance.tolist()}"
-        return f"{self.robot.frames!r} {self.robot.joint_names} {self.options!r} {of}"
+        robot, of = self.robot, "" if self.type is None else f"{self.type.mean.tolist()} {self.type.covariance.tolist()}"
+        borne = [array.tolist() for array in (robot.masses, robot.centres, robot.gravity)]
+        return f"{robot.frames!r} {robot.joint_names} {robot.joint_types} {robot.couplings} {borne} {self.options!r} {of}"
 
     def row(self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]) -> pl.DataFrame:
         """Return the information, and how well the rows fit."""
