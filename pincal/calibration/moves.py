@@ -17,7 +17,14 @@ import numpy as np
 from scipy.linalg import block_diag, null_space
 from scipy.special import chdtrc
 
-from pincal.calibration.station_information import SharedInformation, StationsInformation, Together, difference, fit_with
+from pincal.calibration.station_information import (
+    Apart,
+    SharedInformation,
+    StationsInformation,
+    Together,
+    difference,
+    fit_with,
+)
 from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import ModelFit
 from pincal.measure.extrinsics import sample_rows
@@ -31,8 +38,9 @@ from pincal.validate.outcome import MovedParameter
 _MOST_STATIONS = 100
 # Rows and stations at most by which curves are looked for.
 _ROWS, _STATIONS = 2000, 20
-# Parts of a station's rows by which it is told how much a curve differs by chance.
-_PARTS = 2
+# Parts of a station's rows by which it is told how much a parameter differs by chance, at most, with so many rows each, and
+# how much a curve does.
+_MOST_PARTS, _ROWS_EACH, _PARTS = 8, 12, 2
 # How far what is meant to be a constant may be off it.
 _CONSTANT = 1e-6
 
@@ -49,14 +57,20 @@ def moves_of(fit: ModelFit) -> tuple[tuple[MovedParameter, ...], ...]:
         return tuple(map(tuple, own))
     shared = SharedInformation.of(fit)
     if (curves := _with_curves(fit)) is not None:
-        told, chosen = curves.told, curves.moved
+        told, apart, chosen = curves.told, curves.apart, curves.moved
     else:
-        told = shared.together(np.eye(len(shared.parameters)))
-        chosen = told.moved([(p,) for p in range(len(shared.parameters))])
+        same, singles = np.eye(len(shared.parameters)), [(p,) for p in range(len(shared.parameters))]
+        told, apart = shared.together(same), None
+        chosen = told.moved(singles)
+        parts = min(_MOST_PARTS, min(map(len, fit.problem.stations)) // _ROWS_EACH)
+        if chosen and parts > 1 and not any(station.sensor.is_whole for station in fit.problem.stations):
+            apart = Apart.of(SharedInformation.of(fit, parts, in_order=True), same, parts)
+            chosen = told.moved(singles, apart=apart)
     for group in chosen:
-        shape = None if curves is None else curves.shape(group)
+        shape = None if curves is None else curves.shapes.get(group)
         parameter = shared.parameters[group[0]] if shape is None else shape.parameter
-        for k, change, sigma, moved in _course(told, chosen, group, shape):
+        noise = 1.0 if apart is None else apart.noise([other for other in chosen if other != group], group)[0]
+        for k, change, sigma, moved in _course(told, chosen, group, noise, shape):
             own[k].append(_entry(parameter, change, sigma, moved))
     return tuple(map(tuple, own))
 
@@ -70,14 +84,12 @@ class _Shape:
         parameter: what it is called.
         T: shape (size, n), orthonormal; T times n values are the coefficients of the curve.
         at: shape (n, N_k) for each station, what these values make at its rows.
-        noise_squared: by which their covariance is multiplied.
     """
 
     curve: Curve
     parameter: Parameter
     T: np.ndarray
     at: tuple[np.ndarray, ...]
-    noise_squared: float = 1.0
 
     @classmethod
     def of(cls, curve: Curve, fit: ModelFit) -> Self:
@@ -94,7 +106,7 @@ class _Shape:
 
     def size(self, k: int, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
         """Return a curve at a station, in the mean square over the rows that tell of it, and its standard deviation."""
-        at, covariance = self.at[k], self.noise_squared * covariance
+        at = self.at[k]
         variance = np.einsum("in,ij,jn->n", at, covariance, at)
         told = variance < (CHANGES.curve_seen * self.parameter.size) ** 2
         at, variance = (at[:, told], variance[told]) if told.any() else (at, variance)
@@ -110,14 +122,14 @@ class _WithCurves:
 
     Attributes:
         told: what they say.
-        parts: what parts of each of them say.
+        apart: what parts of each of them say.
         without: what they say if there are no curves.
         shapes: the curves, by the places of their values.
         price: log of the number of readings: what a parameter has to explain.
     """
 
     told: StationsInformation
-    parts: StationsInformation
+    apart: Apart
     without: StationsInformation
     shapes: dict[Together, _Shape]
     price: float
@@ -135,8 +147,8 @@ class _WithCurves:
         groups = [tuple(range(*span)) for span in pairwise(ends)]
         readings = sum(len(station) * station.reading_size for station in wide.problem.stations)
         whole = shared.joined(parts)
-        told, apart, without = whole.together(T), shared.together(T), whole.together(T[:, : len(base)])
-        return cls(told, apart, without, dict(zip(groups, shapes, strict=True)), float(np.log(readings)))
+        apart, without = Apart.of(shared, T, parts), whole.together(T[:, : len(base)])
+        return cls(apart.joined, apart, without, dict(zip(groups, shapes, strict=True)), float(np.log(readings)))
 
     @cached_property
     def singles(self) -> list[Together]:
@@ -146,7 +158,7 @@ class _WithCurves:
     @cached_property
     def moved(self) -> tuple[Together, ...]:
         """What is not the same at all stations, beside curves that are."""
-        return self.told.moved([*self.singles, *self.shapes], price=self.price, parts=self.parts)
+        return self.told.moved([*self.singles, *self.shapes], price=self.price, apart=self.apart)
 
     @property
     def cost(self) -> float:
@@ -157,13 +169,6 @@ class _WithCurves:
         shared = self.price * sum(map(len, self.shapes)) - self.told.explained - self.told.gain(others) + without
         gain = self.told.gain(self.moved) - self.told.gain(others)
         return min(shared, 0.0) + self.price * sum(map(self.told.degrees, changed)) - gain
-
-    def shape(self, group: Together) -> _Shape | None:
-        """Return the curve whose values a group of those that moved is, with its noise; None if it is of none."""
-        if group not in self.shapes:
-            return None
-        noise, _ = self.told.noise([other for other in self.moved if other != group], group, self.parts)
-        return replace(self.shapes[group], noise_squared=noise)
 
 
 def _with_curves(fit: ModelFit) -> _WithCurves | None:
@@ -196,11 +201,13 @@ def _with_curves(fit: ModelFit) -> _WithCurves | None:
 
 
 def _course(
-    told: StationsInformation, chosen: Sequence[Together], group: Together, shape: _Shape | None
+    told: StationsInformation, chosen: Sequence[Together], group: Together, noise: float, shape: _Shape | None
 ) -> Iterator[tuple[int, float, float, bool]]:
     """Yield station, change since the first, its standard deviation, and whether it came since the station before."""
     station, values, covariance = told.own_values(chosen, group)
-    yield int(station[0]), 0.0, 0.0, False
+    covariance = noise * covariance
+    for k in station[:1]:
+        yield int(k), 0.0, 0.0, False
     for i in range(1, len(station)):
         change, of_change = values[i] - values[0], difference(covariance, i, 0)
         step, of_step = values[i] - values[i - 1], difference(covariance, i, i - 1)

@@ -90,8 +90,11 @@ class SharedInformation:
     lasting: np.ndarray
 
     @classmethod
-    def of(cls, fit: ModelFit, parts: int = 1) -> Self:
-        """Return what the stations of a fit say, of each so many parts, of every so-manieth row, one after the other."""
+    def of(cls, fit: ModelFit, parts: int = 1, *, in_order: bool = False) -> Self:
+        """Return what the stations of a fit say, of each so many parts, one after the other.
+
+        A part is every so-manieth row, or rows in order.
+        """
         problem, solution, shared = fit.problem, fit.solution, shared_places(fit)
         K, F = parts * len(problem.stations), len(shared)
         G, g, whole = np.zeros((K, F, F)), np.zeros((K, F)), np.zeros((K, F))
@@ -103,8 +106,9 @@ class SharedInformation:
             weights = solution.weights[rows]
             # So many rows do not contradict the robot by mistake: it is another one there.
             weights = weights if np.mean(weights == 0.0) <= CHANGES.wrong_rows else np.ones_like(weights)
-            part = np.arange(len(weights)) % parts
-            said = [information_at(fit, k, np.where(part == i, weights, 0.0)) for i in range(parts)]
+            every = np.arange(len(weights))
+            split = np.array_split(every, parts) if in_order else [every[i::parts] for i in range(parts)]
+            said = [information_at(fit, k, weights, rows=None if parts == 1 else some) for some in split]
             together = replace(said[0], form=sum((one.form for one in said[1:]), start=said[0].form))
             declared = fit.noise.declared[blocks.start] or 0.0
             noise = max(together.noise_squared, (declared / solution.sigma[blocks.start]) ** 2)
@@ -182,14 +186,14 @@ class StationsInformation:
         return int(np.maximum(self.seen[:, list(group)].sum(axis=0) - 1, 0).sum())
 
     def moved(
-        self, candidates: Sequence[Together], *, price: float = 0.0, parts: StationsInformation | None = None
+        self, candidates: Sequence[Together], *, price: float = 0.0, apart: Apart | None = None
     ) -> tuple[Together, ...]:
         """Return what is not the same at all stations, what explains most first, then what explains most beside it.
 
         Args:
             candidates: groups of parameters that may have moved.
             price: what each value that is released costs.
-            parts: as :meth:`noise` takes them; default: what stations say has the noise that it is said to have.
+            apart: what parts of each station say; default: what stations say has the noise that it is said to have.
         """
         tried = [group for group in candidates if self.degrees(group)]
 
@@ -197,29 +201,12 @@ class StationsInformation:
             before = self.gain(chosen)
             for group in (group for group in tried if group not in chosen):
                 gain, degrees = self.gain((*chosen, group)) - before, self.degrees(group)
-                noise, known = (1.0, np.inf) if parts is None else self.noise(chosen, group, parts)
+                noise, known = (1.0, np.inf) if apart is None else apart.noise(chosen, group)
                 chance = chdtrc(degrees, gain) if np.isinf(known) else fdtrc(degrees, known, gain / noise / degrees)
                 cost = price * degrees - gain / noise - CHANGES.usual * self.usual[group[0]]
                 yield Scored(group, cost, chance < CHANGES.moved / len(tried))
 
         return select_stepwise((), scores, lambda chosen, group: (*chosen, group), most=_MOST)
-
-    def noise(self, chosen: Sequence[Together], group: Together, parts: StationsInformation) -> tuple[float, float]:
-        """Return the square of the noise by which a group differs between parts of one station, and its degrees of freedom.
-
-        What a model lacks errs in directions of its own, and more so than its residuals do on average. A single parameter
-        has too few values in parts to tell.
-
-        Args:
-            chosen: what moved besides.
-            group: the group.
-            parts: what the same rows say in several parts of each station.
-        """
-        if len(group) == 1:
-            return 1.0, np.inf
-        both, degrees = (*chosen, group), parts.degrees(group) - self.degrees(group)
-        gain = parts.gain(both) - parts.gain(chosen) - self.gain(both) + self.gain(chosen)
-        return (max(gain / degrees, 1.0), degrees) if degrees else (1.0, np.inf)
 
     def own_values(self, chosen: Sequence[Together], group: Together) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the s stations that see all of a group of n parameters, among those chosen, and what these are there.
@@ -232,6 +219,40 @@ class StationsInformation:
         place = {(int(k), int(p)): i for i, (k, p) in enumerate(zip(station, parameter, strict=True))}
         at = np.array([[place[int(k), p] for p in group] for k in seeing], int).reshape(len(seeing), len(group))
         return seeing, values[at], covariance[at[:, :, None, None], at]
+
+
+@dataclass(frozen=True)
+class Apart:
+    """What stations say, and what parts of each of them say.
+
+    Attributes:
+        joined: what stations say.
+        parts: what parts of them say.
+    """
+
+    joined: StationsInformation
+    parts: StationsInformation
+
+    @classmethod
+    def of(cls, said: SharedInformation, T: np.ndarray, parts: int) -> Self:
+        """Return what so many parts of each station say by parameters T times which are those of what is said."""
+        return cls(said.joined(parts).together(T), said.together(T))
+
+    def noise(self, chosen: Sequence[Together], group: Together) -> tuple[float, float]:
+        """Return the square of the noise by which a group differs between parts of one station, and its degrees of freedom.
+
+        What a model lacks errs in directions of its own, for many rows in a row, and more so there than residuals do on
+        average. Noise that is no larger than chance allows is 1.
+
+        Args:
+            chosen: what moved besides.
+            group: the group.
+        """
+        both, degrees = (*chosen, group), self.parts.degrees(group) - self.joined.degrees(group)
+        if degrees < 1:
+            return 1.0, np.inf
+        gain = self.parts.gain(both) - self.parts.gain(chosen) - self.joined.gain(both) + self.joined.gain(chosen)
+        return (gain / degrees, degrees) if chdtrc(degrees, gain) < CHANGES.uneven else (1.0, np.inf)
 
 
 def difference(covariance: np.ndarray, i: int, j: int) -> np.ndarray:
@@ -253,12 +274,23 @@ def _inverse(M: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return np.asarray((spread / values) @ spread.T)
 
 
-def information_at(fit: ModelFit, k: int, weights: np.ndarray | None = None) -> StationInformation:
-    """Return what a station says of the robot; with weights of its rows, shape (N,), other than those of the fit."""
+def information_at(
+    fit: ModelFit, k: int, weights: np.ndarray | None = None, *, rows: np.ndarray | None = None
+) -> StationInformation:
+    """Return what a station says of the robot.
+
+    Args:
+        fit: a fit.
+        k: place of the station.
+        weights: of its rows, shape (N,); default: those of the fit.
+        rows: the rows that are asked; default: all.
+    """
     problem, solution = fit.problem, fit.solution
     station, places, blocks = problem.stations[k], problem.places[k], problem.block_spans[k]
     free, values = solution.free[places], solution.values[places]
     weights = solution.weights[problem.rows[k]] if weights is None else weights
+    if rows is not None:
+        station, weights = station.select(rows), weights[rows]
     normal = accumulate(station, values, free, weights)
     is_own, form = station.is_own[free], normal.at(solution.sigma[blocks])
     left, own = eliminate(form, is_own, fit.priors.sizes[places][free], values[free])

@@ -118,6 +118,8 @@ class ChangeNumbers:
     too_quiet: float = number(1e-3, "probability", "test_moves.py::test_each_station_has_its_repeatability",
         "of as little noise as a station shows by itself below which the fit has taken something else for noise",
         "one sound station in a thousand")
+    uneven: float = number(0.05, "probability", "test_moves.py::test_what_no_model_knows_moves_nothing",
+        "that parts of a station differ as much by chance, below which stations may differ by as much, too", "usual")
     unmodelled: float = number(1e-3, "probability", "test_diagnosis.py::test_an_adequate_model_left_nothing",
         "of an effect that a model left, all candidates counted, beyond which none is taken for real",
         "a new diagnosis compares with it, so it has to be there")
