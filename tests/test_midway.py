@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import beta
 
-from pincal import Options, Robot, calibrate, measurements_from_arrays
+from pincal import Options, Robot, calibrate, measurements_from_arrays, run_calibration
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.measure.measurements import Measurements
@@ -74,6 +74,18 @@ def test_what_changed_midway_is_named_with_its_line(change: str, size: float, no
     assert found is not None and abs(found.line - rows.rows[60]) <= 3
     (cause,) = [cause for cause in (found.cause, *found.others) if cause.name == change]
     assert cause.size == pytest.approx(size, rel=0.35 if change == "joint_6" else 0.2)
+
+
+def test_a_long_shift_makes_no_other_robot() -> None:
+    """A decimetre: it is what is wrong, and not the robot's description."""
+    rows = table(3)
+    assert rows.position is not None
+    position = rows.position + np.where(np.arange(150)[:, None] < 60, 0.0, [0.06, 0.0, 0.08])
+    moved = measurements_from_arrays(rows.joint_names, rows.q, position=position)
+    result = run_calibration(ROBOT, moved, Options(effects=GEOMETRIC)).result
+
+    assert "shifted by 100 mm" in result.shift and not result.doubt
+    assert str(result.warnings[0]) == result.shift
 
 
 def test_the_line_is_found_among_many_rows() -> None:

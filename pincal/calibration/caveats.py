@@ -249,7 +249,7 @@ def findings_on_order(station: Station) -> list[Caveat]:
         rows = 1.0 / (1.0 - float(np.max(serial.phi)))
         lasts = f"for about {rows:.0f} rows" if rows < n else "over all rows"
         error = "an error" if serial.turns is None else "an error of the target's place on the tool"
-        what = f"{100 * share:.0f} % of its variance is {error} that persists {lasts}; rows were weighted accordingly"
+        what = f"{100 * share:.0f} % of their variance is {error} that persists {lasts}; rows were weighted accordingly"
         kind = CaveatKind.LEFT_IN_MOTION if station.conditions.are_in_motion else CaveatKind.DEPENDENT_ROWS
         found.append(Caveat(kind, {"what": what}, station.name))
     if station.position is not None and n >= _ROWS:
