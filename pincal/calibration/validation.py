@@ -78,9 +78,8 @@ class Validation:
             "how well it was fitted, not how well it predicts; validate on independent rows"
         )
         told = (self.doubt, self.note, rest if is_noted else "", fitted if self.fitted_rows else "")
-        doubts = (Note(Severity.DOUBT, text) for text in filter(None, told))
         far = (found.note for found in findings_on_held_out(self.station, self.values, self.table))
-        return (*doubts, *far, *(Note(Severity.NOTE, text) for text in self.of_day))
+        return (*(Note(Severity.DOUBT, text) for text in told if text), *far, *(Note(Severity.NOTE, t) for t in self.of_day))
 
     @property
     def verdict(self) -> Verdict:
