@@ -96,8 +96,8 @@ class CaveatKind(Enum):
         "during the measurement: the instrument's set-up, temperature, the clamping of robot and target"
     )
     LEFT_IN_MOTION = (
-        "the residuals follow the motion: {what}; rows were weighted accordingly; the model lacks something of the arm, which "
-        "pincal discover looks for, or the instrument's set-up or a clock changed on the way"
+        "the residuals follow the motion: {what}; rows were weighted accordingly; the model lacks something of the arm, "
+        "which pincal discover looks for, or the instrument's set-up or a clock changed on the way"
     )
     BLOCKS = (
         "the errors of consecutive rows are correlated: standard deviations are {factor:.2g} times those of independent "
