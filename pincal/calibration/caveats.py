@@ -36,12 +36,12 @@ class CaveatKind(Enum):
     """What is noteworthy; the values are how it is said, with its figures in braces."""
 
     FEW_READINGS = (
-        "{rows} training rows in {poses} poses give {readings} readings for {parameters} parameters, {left:.0f} more than "
+        "{poses} training poses give {readings} readings for {parameters} parameters, {left:.0f} more than "
         "they determine: too few to detect residuals of twice the noise, and the result is dominated by the prior; "
         "measure more poses"
     )
     SPARE_READINGS = (
-        "{rows} training rows in {poses} poses give {readings} readings for {parameters} parameters: the result relies on "
+        "{poses} training poses give {readings} readings for {parameters} parameters: the result relies on "
         "the prior; measure more poses"
     )
     CONTRADICTED = "{what}"
@@ -212,7 +212,7 @@ def findings_on_data(fit: ModelFit, read: Readings) -> list[Caveat]:
     """Return whether the readings are few for the parameters, and whether they contradict what was given."""
     found = [Caveat(CaveatKind.CONTRADICTED, {"what": what}) for what in doubts_of_known(fit)]
     released = int(fit.solution.free.sum())
-    figures = {"rows": len(fit.problem), "poses": read.poses, "readings": read.readings, "parameters": released}
+    figures = {"poses": read.poses, "readings": read.readings, "parameters": released}
     if not tells(read.degrees):
         return [Caveat(CaveatKind.FEW_READINGS, figures | {"left": max(read.degrees, 0.0)}), *found]
     return [Caveat(CaveatKind.SPARE_READINGS, figures), *found] if read.readings < 2 * released else found
