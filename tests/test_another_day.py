@@ -17,6 +17,7 @@ from pincal.measure.table import write_table
 from pincal.model.catalogue.environment import BaseDrift, MeasurementScale, ThermalExpansion
 from pincal.model.chain import Chain
 from pincal.model.effect import Effect
+from pincal.validate.misfit import Verdict
 
 # Growth of steel [1/K], and a drift of half a millimetre in the course of the calibration [m/s].
 ALPHA, DRIFT, HOUR = 1.2e-5, 1e-7, 3600.0
@@ -81,6 +82,8 @@ def test_rows_of_another_day_are_judged_without_its_columns(robot: Robot, model:
     assert [note.split(" of ")[0].split(" is ")[0] for note in placed.notes] == ["base_drift", "thermal_expansion"]
     assert placed.model.sigma[0] > 2.0 * model.sigma[0]
     assert placed.notes == validate_rows([model], new).of_day
+    # What is only said speaks against nothing.
+    assert validate_rows([model], replace(new, sigma=np.full(40, 1e-5))).verdict is Verdict.ADEQUATE
     assert not found.changed and set(placed.notes) <= set(map(str, found.found.warnings))
     assert pincal.update(model, new).covered.days["temperature"] == pytest.approx(model.covered.days["temperature"])
 

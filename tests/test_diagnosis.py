@@ -265,6 +265,17 @@ def test_one_wrong_reading_is_no_change(same: tuple[CalibratedModel, Measurement
     assert "contradict" in found.found.warnings[0].text
 
 
+def test_gross_rows_make_the_others_no_rows_of_another_robot(same: tuple[CalibratedModel, Measurements]) -> None:
+    """Four of 25 rows are off by decimetres: they are left out, and the robot is judged by the others."""
+    model, new = same
+    wrong = np.arange(25)[:, None] % 6 == 3
+    position = new.position + wrong * np.random.default_rng(0).normal(0.0, 0.2, (25, 3))
+    columns = {"payload": new.payload, "approach": new.approach}
+    found = pincal.diagnose(model, pincal.measurements_from_arrays(new.joint_names, new.q, position=position, **columns))
+
+    assert not found.changed and "4 of 25 rows are excluded" in found.found.warnings[0].text
+
+
 @pytest.mark.parametrize(("case", "code"), [("null25_heavy_6r", 0), ("offset15_heavy_6r", 6)])
 def test_the_command_says_it_by_its_exit_code(
     change_examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], case: str, code: int

@@ -491,7 +491,7 @@ def test_a_hidden_worksheet_gives_way_to_a_visible_one(tmp_path: Path) -> None:
     del book["last year"], book["notes"]
     book["measured"].sheet_state = "veryHidden"
     book.save(path)
-    with pytest.warns(PincalWarning, match="the visible worksheets are empty; the hidden one measured is read"):
+    with pytest.warns(PincalWarning, match="no visible worksheet has columns of joints; the hidden one measured is read"):
         assert len(read_measurements(path, JOINTS)) == N
     with warnings.catch_warnings():
         warnings.simplefilter("error", PincalWarning)

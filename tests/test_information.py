@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from placed_arms import measured
+from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal import GEOMETRIC, BadInputError, Fit, Options, Robot, calibrate, load_information
@@ -83,3 +84,38 @@ def test_what_is_not_of_one_robot_is_refused(fits: tuple[Fit, Fit, Fit], tmp_pat
 def test_it_is_public() -> None:
     """From the package itself."""
     assert pincal.RobotInformation.__name__ == "RobotInformation"
+
+
+# Link by link: parent, kind, where the joint is along x and z, and which way its axis points.
+_SCARA = (
+    ("base", "revolute", 0.0, 0.2, 1),
+    ("s1", "revolute", 0.3, 0.0, 1),
+    ("s2", "prismatic", 0.25, 0.0, -1),
+    ("s3", "revolute", 0.0, 0.0, -1),
+)
+
+
+def _joint(number: int, of: tuple[str, str, float, float, int]) -> str:
+    parent, kind, x, z, way = of
+    return (
+        f"<link name='s{number}'/><joint name='j{number}' type='{kind}'><parent link='{parent}'/><child link='s{number}'/>"
+        f"<origin xyz='{x} 0 {z}'/><axis xyz='0 0 {way}'/><limit lower='-3.1' upper='3.1' effort='9' velocity='9'/></joint>"
+    )
+
+
+def test_parallel_axes_leave_a_file(tmp_path: Path) -> None:
+    """What a SCARA's readings say of lengths along its axes is rounding, and may come out as less than nothing."""
+    (tmp_path / "scara.urdf").write_text(
+        f"<robot name='scara'><link name='base'/>{''.join(map(_joint, (1, 2, 3, 4), _SCARA))}</robot>"
+    )
+    robot = Robot.from_urdf(tmp_path / "scara.urdf")
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        q = rng.uniform([-2.0, -2.0, 0.0, -3.0], [2.0, 2.0, 0.2, 3.0], (40, 4))
+        first, second, last = np.cumsum(q[:, [0, 1, 3]] * [1.0, 1.0, -1.0], axis=1).T
+        arm = 0.3 * np.exp(1j * first) + 0.25 * np.exp(1j * second) + 0.05 * np.exp(1j * last)
+        seen = np.column_stack([arm.real, arm.imag, 0.2 - q[:, 2]]) @ Rotation.random(rng=rng).as_matrix() + [2.0, 1.0, 0.5]
+        table = pincal.measurements_from_arrays(robot.joint_names, q, position=seen + rng.normal(0.0, 2e-5, seen.shape))
+        fit = calibrate(robot, table, Options(sigma=2e-5))
+        fit.save(tmp_path / "model.json")
+        assert np.all(np.diag(fit.information().H) >= 0.0) and pincal.load_model(tmp_path / "model.json")

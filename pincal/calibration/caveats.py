@@ -36,12 +36,12 @@ class CaveatKind(Enum):
     """What is noteworthy; the values are how it is said, with its figures in braces."""
 
     FEW_READINGS = (
-        "{rows} training rows in {poses} poses give {readings} readings for {parameters} parameters, {left:.0f} more than "
+        "{poses} training poses give {readings} readings for {parameters} parameters, {left:.0f} more than "
         "they determine: too few to detect residuals of twice the noise, and the result is dominated by the prior; "
         "measure more poses"
     )
     SPARE_READINGS = (
-        "{rows} training rows in {poses} poses give {readings} readings for {parameters} parameters: the result relies on "
+        "{poses} training poses give {readings} readings for {parameters} parameters: the result relies on "
         "the prior; measure more poses"
     )
     CONTRADICTED = "{what}"
@@ -92,12 +92,12 @@ class CaveatKind(Enum):
     )
     STEP = "from line {line} on {what} If so, make the rows before and after two stations (column station)"
     DEPENDENT_ROWS = (
-        "the residuals depend on the order of the rows: {what}; look for what changed during the measurement: the "
-        "instrument's set-up, temperature, the clamping of robot and target"
+        "the residuals depend on the order of the rows: {what}; rows were weighted accordingly; look for what changed "
+        "during the measurement: the instrument's set-up, temperature, the clamping of robot and target"
     )
     LEFT_IN_MOTION = (
-        "the residuals follow the motion: {what}; the model lacks something of the arm, which pincal discover looks for, or "
-        "the instrument's set-up or a clock changed on the way"
+        "the residuals follow the motion: {what}; rows were weighted accordingly; the model lacks something of the arm, "
+        "which pincal discover looks for, or the instrument's set-up or a clock changed on the way"
     )
     BLOCKS = (
         "the errors of consecutive rows are correlated: standard deviations are {factor:.2g} times those of independent "
@@ -212,7 +212,7 @@ def findings_on_data(fit: ModelFit, read: Readings) -> list[Caveat]:
     """Return whether the readings are few for the parameters, and whether they contradict what was given."""
     found = [Caveat(CaveatKind.CONTRADICTED, {"what": what}) for what in doubts_of_known(fit)]
     released = int(fit.solution.free.sum())
-    figures = {"rows": len(fit.problem), "poses": read.poses, "readings": read.readings, "parameters": released}
+    figures = {"poses": read.poses, "readings": read.readings, "parameters": released}
     if not tells(read.degrees):
         return [Caveat(CaveatKind.FEW_READINGS, figures | {"left": max(read.degrees, 0.0)}), *found]
     return [Caveat(CaveatKind.SPARE_READINGS, figures), *found] if read.readings < 2 * released else found
@@ -245,11 +245,10 @@ def findings_on_order(station: Station) -> list[Caveat]:
     found, serial, n = [], station.serial, len(station)
     # The windows of an IMU overlap by what they are.
     if serial is not None and station.sensor.reads_place:
-        share = float(np.max(serial.share))
         rows = 1.0 / (1.0 - float(np.max(serial.phi)))
         lasts = f"for about {rows:.0f} rows" if rows < n else "over all rows"
         error = "an error" if serial.turns is None else "an error of the target's place on the tool"
-        what = f"{100 * share:.0f} % of its variance is {error} that persists {lasts}; rows were weighted accordingly"
+        what = f"{100 * np.max(serial.share):.0f} % of their variance is {error} that persists {lasts}"
         kind = CaveatKind.LEFT_IN_MOTION if station.conditions.are_in_motion else CaveatKind.DEPENDENT_ROWS
         found.append(Caveat(kind, {"what": what}, station.name))
     if station.position is not None and n >= _ROWS:

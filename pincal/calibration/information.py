@@ -92,9 +92,14 @@ class RobotInformation(Record, frozen=True, kw_only=True):
         cls, form: Quadratic, robot: str, geometry: int, known: Mapping[str, tuple[Parameter, float]]
     ) -> RobotInformation:
         """Return information given as a form about the nominal, with each parameter of it and its prior by name."""
-        # Parts that are added and projected are symmetric up to their own rounding, which may be all that is left.
+        # Parts that are added and projected are symmetric up to their own rounding, which may be all that is left, and more
+        # than nothing only up to that of frames which parallel axes hardly tell apart.
+        H, scale = 0.5 * (form.H + form.H.T), np.sqrt(np.maximum(form.whole, 1e-300))[:, None]
+        if np.any(np.diag(H) < 0.0):
+            values, axes = np.linalg.eigh(H / (scale * scale.T))
+            H = (scale * axes * np.maximum(values, 0.0)) @ (scale * axes).T
         return cls.like(
-            replace(form, H=0.5 * (form.H + form.H.T)),
+            replace(form, H=H),
             format="pincal-information",
             format_version=1,
             robot=robot,

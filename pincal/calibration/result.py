@@ -158,7 +158,9 @@ def result_of(
     if len(on_replicates) == len(seen) and all(n.kind is CaveatKind.NOISY_REPLICATES for n in on_replicates):
         # What exceeds the declared noise is the scatter between replicates, which is told.
         found = [n for n in found if n.kind is not CaveatKind.NOISE_EXCEEDED]
-    # A change midway explains the others, so it comes before them.
+    # A change midway explains the others, so it comes before them, and instead of another robot.
+    stepped = {n.station for n in found if n.kind is CaveatKind.STEP}
+    found = [n for n in found if n.kind is not CaveatKind.IMPLAUSIBLE or n.station not in stepped]
     found.sort(key=lambda n: n.kind is not CaveatKind.STEP)
     fitted, held = (sum(len(part.rows.measured[k]) for part in seen) for k in (0, 1))
     error = _errors(fit, seen)

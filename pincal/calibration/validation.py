@@ -18,7 +18,7 @@ from pincal.identify.station import Station, known_rows, together
 from pincal.measure.admit import scorable, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, replicate_groups
-from pincal.notes import Note, Severity
+from pincal.notes import Note, Severity, doubts_of
 from pincal.validate.accuracy import error_summary, pose_error_sizes
 from pincal.validate.agreement import belongs_to_other_robot, mix_up, nominal_displacements
 from pincal.validate.lack_of_fit import LackOfFit, replicate_statistics
@@ -78,9 +78,8 @@ class Validation:
             "how well it was fitted, not how well it predicts; validate on independent rows"
         )
         told = (self.doubt, self.note, rest if is_noted else "", fitted if self.fitted_rows else "")
-        doubts = (Note(Severity.DOUBT, text) for text in filter(None, told))
         far = (found.note for found in findings_on_held_out(self.station, self.values, self.table))
-        return (*doubts, *far, *(Note(Severity.NOTE, text) for text in self.of_day))
+        return (*(Note(Severity.DOUBT, text) for text in told if text), *far, *(Note(Severity.NOTE, t) for t in self.of_day))
 
     @property
     def verdict(self) -> Verdict:
@@ -91,7 +90,7 @@ class Validation:
             beside = NoiseTest("the declared noise of the instrument", self.misfit.ratio, self.misfit.p_value)
         distinct = len(np.unique(replicate_groups([self.table], within=SCATTER)[0])) / len(self.table)
         few = not tells(distinct * self.misfit.degrees - self.misfit.found)
-        return judge(beside, self.notes, unusable=bool(self.doubt), few=few)
+        return judge(beside, doubts_of(self.notes), unusable=bool(self.doubt), few=few)
 
     @cached_property
     def fitted_rows(self) -> int:

@@ -143,7 +143,7 @@ def diagnose(
         reidentified = replace(lineup.reidentified(happened, posterior), rows=rows)
     station = reidentified.readings(measurements)
     after = error_summary(station, reidentified.values)
-    _refuse_strange(model, measurements, after["rms_mm"], CHANGES.hopeless)
+    _refuse_strange(model, measurements, after["median_mm"], CHANGES.hopeless)
     session, kept = Path(measurements.source).stem, np.ones(len(measurements), bool)
     kept[list(verdict.wrong_rows)] = False
     curves = redrawn_curves(placed, measurements, kept=kept, session=session)
@@ -246,15 +246,15 @@ def relocated(model: CalibratedModel, measurements: Measurements, *, sigma: floa
             f"{measurements.source}: the model was fitted to {known} of these {len(measurements)} rows, so they can't show "
             "whether the robot has changed since; expected rows measured later"
         )
-    _refuse_strange(model, measurements, error_summary(placed.station, placed.values)["rms_mm"], CHANGES.strange)
+    _refuse_strange(model, measurements, error_summary(placed.station, placed.values)["median_mm"], CHANGES.strange)
     return placed
 
 
-def _refuse_strange(model: CalibratedModel, measurements: Measurements, rms_mm: float, limit: float) -> None:
-    """Refuse rows that are farther from the robot than this part of its reach."""
-    if rms_mm > 1e3 * limit * model.model.chain.robot.reach:
+def _refuse_strange(model: CalibratedModel, measurements: Measurements, median_mm: float, limit: float) -> None:
+    """Refuse rows of which typical ones are farther from the robot than this part of its reach."""
+    if median_mm > 1e3 * limit * model.model.chain.robot.reach:
         raise MeasurementError(
-            f"{measurements.source}: no change in the catalogue brings the model closer than {rms_mm:.3g} mm to these "
+            f"{measurements.source}: no change in the catalogue brings the model closer than {median_mm:.3g} mm to these "
             "rows; expected rows of the calibrated robot. Are units, joint zeros and tip those of its table?"
         )
 

@@ -370,7 +370,7 @@ def _refuse_too_few(tables: dict[str, Measurements], fit: ModelFit) -> None:
         spent = CRITERIA.readings_left + int(np.sum(fitted.free & ~problem.beliefs.is_remembered))
     if fit.noise.declared[0] is None and spent >= readings:
         raise MeasurementError(
-            f"{', '.join(table.source for table in tables.values())}: {rows} training rows give {readings} "
+            f"{', '.join(table.source for table in tables.values())}: {rows} training poses give {readings} "
             "readings, no more than the parameters to be fitted, so the noise can't be estimated; measure more poses, "
-            "declare the noise (--noise) or take the geometric model"
+            "declare the noise (--noise) or fit less (--model geometric, --fix)"
         )

@@ -133,7 +133,7 @@ def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
 def _tell_hidden(sheet: Any, rows: set[int], name: str, *, is_wanted: bool) -> None:
     """Warn of a worksheet that is hidden, unless it was asked for, and of those of its rows that are."""
     if sheet.sheet_state != "visible" and not is_wanted:
-        warn(f"{name}: the visible worksheets are empty; the hidden one {sheet.title} is read")
+        warn(f"{name}: no visible worksheet has columns of joints; the hidden one {sheet.title} is read")
     # In this mode openpyxl keeps none of the attributes of rows.
     with sheet._get_source() as source:
         text = source.read()

@@ -211,7 +211,7 @@ def _judged(rows: _Rows) -> tuple[list[_Best], np.ndarray, float]:
     """Return the best step along each field, gains in units of the noise, its precision, and the best one's likelihood.
 
     The precision has shape (n, n); the likelihood is that of the step over none, as twice its logarithm. Along the lever of
-    a joint that arrives unevenly rows scatter more than in other directions, and both count for less.
+    a joint that arrives unevenly rows scatter more than in other directions: if the best step is its, all count for less.
     """
     best = _plain(rows)
     for _ in range(_TRIES):
@@ -221,7 +221,7 @@ def _judged(rows: _Rows) -> tuple[list[_Best], np.ndarray, float]:
         if best.row == before.row and best.field is before.field:
             break
     even = 1.0 / _unevenness(rows, best)
-    return [replace(step, gain=step.gain / _unevenness(rows, step)) for step in steps], precision, even * likelihood
+    return [replace(step, gain=even * step.gain) for step in steps], even * precision, even * likelihood
 
 
 def _unevenness(rows: _Rows, step: _Best) -> float:
