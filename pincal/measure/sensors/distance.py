@@ -16,7 +16,7 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.measure.extrinsics import Extrinsics, by_target, least_squares
 from pincal.measure.fields import POSITIVE, Field, TableRows
-from pincal.measure.point_sensor import PointSensor, index_of
+from pincal.measure.point_sensor import PointSensor
 from pincal.measure.sensor import Additive, Block, Plausible, Simulatable
 from pincal.measure.sensors.pose import check_spread
 from pincal.measure.setup import Setup
@@ -161,12 +161,6 @@ class AnchoredDistanceSensor(PointDistances):
     fields: ClassVar[tuple[Field, ...]] = (DISTANCE, Field("anchor", ("anchor",), "name"))
     names_points: ClassVar[str | None] = "anchor"
     thing: ClassVar[str] = "an anchor"
-
-    @classmethod
-    def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the distances of a table."""
-        points = setup.named()
-        return cls(points=points, index=index_of(table, points), distance=table.array("distance"))
 
     def unobservable_with(self, known: int) -> Iterator[str]:
         """Yield the place of the base where no anchor is known, and what one anchor alone leaves open."""
