@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError, needed, warn
 from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
@@ -91,8 +92,6 @@ def _plain(key: str, count: int, names: Sequence[str] | None) -> tuple[tuple[str
 
 def quaternions_of(matrices: np.ndarray) -> np.ndarray:
     """Return quaternions x y z w of rotation matrices, shape (N, 3, 3); nan for those that are none."""
-    from scipy.spatial.transform import Rotation
-
     found = np.full((len(matrices), 4), np.nan)
     product = np.einsum("nij,nkj->nik", matrices, matrices)
     right = np.isfinite(matrices).all(axis=(1, 2)) & (np.abs(product - np.eye(3)).max(axis=(1, 2)) < 1e-2)
@@ -157,8 +156,6 @@ def tracked_poses(columns: Mapping[str, np.ndarray], *, is_on_hand: bool | None,
 
 def _matrices(columns: Mapping[str, np.ndarray], group: str, *, source: str) -> np.ndarray:
     """Return the poses of a part of a file, shape (N, 4, 4)."""
-    from scipy.spatial.transform import Rotation
-
     found = dict[str, np.ndarray]()
     for path, values in columns.items():
         if path.split(".")[0] == group:
@@ -185,8 +182,6 @@ def _matrices(columns: Mapping[str, np.ndarray], group: str, *, source: str) -> 
 
 def _misfit(hand: np.ndarray, target: np.ndarray) -> float:
     """Return how far the turns of two bodies from sample to sample are from those of one body [rad]."""
-    from scipy.spatial.transform import Rotation
-
     turns = [
         Rotation.from_matrix(np.einsum("nji,njk->nik", T[:-1, :3, :3], T[1:, :3, :3])).as_rotvec() for T in (hand, target)
     ]
