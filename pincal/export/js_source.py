@@ -205,11 +205,16 @@ def grammar_table(grammar: str) -> str:
     hidden = set[str]()
     places: dict[Any, int] = {}
     states = []
-    for number in sorted(table.states):
+    # The parser numbers its states in the order of sets, which differs between processes; here the order is that in which
+    # they are reached.
+    reached = [table.start_states["start"]]
+    for number in reached:
         actions = {}
-        for symbol, (action, argument) in table.states[number].items():
+        for symbol, (action, argument) in sorted(table.states[number].items()):
             if action.name == "Shift":
-                actions[str(symbol)] = [0, argument]
+                if argument not in reached:
+                    reached.append(argument)
+                actions[str(symbol)] = [0, reached.index(argument)]
                 continue
             if argument not in places:
                 places[argument] = len(rules)
@@ -226,7 +231,7 @@ def grammar_table(grammar: str) -> str:
                 tried.append(names.index(terminal.name))
         states.append({"actions": actions, "tried": tried})
     ignored = sorted(next(iter(lexers.values())).ignore_types)
-    content = {"start": table.start_states["start"], "names": names, "terminals": patterns, "rules": rules, "states": states,
+    content = {"start": 0, "names": names, "terminals": patterns, "rules": rules, "states": states,
                "hidden": sorted(hidden), "ignored": ignored}  # fmt: skip
     return _in_script(content)
 
