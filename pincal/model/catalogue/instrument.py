@@ -265,6 +265,8 @@ class InstrumentStretch(_Reading):
     name: ClassVar[str] = "instrument_stretch"
     meaning: ClassVar[str] = "the instrument reads lengths in one direction longer than in another"
     locus: ClassVar[Locus] = Locus(acts_on="directions")
+    # On all days alike: one that the calibration did not find would hide what is new.
+    stays: ClassVar[bool] = True
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
