@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -104,8 +104,3 @@ def formal_names(statement: Statement, kinds: Sequence[str] = (), *, case: bool 
                 if words and (not kinds or set(kinds) & set(words)):
                     found.append(words[-1])
     return found
-
-
-def routines_in(steps: Iterable[Sequence[Step]]) -> set[str]:
-    """Return the names of the routines of some files."""
-    return {step.routine for file in steps for step in file if step.routine}
