@@ -45,6 +45,7 @@ from pincal.robot.arm_of_tree import TreeRequest
 from pincal.robot.cell import NOWHERE, read_cell, robot_files
 from pincal.robot.mastering import remastered
 from pincal.robot.robot import Robot
+from pincal.robot.se3 import transform
 from pincal.robot.tree import MOVING_TYPES
 from pincal.units import readable_unit
 
@@ -286,8 +287,7 @@ def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -
 def _known_of(setup: SetupOptions, table: Measurements, *, alone: bool) -> StationOptions:
     base = np.eye(4) if setup.points_in == "base" and (alone or table.point_names is not None) else None
     if setup.anchor and (alone or table.distance is not None):
-        base = np.eye(4)
-        base[:3, 3] = -np.array(setup.anchor)
+        base = transform(np.eye(3), -np.array(setup.anchor))
     mount = read_camera(setup.camera).T_tip_camera if setup.camera and table.sensor and table.sensor.has_camera else None
     if mount is not None and not (table.sensor and table.sensor.is_on_tool):
         raise BadInputError(f"{setup.camera}: T_tip_camera, but {table.source} is of a fixed camera; remove it")

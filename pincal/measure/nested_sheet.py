@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError, needed, warn
 from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
+from pincal.robot.se3 import transform
 
 JOINTS = re.compile(
     r"(joints?|joint_?(positions?|values?|angles?|states?|pos)|(actual_?)?q|qpos|angles?|state)(_deg|_rad)?", re.I
@@ -173,11 +174,9 @@ def _matrices(columns: Mapping[str, np.ndarray], group: str, *, source: str) -> 
         rotations = Rotation.from_quat(turned).as_matrix()
     except (KeyError, ValueError, TypeError) as error:
         raise MeasurementError(f"{source}: {group} is no pose in each sample; expected translation and rotation") from error
-    matrices = np.tile(np.eye(4), (len(place), 1, 1))
-    matrices[:, :3, :3], matrices[:, :3, 3] = rotations, place
     if np.isnan(quaternions_of(rotations)).any() or not np.isfinite(place).all():
         raise MeasurementError(f"{source}: {group} is no pose in each sample; expected finite numbers")
-    return matrices
+    return transform(rotations, place)
 
 
 def _misfit(hand: np.ndarray, target: np.ndarray) -> float:

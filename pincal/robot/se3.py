@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 
 def transform(R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return the transform, shape (4, 4), of a rotation, shape (3, 3), and a translation, shape (3,) [m]."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, t
+    """Return transforms, shape (..., 4, 4), of rotations, shape (..., 3, 3), and translations, shape (..., 3) [m]."""
+    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
     return T
 
 

@@ -185,6 +185,5 @@ def _starts(d: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targets: int)
     constants = by_target(np.ones((len(p), 1)), target, n_targets)
     solution, complete = least_squares(np.hstack([2.0 * p, lever, products, constants]), squares)
     if complete:
-        found = tools.copy()
-        found[:, :3, 3] = solution[3 : 3 + 3 * n_targets, 0].reshape(n_targets, 3)
-        yield Extrinsics(transform(np.eye(3), solution[:3, 0]), found)
+        found = solution[3 : 3 + 3 * n_targets, 0].reshape(n_targets, 3)
+        yield Extrinsics(transform(np.eye(3), solution[:3, 0]), transform(np.eye(3), found))

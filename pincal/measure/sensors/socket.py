@@ -25,6 +25,7 @@ from pincal.measure.sensor import Block, Divided, Simulatable
 from pincal.measure.sensors.distance import PointDistances
 from pincal.measure.setup import NamedPoints
 from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.robot.se3 import transform
 
 _SCALE = "contacts without a known length do not determine the scale of the robot, which relies on its nominal lengths"
 
@@ -82,11 +83,8 @@ class Coincidences(PointSensor):
         p, R = tips[:, :, 3], tips[:, :, :3]
         columns = by_target(R, target, n_targets)
         offsets = solved(-centred(columns, self.index), centred(p, self.index))
-        tools = np.tile(np.eye(4), (n_targets, 1, 1))
-        yield self.start_at_means(p, tools)
-        tools = tools.copy()
-        tools[:, :3, 3] = offsets.reshape(n_targets, 3)
-        yield self.start_at_means(p + columns @ offsets, tools)
+        yield self.start_at_means(p, np.tile(np.eye(4), (n_targets, 1, 1)))
+        yield self.start_at_means(p + columns @ offsets, transform(np.eye(3), offsets.reshape(n_targets, 3)))
 
     def _about_means(self, values: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Put the mean of ``values``, shape (3, N), in place of what is not known."""
