@@ -232,6 +232,11 @@ class Estimate:
         """
         return np.array([self._index[name] for name in names], int)
 
+    def frame(self, element: str) -> np.ndarray:
+        """Return the coordinates of a frame, shape (6,) [m, rad]; zero for those that are not among the parameters."""
+        names = [f"{element}.{symbol}" for symbol in FRAME_SYMBOLS]
+        return np.array([self[name] if name in self._index else 0.0 for name in names])
+
     @cached_property
     def sigma(self) -> np.ndarray:
         """What is known of each parameter, shape (P,): its standard deviation, that of the prior where it was not fitted."""

@@ -224,10 +224,10 @@ def test_every_effect_of_the_catalogue_is_under_test(kuka: Robot) -> None:
 
 
 def in_catalogue() -> Iterator[type[Effect]]:
-    """Yield every effect that a module of the catalogue defines, registered or not."""
+    """Yield every effect that a module of the catalogue defines, registered or not; private are what several share."""
     for module in pkgutil.iter_modules(catalogue.__path__, catalogue.__name__ + "."):
-        for found in vars(importlib.import_module(module.name)).values():
-            if isinstance(found, type) and issubclass(found, Effect) and found.__module__ == module.name:
+        for name, found in vars(importlib.import_module(module.name)).items():
+            if isinstance(found, type) and issubclass(found, Effect) and found.__module__ == module.name and name[0] != "_":
                 yield found
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +18,9 @@ from test_programs import calibrated, mutated, run
 
 from pincal.calibration.calibrated_robot import save_model
 from pincal.export import export_model
+from pincal.export.js_source import grammar_table
 from pincal.export.python_to_js import Translator
+from pincal.programs.krl import Krl
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 
@@ -165,3 +170,25 @@ def test_what_is_not_translated_is_refused_with_its_line() -> None:
     """At export, not in the page."""
     with pytest.raises(NotImplementedError, match=r"line 2: with open"):
         Translator().translate({"a": "def f():\n    with open('x') as file:\n        pass\n"})
+
+
+def test_a_grammar_is_numbered_in_the_order_in_which_it_is_read() -> None:
+    """States and rules: the parser's own numbers follow the order of sets, which differs between processes."""
+    states = json.loads(grammar_table(Krl.grammars[0]))["states"]
+    actions = [action for state in states for action in state["actions"].values()]
+    shifts, rules = ([*dict.fromkeys(at for kind, at in actions if kind == wanted)] for wanted in (0, 1))
+
+    assert all([*state["actions"]] == sorted(state["actions"]) for state in states)
+    assert shifts == [*range(1, len(states))] and rules == [*range(len(rules))]
+
+
+@pytest.mark.long
+def test_processes_write_the_same_page() -> None:
+    """Whatever the order of their sets."""
+    code = "from pincal.export.js_source import programs_in_js; print(programs_in_js())"
+    runs = [
+        subprocess.run([sys.executable, "-c", code], env=os.environ | {"PYTHONHASHSEED": seed}, stdout=-1, check=True)
+        for seed in "12"
+    ]
+
+    assert runs[0].stdout == runs[1].stdout

@@ -113,7 +113,7 @@ def rippled(seed: int, *, change: float = 0.0, ripple: float = 3e-4, split: bool
 
 @pytest.mark.long
 def test_what_no_model_knows_moves_nothing(robot: Robot) -> None:
-    """Ripples of all drives, seen from one side one day and from the other the next: 2 of 10 at most (5 where it was not)."""
+    """Ripples of all drives, seen from one side one day and from the other the next: at most 2 of 10 (5 before)."""
     alarms = [seed for seed in range(10) if any(moves_of(fit_tables(robot, rippled(seed), Options(effects=ELASTIC))))]
     print(f"something moved on {len(alarms)} of 10 arms on which nothing did")
     assert len(alarms) <= 2, alarms

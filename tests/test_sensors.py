@@ -22,10 +22,9 @@ from pincal.measure.sensor import Sensor
 from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor, FixedCameraSensor
 from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor, PointDistances
 from pincal.measure.sensors.imu import ImuSensor
-from pincal.measure.sensors.link_contact import LinkContactSensor, LinkDistanceSensor
 from pincal.measure.sensors.plane import GaugeSensor, PlaneContactSensor
 from pincal.measure.sensors.pose import PoseSensor, PositionSensor
-from pincal.measure.sensors.socket import Coincidences, ContactSensor
+from pincal.measure.sensors.socket import Coincidences, ContactSensor, LinkContactSensor, LinkDistanceSensor
 from pincal.measure.setup import NamedPoints, Setup
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.plugins import load_plugin

@@ -16,7 +16,7 @@ from pincal.errors import BadInputError, PincalWarning, printable
 
 GUARDED = """
 import os, sys
-from pincal.cli.streams import guard_streams
+from pincal.cli import guard_streams
 lost = guard_streams()
 with open(sys.argv[1], "w") as file:
     file.write("whole")

@@ -17,7 +17,6 @@ from pincal.calibration.result_tables import error_table
 from pincal.errors import BadInputError, warn
 from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.options import Options
-from pincal.identify.station import Station
 from pincal.measure.admit import admit, noted, unobservable_notes
 from pincal.measure.measurements import Measurements
 from pincal.measure.setup import Setup
@@ -87,10 +86,6 @@ class Calibration:
         """Return the number of poses, each with one reading or more, of "train", "test", or both."""
         q = np.vstack([getattr(rows, part).q for rows in self.stations for part in parts or ("train", "test")])
         return len(np.unique(q, axis=0))
-
-    def test_problem(self) -> Station | None:
-        """Return the held-out rows of the only station under the calibrated model, None without any."""
-        return self.station.held(self.fit)
 
 
 def run_calibration(

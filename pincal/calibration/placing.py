@@ -281,7 +281,7 @@ def moved(before: CalibratedModel, after: CalibratedModel) -> FrameShift:
     if links[0] != links[1]:
         # What stands on another link has not moved, and another hand has other targets.
         return FrameShift(None, None, None)
-    T_instrument_base = [frame_at(m.model.chain.base_rotation, _coordinates(m, "base")) for m in (before, after)]
+    T_instrument_base = [frame_at(m.model.chain.base_rotation, m.estimate.frame("base")) for m in (before, after)]
     if {f"base.{symbol}" for symbol in FRAME_SYMBOLS[:3]} <= both:
         origins = [np.linalg.inv(T)[:3, 3] for T in T_instrument_base]
         instrument = float(np.linalg.norm(origins[1] - origins[0]))
@@ -292,12 +292,6 @@ def moved(before: CalibratedModel, after: CalibratedModel) -> FrameShift:
     pairs = list(zip(*targets, strict=True)) if len(targets[0]) == len(targets[1]) == 1 else []
     pairs = pairs or [(name, name) for name in targets[0] if name in targets[1]]
     if pairs:
-        ways = [_coordinates(before, a)[:3] - _coordinates(after, b)[:3] for a, b in pairs]
+        ways = [before.estimate.frame(a)[:3] - after.estimate.frame(b)[:3] for a, b in pairs]
         target = float(np.linalg.norm(ways, axis=1).max())
     return FrameShift(instrument, turned, target)
-
-
-def _coordinates(model: CalibratedModel, element: str) -> np.ndarray:
-    """Return the coordinates of a frame, shape (6,) [m, rad]; zero for those that the readings don't depend on."""
-    names = [f"{element}.{symbol}" for symbol in FRAME_SYMBOLS]
-    return np.array([model.estimate[name] if name in model.estimate.names else 0.0 for name in names])

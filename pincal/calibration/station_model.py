@@ -20,7 +20,7 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.setup import Setup
 from pincal.model.effects import Conditions, Effect
 from pincal.model.model import Model
-from pincal.parameters import FRAME_SYMBOLS, Estimate
+from pincal.parameters import Estimate
 from pincal.robot.se3 import placed
 from pincal.units import format_readable
 
@@ -225,8 +225,7 @@ class StationModel:
         places = {p.name.removeprefix("camera."): p for p in self.estimate.parameters if p.effect.startswith("lens")}
         if not places:
             raise BadInputError(f"this model was calibrated with {self.sensor_kind}, not with images: it has no camera")
-        tool = np.array([self.estimate[f"camera.{symbol}"] for symbol in FRAME_SYMBOLS])
-        mount = placed(self.model.chain.tool_rotations[0], tool)
+        mount = placed(self.model.chain.tool_rotations[0], self.estimate.frame("camera"))
         lens = {name: parameter.nominal + self.estimate[parameter.name] for name, parameter in places.items()}
         return {**lens, "T_tip_camera": mount.tolist()}
 

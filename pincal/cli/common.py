@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -28,6 +28,10 @@ from pincal.errors import BadInputError
 from pincal.measure.fields import TABLE_ENDINGS, TableOptions
 from pincal.robot.cell import Beside
 from pincal.units import GRAVITIES, is_gravity
+
+if TYPE_CHECKING:
+    from pincal.identify.options import Options
+    from pincal.model.effects import Effect
 
 Triple = tuple[float, float, float]
 
@@ -234,6 +238,26 @@ class ModelOptions:
     )
     payload_com: Triple = option("Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0))
     gravity: Triple | None = gravity_option()
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """What the model consists of."""
+        from pincal.model.effects import ELASTIC, GEOMETRIC
+
+        return {"geometric": GEOMETRIC, "elastic": ELASTIC}[self.model]
+
+    def options(self, noise: float | None, noise_angle: float | None) -> Options:
+        """Return the same for the library, with the noise of readings [m, rad]."""
+        from pincal.identify.options import Options
+
+        return Options(
+            effects=self.effects,
+            sigma=noise,
+            sigma_orientation=noise_angle,
+            moment_frame=self.moment_frame,
+            gravity=self.gravity,
+            payload_centre=self.payload_com,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

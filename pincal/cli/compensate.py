@@ -102,14 +102,11 @@ def predict(arguments: PredictArguments) -> Exit:
 
     They are given in the instrument's frame, with their uncertainty.
     """
-    from pincal.cli.inputs import find_place, load_table, print_doubt
+    from pincal.cli.inputs import find_place, load_table
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
 
     place = find_place(arguments.model, arguments.place, arguments.table.options)
-    if place.doubt:
-        print_doubt(place.doubt, arguments.model)
-        return Exit.CHANGED
     chain = place.model.model.chain
     table = load_table(chain.robot, arguments.poses, options=arguments.table.options, joints_only=True)
     place = place.over(table)
@@ -174,16 +171,13 @@ def compensate(arguments: CompensateArguments) -> Exit:
 
     Of all solutions for the real robot, the one closest to the given joint positions is chosen.
     """
-    from pincal.cli.inputs import find_place, print_doubt
+    from pincal.cli.inputs import find_place
     from pincal.cli.progress import end_progress
     from pincal.compensate.returned_table import write_returned
     from pincal.compensate.targets import read_targets, run_compensation, unreached_turns
     from pincal.programs.language import language_of
 
     place = find_place(arguments.model, arguments.place, arguments.table.options)
-    if place.doubt:
-        print_doubt(place.doubt, arguments.model)
-        return Exit.CHANGED
     if language := language_of(arguments.targets):
         return _program(place.model, arguments, language)
     robot = place.model.model.chain.robot

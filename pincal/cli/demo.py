@@ -168,7 +168,7 @@ def _deviations(runs: dict[str, Calibration]) -> dict[str, np.ndarray]:
     """Return the held-out deviations [m] of the standard DH model and of each calibrated one (paper, Fig. 6)."""
     first = runs["DH,s"]
     models = {"standard DH": (first, first.fit.nominal.values)} | {name: (run, run.fit.values) for name, run in runs.items()}
-    problems = ((name, run.test_problem(), values) for name, (run, values) in models.items())
+    problems = ((name, run.station.held(run.fit), values) for name, (run, values) in models.items())
     return {name: np.linalg.norm(problem.residuals(values), axis=0) for name, problem, values in problems if problem}
 
 

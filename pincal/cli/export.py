@@ -86,7 +86,7 @@ class ExportArguments:
 def export(arguments: ExportArguments) -> Exit:
     """Write the calibrated robot in other formats."""
     from pincal.calibration.calibrated_robot import load_stations
-    from pincal.cli.inputs import find_place, print_doubt
+    from pincal.cli.inputs import find_place
     from pincal.export import FORMATS, export_model
 
     # In the order of --help, whatever the order in which formats were registered. A plugin's format has no option here: it
@@ -102,11 +102,7 @@ def export(arguments: ExportArguments) -> Exit:
     if all(known[name].of_robot for name in places) and not arguments.place.placement:
         calibrated = load_stations(arguments.model).robot_model()
     else:
-        found = find_place(arguments.model, arguments.place, arguments.table.options)
-        if found.doubt:
-            print_doubt(found.doubt, arguments.model)
-            return Exit.CHANGED
-        calibrated = found.model
+        calibrated = find_place(arguments.model, arguments.place, arguments.table.options).model
     told: dict[str, Any] = {}
     lines: list[str] = []
     for name, place in places.items():

@@ -176,19 +176,9 @@ class FitTablesArguments(_TablesArguments):
 
 
 def _fitted_with(arguments: _TablesArguments) -> tuple[Robot, Options]:
-    from pincal.cli.inputs import EFFECTS_OF
-    from pincal.identify.options import Options
     from pincal.robot.robot import Robot
 
-    model = arguments.model
-    options = Options(
-        effects=EFFECTS_OF[model.model],
-        sigma=arguments.noise,
-        sigma_orientation=arguments.noise_angle,
-        moment_frame=model.moment_frame,
-        gravity=model.gravity,
-        payload_centre=model.payload_com,
-    )
+    options = arguments.model.options(arguments.noise, arguments.noise_angle)
     return Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base), options
 
 

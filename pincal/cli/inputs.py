@@ -24,7 +24,7 @@ from pincal.cli.common import (
 )
 from pincal.cli.motion_options import MotionOptions, input_files, load_sessions
 from pincal.cli.progress import log_step
-from pincal.errors import BadInputError, nearest_first
+from pincal.errors import BadInputError, ChangedRobotError, nearest_first
 from pincal.fleet.robot_type import load_type
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.station import conditions_of
@@ -39,17 +39,15 @@ from pincal.measure.table import joint_columns, read_measurements, stations_of
 from pincal.model.catalogue.candidates import find_effect
 from pincal.model.chain import Chain
 from pincal.model.effect import Effect
-from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.model.model import Model
 from pincal.motion.sessions import joints_of_session
 from pincal.robot.arm_of_tree import TreeRequest
 from pincal.robot.cell import NOWHERE, read_cell, robot_files
 from pincal.robot.mastering import remastered
 from pincal.robot.robot import Robot
+from pincal.robot.se3 import transform
 from pincal.robot.tree import MOVING_TYPES
 from pincal.units import readable_unit
-
-EFFECTS_OF = {"geometric": GEOMETRIC, "elastic": ELASTIC}
 
 
 @dataclass(frozen=True)
@@ -265,7 +263,7 @@ def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -
     listed = () if setup.distances is None else read_distances(setup.distances)
     _refuse_unused(setup, tables)
     return Options(
-        effects=EFFECTS_OF[model.model],
+        effects=model.effects,
         sigma_orientation=setup.noise_angle,
         moment_frame=model.moment_frame,
         equilibrium=fit.equilibrium,
@@ -289,9 +287,8 @@ def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -
 def _known_of(setup: SetupOptions, table: Measurements, *, alone: bool) -> StationOptions:
     base = np.eye(4) if setup.points_in == "base" and (alone or table.point_names is not None) else None
     if setup.anchor and (alone or table.distance is not None):
-        base = np.eye(4)
-        base[:3, 3] = -np.array(setup.anchor)
-    mount = read_camera(setup.camera).T_tip_camera if setup.camera and _has_camera(table) else None
+        base = transform(np.eye(3), -np.array(setup.anchor))
+    mount = read_camera(setup.camera).T_tip_camera if setup.camera and table.sensor and table.sensor.has_camera else None
     if mount is not None and not (table.sensor and table.sensor.is_on_tool):
         raise BadInputError(f"{setup.camera}: T_tip_camera, but {table.source} is of a fixed camera; remove it")
     is_place = table.sensor is None or table.sensor.reads_place
@@ -303,14 +300,10 @@ def _known_of(setup: SetupOptions, table: Measurements, *, alone: bool) -> Stati
     return StationOptions(sigma=sigma, base=base, tools=tools, instrument=instrument)
 
 
-def _has_camera(table: Measurements) -> bool:
-    return bool(table.sensor and table.sensor.has_camera)
-
-
 def _refuse_unused(setup: SetupOptions, tables: Mapping[str, Measurements]) -> None:
     """Refuse a camera or an instrument that is used at no station, and noise in a unit that no station's readings have."""
     held = " and ".join(f"{table.source} holds {table.kind}" for table in tables.values())
-    if setup.camera and not any(map(_has_camera, tables.values())):
+    if setup.camera and not any(table.sensor and table.sensor.has_camera for table in tables.values()):
         raise BadInputError(f"--camera is for camera readings, but {held}; leave it out")
     if setup.instrument and setup.noise and setup.noise[1] == "m":
         raise BadInputError("--instrument and --noise: both declare the noise of positions; expected one of the two")
@@ -334,18 +327,16 @@ class PlacedModel:
         model: the model.
         notes: what the user should know of the place.
         contents: how the place was found, for programs; empty for one of the calibration.
-        doubt: why it can't be found: the rows are of another robot; empty if they are not.
     """
 
     model: CalibratedModel
     notes: tuple[str, ...] = ()
     contents: dict[str, Any] = field(default_factory=dict)
-    doubt: str = ""
 
     def over(self, rows: Measurements) -> PlacedModel:
         """Return the place for some rows: what they lack columns for and belonged to the calibrated station is left out."""
         model, notes = without_absent(self.model, rows)
-        return PlacedModel(model, (*self.notes, *notes), self.contents, self.doubt)
+        return PlacedModel(model, (*self.notes, *notes), self.contents)
 
 
 def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> PlacedModel:
@@ -353,6 +344,7 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
 
     Raises:
         BadInputError: if the station is not in the model, none is chosen of several, or rows do not give a new one.
+        ChangedRobotError: if rows are of another robot.
     """
     if chosen.placement is not None and chosen.station is not None:
         raise click.UsageError("--placement identifies a new pose, --station takes one of the model; give one of them")
@@ -363,7 +355,7 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
     if chosen.start or chosen.to:
         return PlacedModel(stations.robot_model().between(chosen.start, chosen.to))
     if chosen.placement is not None:
-        return _placed(first, chosen.placement, reading)
+        return _placed(path, first, chosen.placement, reading)
     if chosen.station is not None:
         return PlacedModel(stations.at(chosen.station))
     if len(stations.models) > 1:
@@ -374,21 +366,22 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
     return PlacedModel(first)
 
 
-def _placed(model: CalibratedModel, path: Path, reading: TableOptions) -> PlacedModel:
+def _placed(file: Path, model: CalibratedModel, path: Path, reading: TableOptions) -> PlacedModel:
     robot = model.model.chain.robot
     table = load_table(robot, path, options=replace(reading, shares_log=True))
     check_table(robot, table, minimum=1)
     table = usable_rows(table, model.setup.over(table))
     found = place_station(model, table)
+    if doubt := doubt_of(table, found):
+        raise other_robot(doubt, file)
     words = f"placed by {len(table)} rows of {path.name}: {found.moved}"
     contents = {"placement": {"rows": len(table), "ratio": found.misfit.ratio} | found.moved.to_dict()}
-    return PlacedModel(found.model, (words, *found.notes), contents, doubt_of(table, found))
+    return PlacedModel(found.model, (words, *found.notes), contents)
 
 
-def print_doubt(doubt: str, path: Path) -> None:
-    """Say on stderr that rows are not of this robot, or it has changed, and what to do."""
-    click.echo(
-        f"pincal: {doubt}. They belong to another robot, or it has changed since calibration. Check joint columns, units "
-        f"and times; then find out what changed: pincal diagnose {path} DATA.csv --out DIR",
-        err=True,
+def other_robot(doubt: str, path: Path) -> ChangedRobotError:
+    """Return the error that rows are not of the robot of a model's file, or it has changed, and what to do."""
+    return ChangedRobotError(
+        f"{doubt}. They belong to another robot, or it has changed since calibration. Check joint columns, units "
+        f"and times; then find out what changed: pincal diagnose {path} DATA.csv --out DIR"
     )

@@ -79,7 +79,7 @@ def validate(arguments: ValidateArguments) -> Exit:
     """
     from pincal.calibration.calibrated_robot import load_stations
     from pincal.calibration.validation import validate_rows
-    from pincal.cli.inputs import load_tables, print_doubt
+    from pincal.cli.inputs import load_tables, other_robot
     from pincal.measure.admit import check_table
 
     calibrated = load_stations(arguments.model)
@@ -96,10 +96,8 @@ def validate(arguments: ValidateArguments) -> Exit:
     else:
         _print(found, result, notes)
     echo_notes(notes, quiet=arguments.general.quiet)
-    doubts = [each.doubt for each in found if each.doubt]
-    if doubts:
-        print_doubt("; ".join(doubts), arguments.model)
-        return Exit.CHANGED
+    if doubts := [each.doubt for each in found if each.doubt]:
+        raise other_robot("; ".join(doubts), arguments.model)
     require_accuracy(result.get("mean_mm"), arguments.max_error, rows="new")
     return Exit.DONE
 

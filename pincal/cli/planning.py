@@ -327,18 +327,7 @@ def _robot(arguments: DesignArguments) -> Robot:
 
 
 def _options(arguments: DesignArguments, robot: Robot) -> Options:
-    from pincal.cli.inputs import EFFECTS_OF
-    from pincal.identify.options import Options
-
-    model, instrument = arguments.model, arguments.instrument
-    options = Options(
-        effects=EFFECTS_OF[model.model],
-        sigma=instrument.noise,
-        sigma_orientation=instrument.noise_angle,
-        moment_frame=model.moment_frame,
-        gravity=model.gravity,
-        payload_centre=model.payload_com,
-    )
+    options = arguments.model.options(arguments.instrument.noise, arguments.instrument.noise_angle)
     if arguments.type is None:
         return options
     from pincal.fleet.robot_type import load_type

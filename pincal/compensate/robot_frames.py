@@ -22,17 +22,13 @@ PoseFrame = Literal["instrument", "base"]
 FalseTarget = Literal["tip", "target"]
 
 
-def _is_of_tool(effect: Effect) -> bool:
-    return effect.scope == "station" and effect.locus.acts_on == "tool"
-
-
-def _is_of_base(effect: Effect) -> bool:
-    return effect.scope == "station" and effect.locus.acts_on == "base"
+def _is_of(effect: Effect, *frames: str) -> bool:
+    return effect.scope == "station" and effect.locus.acts_on in frames
 
 
 def in_base_frame(calibrated: CalibratedModel) -> CalibratedModel:
     """Return the calibrated model without the instrument: it predicts in the robot's base frame."""
-    return _with_effects(calibrated, lambda effect: effect.scope == "robot" or _is_of_tool(effect), np.eye(3))
+    return _with_effects(calibrated, lambda effect: effect.scope == "robot" or _is_of(effect, "tool"), np.eye(3))
 
 
 def _with_effects(
@@ -55,12 +51,12 @@ def program_poses(calibrated: CalibratedModel, conditions: Conditions) -> np.nda
 
 def nominal_robot(calibrated: CalibratedModel) -> CalibratedModel:
     """Return the nominal robot with the calibrated tool: it predicts in the robot's base frame."""
-    return _with_effects(calibrated, _is_of_tool, np.eye(3))
+    return _with_effects(calibrated, lambda effect: _is_of(effect, "tool"), np.eye(3))
 
 
 def nominal_in_instrument(calibrated: CalibratedModel) -> CalibratedModel:
     """Return the nominal robot with the calibrated tool where it was calibrated: it predicts in the instrument's frame."""
-    return _with_effects(calibrated, lambda e: _is_of_tool(e) or _is_of_base(e), calibrated.model.chain.base_rotation)
+    return _with_effects(calibrated, lambda e: _is_of(e, "tool", "base"), calibrated.model.chain.base_rotation)
 
 
 def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
@@ -68,11 +64,7 @@ def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> n
 
     It differs from row to row only if the base drifts.
     """
-    placed = _with_effects(
-        calibrated,
-        _is_of_base,
-        calibrated.model.chain.base_rotation,
-    )
+    placed = _with_effects(calibrated, lambda effect: _is_of(effect, "base"), calibrated.model.chain.base_rotation)
     bare = _with_effects(calibrated, lambda effect: False, np.eye(3))
     return compose(placed.predict(conditions), inverse(bare.predict(conditions)))
 

@@ -90,18 +90,15 @@ def _catalogue(model: Model, situation: PoseSet) -> Iterator[Effect]:
                 yield effect
     for candidate in testable(situation):
         for form in candidate.forms:
-            # An instrument stretches coordinates on all days: what a calibration did not find would hide what is new.
-            if form.locus.acts_on == "directions":
-                continue
             size = form.resolution if isinstance(form, Curve) else 1
-            if form.identity not in present and size * CHANGES.rows_each <= len(situation.conditions):
+            if not form.stays and form.identity not in present and size * CHANGES.rows_each <= len(situation.conditions):
                 yield form
 
 
 def _of_parameters(model: Model) -> Iterator[PossibleChange]:
     """Yield each parameter of the robot alone, and those that change together: an effect's on a joint, a bent link's."""
     for effect in model.effects:
-        if effect.scope == "station" or effect.is_lasting(model.chain):
+        if effect.scope == "station" or effect.stays:
             continue
         single = effect.family in (Family.GEOMETRY, Family.ELASTICITY)
         by_element: dict[str, list[Parameter]] = {}

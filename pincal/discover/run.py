@@ -40,7 +40,7 @@ from pincal.discover.policy import POLICY, TESTING, Policy
 from pincal.discover.shrink import PartialResidual, partial_residuals, stages_of
 from pincal.discover.steps import History, worded
 from pincal.errors import BadInputError, PincalError
-from pincal.identify.calibrate import Tables, refit, tables_of
+from pincal.identify.calibrate import Tables, reads_places, refit, tables_of
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
@@ -159,7 +159,7 @@ def run_discovery(
     if stability < 0:
         raise BadInputError(f"stability is {stability}; expected a number of subsamples, 0 for none")
     tables = tables_of(measurements)
-    if all(table.sensor is not None and not table.sensor.reads_place for table in tables.values()):
+    if not reads_places(tables):
         raise BadInputError(
             f"{', '.join(table.source for table in tables.values())}: an IMU alone tells no places, which tell causes "
             "apart; add a tracker in motion or some held poses, or calibrate by it (pincal calibrate)"
@@ -177,7 +177,7 @@ def run_discovery(
         # Stations are held out instead of rows.
         held_back |= {"test_fraction": 0.0, "split": "random"}
         others = partial(_discovered, search)
-        left_out = leave_out_stations(robot, tables_of(measurements), options, fit_others=others, executor=executor)
+        left_out = leave_out_stations(robot, tables, options, fit_others=others, executor=executor)
     if executor is not None:
         wake(executor, stability, begin_subsamples.__module__)
     # Before names are looked for, what depends on the order of rows may be what they stand for.

@@ -31,7 +31,6 @@ from pincal.io.urdf_text import read_origins, rpy_of
 from pincal.measure.orientation import CONVENTIONS
 from pincal.model.augmented import joint_mounts, joint_placements
 from pincal.model.model import Model
-from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.dh import DhFrames, dh_frames
 from pincal.robot.se3 import placed, rotation, rotation_vectors, translation
 from pincal.robot.urdf_file import parse_urdf
@@ -180,15 +179,10 @@ class ControllerFrames(Format):
 def _frames(calibrated: CalibratedModel) -> dict[str, np.ndarray]:
     model, estimate = calibrated.model, calibrated.estimate
     chain = model.chain
-
-    def coordinates(element: str) -> np.ndarray:
-        names = [f"{element}.{symbol}" for symbol in FRAME_SYMBOLS]
-        return np.array([estimate[name] if name in estimate.names else 0.0 for name in names])
-
     found = {}
     if "base.x" in estimate.names:
-        found["base"] = np.linalg.inv(placed(chain.base_rotation, coordinates("base")))
-    return found | {t: placed(R, coordinates(t)) for t, R in zip(chain.targets, chain.tool_rotations, strict=True)}
+        found["base"] = np.linalg.inv(placed(chain.base_rotation, estimate.frame("base")))
+    return found | {t: placed(R, estimate.frame(t)) for t, R in zip(chain.targets, chain.tool_rotations, strict=True)}
 
 
 def _notes(calibrated: CalibratedModel, words: str) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from pincal.export.exported import FORMATS, Exported, Format, as_comment, checke
 from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.export.numpy_source import numpy_source, refuse_wrong
 from pincal.export.python_to_js import Translator, as_text
+from pincal.io.strict_json import in_script
 from pincal.measure.heading import NUMBERED
 from pincal.programs.arms import rigid_pose
 from pincal.programs.language import LANGUAGES
@@ -81,7 +82,7 @@ class CorrectorPage(Format):
             title=calibrated.model.chain.robot.name,
             version=version("pincal"),
             notes=notes_on(calibrated),
-            about=_in_script(_about(calibrated, formulas, self.frame)),
+            about=in_script(json.dumps(_about(calibrated, formulas, self.frame), allow_nan=False)),
             model=js_source(formulas),
             style=style,
             script="\n".join((table, *scripts)),
@@ -100,8 +101,8 @@ def js_source(formulas: Formulas) -> str:
         frame="base",
         numbers=lambda values: ", ".join(repr(float(value)).replace("inf", "Infinity") for value in values),
         header="\n// ".join(as_comment(line) for line in header(formulas, frame="base")).replace("// \n", "//\n"),
-        joints=_in_script([robot.joint_names[i] for i in formulas.joints]),
-        targets=_in_script(found.model.chain.targets),
+        joints=in_script(json.dumps([robot.joint_names[i] for i in formulas.joints])),
+        targets=in_script(json.dumps(found.model.chain.targets)),
         needs=", ".join(("q", *formulas.inputs)),
         functions="\n\n".join((_function(formulas, "calibrated"), _function(nominal, "nominal"))),
     )
@@ -181,12 +182,6 @@ def _follows(calibrated: CalibratedModel) -> list[list[float]]:
     return [mimics[name] if name in mimics else [place[name], 1.0, 0.0] for name in robot.joint_names]
 
 
-def _in_script(content: Any) -> str:
-    """Return JSON that stays text inside of a script element, whatever names are in it."""
-    text = json.dumps(content, allow_nan=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
 def programs_in_js() -> str:
     """Return the readers of all languages of pincal as JavaScript; ``templates/programs.js`` has to stand before."""
     known = [cls for cls in LANGUAGES.known().values() if cls.__module__.startswith("pincal.programs.")]
@@ -205,11 +200,16 @@ def grammar_table(grammar: str) -> str:
     hidden = set[str]()
     places: dict[Any, int] = {}
     states = []
-    for number in sorted(table.states):
+    # The parser numbers its states in the order of sets, which differs between processes; here the order is that in which
+    # they are reached.
+    reached = [table.start_states["start"]]
+    for number in reached:
         actions = {}
-        for symbol, (action, argument) in table.states[number].items():
+        for symbol, (action, argument) in sorted(table.states[number].items()):
             if action.name == "Shift":
-                actions[str(symbol)] = [0, argument]
+                if argument not in reached:
+                    reached.append(argument)
+                actions[str(symbol)] = [0, reached.index(argument)]
                 continue
             if argument not in places:
                 places[argument] = len(rules)
@@ -226,9 +226,9 @@ def grammar_table(grammar: str) -> str:
                 tried.append(names.index(terminal.name))
         states.append({"actions": actions, "tried": tried})
     ignored = sorted(next(iter(lexers.values())).ignore_types)
-    content = {"start": table.start_states["start"], "names": names, "terminals": patterns, "rules": rules, "states": states,
+    content = {"start": 0, "names": names, "terminals": patterns, "rules": rules, "states": states,
                "hidden": sorted(hidden), "ignored": ignored}  # fmt: skip
-    return _in_script(content)
+    return in_script(json.dumps(content))
 
 
 def _pattern(pattern: str) -> str:

@@ -14,10 +14,11 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import final
 
 import msgspec
 import numpy as np
+import polars as pl
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.calibrated_robot import calibrate, load_stations
@@ -29,7 +30,7 @@ from pincal.fleet.history import Visit
 from pincal.fleet.machines import Machine
 from pincal.fleet.robot_type import RobotType, calibrate_of_type
 from pincal.fleet.store import DIAGNOSES, DISCOVERIES, INFORMATION, MODELS, TABLES, Key, Store
-from pincal.fleet.stored_rows import CALIBRATION, CHECK, information_frame, measurements_of
+from pincal.fleet.stored_rows import CALIBRATION, CHECK, information_frame, measurements_of, text_frame
 from pincal.identify.options import Options
 from pincal.identify.quadratic import Quadratic
 from pincal.io.diagnosis_file import DiagnosisFile
@@ -38,9 +39,6 @@ from pincal.measure.admit import check_table
 from pincal.measure.measurements import Measurements
 from pincal.robot.robot import Robot
 from pincal.spread import spread
-
-if TYPE_CHECKING:
-    import polars as pl
 
 # What the names of results end with that say why a table can't be worked on.
 _FAILED = "-failed"
@@ -156,11 +154,11 @@ class DiagnoseTables(Job):
         if model is None:
             raise _NotYetError(f"machine {key.machine!r} has no model of {key.day} or before; add its model.json")
         found = diagnose(model, table, alpha=self.alpha, sigma=self.sigma)
-        return _texts(msgspec.json.encode(found.found).decode(), changed=found.changed, p_value=found.found.p_value)
+        return text_frame(msgspec.json.encode(found.found).decode(), changed=found.changed, p_value=found.found.p_value)
 
     def nothing(self, key: Key, labels: Mapping[str, str]) -> pl.DataFrame:
         """Return no diagnosis."""
-        return _texts("", changed=False, p_value=1.0)
+        return text_frame("", changed=False, p_value=1.0)
 
 
 @dataclass(frozen=True)
@@ -187,11 +185,11 @@ class DiscoverTables(Job):
         """Return the discovery."""
         _check(self.robot, table)
         found = run_discovery(self.robot, table, self.options).findings
-        return _texts(msgspec.json.encode(found).decode(), verdict=str(found.verdict))
+        return text_frame(msgspec.json.encode(found).decode(), verdict=str(found.verdict))
 
     def nothing(self, key: Key, labels: Mapping[str, str]) -> pl.DataFrame:
         """Return no discovery."""
-        return _texts("", verdict="")
+        return text_frame("", verdict="")
 
 
 @dataclass(frozen=True)
@@ -254,8 +252,6 @@ def _failure(result: Key) -> Key:
 
 def _work(store: Store, job: Job, key: Key) -> str | None:
     """Do a job for a table; return why it can't be done, empty if it is; None if the job is not for such tables."""
-    import polars as pl
-
     frame = store.frame(key)
     role, reason = frame["role"][0], ""
     if job.role not in (None, role):
@@ -349,9 +345,3 @@ def _check(robot: Robot, table: Measurements) -> None:
         names = ", ".join(table.joint_names), ", ".join(robot.joint_names)
         raise BadInputError(f"{table.source}: joints {names[0]}; {robot.name} has {names[1]}")
     check_table(robot, table)
-
-
-def _texts(text: str, **facts: Any) -> pl.DataFrame:
-    import polars as pl
-
-    return pl.DataFrame({"text": [text], **{name: [value] for name, value in facts.items()}})

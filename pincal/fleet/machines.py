@@ -7,9 +7,9 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 
 from pincal.atomic import write_atomic
 from pincal.calibration.information import RobotInformation, information_of, load_information
@@ -17,9 +17,6 @@ from pincal.errors import BadInputError, ModelFileError
 from pincal.fleet.evidence import Forms
 from pincal.identify.fit import ModelFit
 from pincal.parameters import Parameter
-
-if TYPE_CHECKING:
-    import polars as pl
 
 SCHEMA_VERSION = 1
 """Of the rows that machines are written as."""
@@ -133,8 +130,6 @@ def kinds_of(parameters: Sequence[Parameter]) -> np.ndarray:
 
 def machines_frame(machines: Iterable[Machine]) -> pl.DataFrame:
     """Return machines as a table of one row each."""
-    import polars as pl
-
     found = list(machines)
     return pl.DataFrame(
         {
@@ -149,8 +144,6 @@ def machines_frame(machines: Iterable[Machine]) -> pl.DataFrame:
 
 def labelled(labels: Sequence[Mapping[str, str]]) -> pl.Series:
     """Return the column of labels of each row."""
-    import polars as pl
-
     entries = [[{"key": key, "value": value} for key, value in sorted(row.items())] for row in labels]
     return pl.Series("labels", entries, pl.List(pl.Struct({"key": pl.String, "value": pl.String})))
 
@@ -196,8 +189,6 @@ def load_machines(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str
     Raises:
         ModelFileError: if a file can't be read, or is damaged.
     """
-    import polars as pl
-
     found = list[Machine]()
     for path in [paths] if isinstance(paths, str | os.PathLike) else paths:
         if Path(path).suffix.lower() != ".parquet":

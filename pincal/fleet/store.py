@@ -16,17 +16,16 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote, unquote
+
+import polars as pl
 
 from pincal.atomic import ELSEWHERE, write_atomic
 from pincal.errors import BadInputError, OutputError, needed
 from pincal.fleet.machines import SCHEMA_VERSION, Machine, machines_of, parquet_bytes
-from pincal.fleet.stored_rows import CALIBRATION, ROLES, information_frame, measurements_of, table_frame
+from pincal.fleet.stored_rows import CALIBRATION, ROLES, information_frame, measurements_of, table_frame, text_frame
 from pincal.measure.measurements import Measurements
-
-if TYPE_CHECKING:
-    import polars as pl
 
 TABLES, INFORMATION, DIAGNOSES, DISCOVERIES, MODELS = STORED = (
     "tables",
@@ -158,8 +157,6 @@ class Store:
         Raises:
             BadInputError: if there is none, or it is damaged.
         """
-        import polars as pl
-
         content = self.read(key.path)
         if content is None:
             raise BadInputError(f"{self.place}: no file {key.path}")
@@ -170,8 +167,6 @@ class Store:
 
     def frames(self, kind: str) -> Iterator[tuple[Sequence[Key], pl.DataFrame]]:
         """Yield the files of a kind that have one row each, some of them as one table, with their keys."""
-        import polars as pl
-
         keys = self.keys(kind)
         for start in range(0, len(keys), _PIECE):
             some = keys[start : start + _PIECE]
@@ -194,8 +189,6 @@ class Store:
 
     def add(self, key: Key, frame: pl.DataFrame) -> None:
         """Write a file, with its key in the columns ``machine``, ``day`` and ``id``."""
-        import polars as pl
-
         facts = {"schema": pl.lit(SCHEMA_VERSION, pl.Int32)}
         facts |= {name: pl.lit(getattr(key, name)) for name in ("machine", "day", "id")}
         self.write(key.path, parquet_bytes(frame.with_columns(**facts)))
@@ -240,8 +233,6 @@ class Store:
             BadInputError: for a machine without a name, a day or a role that can't be meant.
             OutputError: if the store can't be written to.
         """
-        import polars as pl
-
         if role not in ROLES:
             raise BadInputError(f"role {role!r}; expected {' or '.join(ROLES)}")
         frame = information_frame(machine, role)
@@ -252,9 +243,7 @@ class Store:
 
     def add_text(self, kind: str, machine: str, day: str, content: str, **facts: Any) -> Key:
         """Add a model.json or a diagnosis.json, as its text, with further columns."""
-        import polars as pl
-
-        frame = pl.DataFrame({"text": [content], **{name: [value] for name, value in facts.items()}})
+        frame = text_frame(content, **facts)
         key = Key(kind, named_machine(machine), iso_day(day), _digest(parquet_bytes(frame)))
         self.add(key, frame)
         return key
@@ -269,8 +258,6 @@ class Store:
         Raises:
             BadInputError: if several jobs did of the same rows.
         """
-        import polars as pl
-
         done = dict[str, str]()
         for keys, frame in self.frames(INFORMATION):
             kept = pl.col("failure") == ""
@@ -295,8 +282,6 @@ class Store:
 
             store.query("select machine, count(*) as tables from tables group by machine")
         """
-        import polars as pl
-
         with needed("duckdb", "questions to a store", install="'pincal[fleet]'"):
             import duckdb
         place = self.place

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+import polars as pl
 
 from pincal.errors import BadInputError
 from pincal.fleet.machines import SCHEMA_VERSION, Machine, labelled, machines_frame
 from pincal.measure.measurements import Measurements, validated
 from pincal.units import LARGEST
-
-if TYPE_CHECKING:
-    import polars as pl
 
 CALIBRATION, CHECK = ROLES = ("calibration", "check")
 """What rows were measured for: to calibrate a machine, or to see whether it has changed since."""
@@ -21,8 +19,6 @@ CALIBRATION, CHECK = ROLES = ("calibration", "check")
 
 def table_frame(table: Measurements, role: str, labels: Mapping[str, str]) -> pl.DataFrame:
     """Return rows of measurements as a table: a column for each array, lists where it has several numbers a row."""
-    import polars as pl
-
     n = len(table)
     columns = [
         pl.Series("role", [role] * n, pl.String),
@@ -47,8 +43,6 @@ def measurements_of(frame: pl.DataFrame, source: str) -> Measurements:
         BadInputError: for another schema.
         MeasurementError: for values that can't be meant.
     """
-    import polars as pl
-
     if "joints" not in frame.columns or "q" not in frame.columns or frame["schema"][0] != SCHEMA_VERSION:
         raise BadInputError(f"{source}: no table of a store of version {SCHEMA_VERSION}")
     arrays = dict[str, np.ndarray]()
@@ -63,6 +57,11 @@ def measurements_of(frame: pl.DataFrame, source: str) -> Measurements:
     if any(array.dtype.kind in "fi" and not (np.abs(array) <= LARGEST).all() for array in arrays.values()):
         raise BadInputError(f"{source}: holds numbers that are not finite; delete it and add it again")
     return validated(tuple(frame["joints"][0]), arrays, source=str(frame["source"][0]), units={})
+
+
+def text_frame(text: str, **facts: Any) -> pl.DataFrame:
+    """Return a text, such as that of a model.json, with further columns as one row."""
+    return pl.DataFrame({"text": [text], **{name: [value] for name, value in facts.items()}})
 
 
 def information_frame(
@@ -84,8 +83,6 @@ def information_frame(
         noise: of each block of readings [m, rad, px].
         off: elements in which the machine differs from its type.
     """
-    import polars as pl
-
     return machines_frame([machine]).with_columns(
         pl.Series("role", [role]),
         pl.Series("rows", [rows], pl.Int64),

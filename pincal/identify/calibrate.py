@@ -130,13 +130,18 @@ def tables_of(measurements: Tables) -> dict[str, Measurements]:
     return tables
 
 
+def reads_places(tables: Mapping[str, Measurements]) -> bool:
+    """Return whether any table tells where a target is; those of IMUs alone do not."""
+    return any(table.sensor is None or table.sensor.reads_place for table in tables.values())
+
+
 def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurements]) -> Options:
     """Return the options with all points that the training rows name, and as effects the masses that nobody knows.
 
     Where IMUs alone tell all there is, what drives do is among the effects, too.
     """
     options = Options() if options is None else options
-    if options.earlier is None and all(table.sensor and not table.sensor.reads_place for table in tables.values()):
+    if options.earlier is None and not reads_places(tables):
         options = replace(options, effects=with_drives(robot, options.effects))
     options = replace(options, effects=with_masses(robot, options.effects))
     unknown = set(options.stations) - set(tables)

@@ -242,6 +242,11 @@ def _type_at(wanted: Any, place: str) -> Any:
     return wanted
 
 
+def in_script(text: str) -> str:
+    """Return JSON that stays text inside of a script element, whatever names are in it."""
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
 def write_json(path: str | os.PathLike[str], contents: dict[str, Any], *, indent: int | None = 1) -> None:
     """Write contents as a JSON file, the whole file or nothing, its numbers in full precision.
 

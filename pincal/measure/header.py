@@ -14,8 +14,9 @@ from pincal.measure.labels import (
     check_one,
     columns_listed,
     joint_families,
+    numbered_families,
     numbered_joints,
-    numbered_of_stream,
+    numbers_all,
     renamed,
     spelled,
     splits,
@@ -217,8 +218,8 @@ def _joints_of_stream(free: Sequence[Label], schema: Schema, sheet: Sheet) -> di
     whole = [family for family in joint_families(numeric, schema.joint_names) if family.keys() >= {*needed}]
     if not whole:
         n, more = len(schema.own_joints), list[dict[int, tuple[Label, str]]]()
-        for numbered in numbered_of_stream(numeric):
-            if sorted(numbered) not in ([*range(n)], [*range(1, n + 1)]):
+        for _, numbered in numbered_families(numeric, is_stream=True):
+            if not numbers_all(numbered, n):
                 more += [numbered] if len(numbered) > n else []
                 continue
             order = [*schema.own_joints]

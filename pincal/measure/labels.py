@@ -180,22 +180,13 @@ def numbered_joints(labels: Sequence[Label], joints: Sequence[str]) -> dict[str,
         >>> numbered_joints(labels, ["shoulder", "elbow"])
         {'J1 (deg)': 'shoulder [deg]', 'J2 (deg)': 'elbow [deg]'}
     """
-    families: dict[str, dict[int, tuple[Label, str]]] = {}
-    for label in labels:
-        for base, unit in splits(label.meant):
-            if match := NUMBERED.fullmatch(base):
-                prefix = base[: match.start(2)].casefold()
-                families.setdefault(prefix, {})[int(match[2])] = label, unit
-                break
     n = len(joints)
     whole = [
-        [family[i] for i in sorted(family)]
-        for prefix, family in families.items()
-        if sorted(family) in ([*range(n)], [*range(1, n + 1)]) and not (prefix == "q" and n == 4)
+        family for words, family in numbered_families(labels) if numbers_all(family, n) and not (words == ("q",) and n == 4)
     ]
     if len(whole) != 1:
         return {}
-    pairs = zip(whole[0], joints, strict=True)
+    pairs = zip((whole[0][i] for i in sorted(whole[0])), joints, strict=True)
     return {label.meant: f"{joint} [{unit}]" if unit else joint for (label, unit), joint in pairs}
 
 
@@ -329,15 +320,37 @@ def _core(name: str) -> tuple[str, ...]:
     return short if any(word.isalpha() for word in short) else words
 
 
-def numbered_of_stream(labels: Sequence[Label]) -> list[dict[int, tuple[Label, str]]]:
-    """Return the columns that number joints after any words, by number: one entry for each set of words."""
+def numbered_families(
+    labels: Sequence[Label], *, is_stream: bool = False
+) -> list[tuple[tuple[str, ...], dict[int, tuple[Label, str]]]]:
+    """Return the columns that number joints, with their units, by number: one entry for each set of words beside the number.
+
+    Args:
+        labels: the columns.
+        is_stream: whether other words may stand before and behind the number, too.
+    """
     families = dict[tuple[str, ...], dict[int, tuple[Label, str]]]()
     for label in labels:
-        text = re.sub(r"\[(\d+)\]", r"_\1", label.meant)
-        for base, unit in splits(text):
-            words = words_of(base)
-            at = next((k for k in range(len(words) - 1, 0, -1) if words[k].isdigit()), 0)
-            if at and words[at - 1] in _NUMBERS and _POSITIONS.issuperset(words[at + 1 :]) and not _OTHERS & {*words}:
-                families.setdefault((*words[:at], *words[at + 1 :]), {}).setdefault(int(words[at]), (label, unit))
+        for base, unit in splits(re.sub(r"\[(\d+)\]", r"_\1", label.meant) if is_stream else label.meant):
+            if found := _amid_words(base) if is_stream else _after_name(base):
+                words, number = found
+                families.setdefault(words, {}).setdefault(number, (label, unit))
                 break
-    return list(families.values())
+    return list(families.items())
+
+
+def numbers_all(family: Collection[int], n: int) -> bool:
+    """Return whether numbers are those of n joints, counted from 0 or from 1."""
+    return sorted(family) in ([*range(n)], [*range(1, n + 1)])
+
+
+def _after_name(base: str) -> tuple[tuple[str, ...], int] | None:
+    match = NUMBERED.fullmatch(base)
+    return match and ((base[: match.start(2)].casefold(),), int(match[2]))
+
+
+def _amid_words(base: str) -> tuple[tuple[str, ...], int] | None:
+    words = words_of(base)
+    at = next((k for k in range(len(words) - 1, 0, -1) if words[k].isdigit()), 0)
+    is_joint = at and words[at - 1] in _NUMBERS and _POSITIONS.issuperset(words[at + 1 :]) and not _OTHERS & {*words}
+    return ((*words[:at], *words[at + 1 :]), int(words[at])) if is_joint else None

@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pincal.measure.extrinsics import RANK
 from pincal.robot.se3 import transform
@@ -194,7 +195,6 @@ def camera_starts(
         The camera's frame in the tip frame, shape (4, 4), the points in the robot's base frame [m], shape (K, 3), the lens.
     """
     from scipy.optimize import least_squares
-    from scipy.spatial.transform import Rotation
 
     lens, focal = _guessed(pixel, known)
     views = Views(index, n_points, tips, slopes(lens, pixel), lens.fx)

@@ -18,9 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError, needed, warn
 from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
+from pincal.robot.se3 import transform
 
 JOINTS = re.compile(
     r"(joints?|joint_?(positions?|values?|angles?|states?|pos)|(actual_?)?q|qpos|angles?|state)(_deg|_rad)?", re.I
@@ -91,8 +93,6 @@ def _plain(key: str, count: int, names: Sequence[str] | None) -> tuple[tuple[str
 
 def quaternions_of(matrices: np.ndarray) -> np.ndarray:
     """Return quaternions x y z w of rotation matrices, shape (N, 3, 3); nan for those that are none."""
-    from scipy.spatial.transform import Rotation
-
     found = np.full((len(matrices), 4), np.nan)
     product = np.einsum("nij,nkj->nik", matrices, matrices)
     right = np.isfinite(matrices).all(axis=(1, 2)) & (np.abs(product - np.eye(3)).max(axis=(1, 2)) < 1e-2)
@@ -157,8 +157,6 @@ def tracked_poses(columns: Mapping[str, np.ndarray], *, is_on_hand: bool | None,
 
 def _matrices(columns: Mapping[str, np.ndarray], group: str, *, source: str) -> np.ndarray:
     """Return the poses of a part of a file, shape (N, 4, 4)."""
-    from scipy.spatial.transform import Rotation
-
     found = dict[str, np.ndarray]()
     for path, values in columns.items():
         if path.split(".")[0] == group:
@@ -176,17 +174,13 @@ def _matrices(columns: Mapping[str, np.ndarray], group: str, *, source: str) -> 
         rotations = Rotation.from_quat(turned).as_matrix()
     except (KeyError, ValueError, TypeError) as error:
         raise MeasurementError(f"{source}: {group} is no pose in each sample; expected translation and rotation") from error
-    matrices = np.tile(np.eye(4), (len(place), 1, 1))
-    matrices[:, :3, :3], matrices[:, :3, 3] = rotations, place
     if np.isnan(quaternions_of(rotations)).any() or not np.isfinite(place).all():
         raise MeasurementError(f"{source}: {group} is no pose in each sample; expected finite numbers")
-    return matrices
+    return transform(rotations, place)
 
 
 def _misfit(hand: np.ndarray, target: np.ndarray) -> float:
     """Return how far the turns of two bodies from sample to sample are from those of one body [rad]."""
-    from scipy.spatial.transform import Rotation
-
     turns = [
         Rotation.from_matrix(np.einsum("nji,njk->nik", T[:-1, :3, :3], T[1:, :3, :3])).as_rotvec() for T in (hand, target)
     ]

@@ -29,6 +29,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
 
@@ -73,8 +74,6 @@ class Convention:
         Raises:
             MeasurementError: for angles that can't be in this unit.
         """
-        from scipy.spatial.transform import Rotation
-
         by_axis = dict(zip(self.order, self.columns, strict=True))
         values = np.column_stack([columns[by_axis[axis]] for axis in "xyzw" if axis in by_axis])
         if self.kind == "quaternion":
@@ -93,8 +92,6 @@ class Convention:
 
     def values(self, rotation: np.ndarray) -> np.ndarray:
         """Return what stands in the usual columns, in their order and unit, for a rotation matrix, shape (3, 3)."""
-        from scipy.spatial.transform import Rotation
-
         turned = Rotation.from_matrix(rotation)
         if self.kind == "quaternion":
             found = turned.as_quat(canonical=True)

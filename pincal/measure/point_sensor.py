@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import ClassVar, Self, final
 
 import numpy as np
 
@@ -46,6 +46,19 @@ class PointSensor(Sensor, OwnParameters, Grouped):
 
     points: NamedPoints
     index: np.ndarray
+
+    @classmethod
+    def of(cls, table: TableRows, setup: Setup) -> Self:
+        """Return the readings of a table; points that the setup does not have are refused, unless they are judged.
+
+        A class with an attribute ``setup``, whose lens it has to know, gets the setup.
+        """
+        points, names = setup.named(), {field.name for field in cls.fields}.intersection(cls.per_row)
+        index = index_of(table, points, may_be_new=cls.judges_new_points)
+        others: dict[str, object] = {name: table.array(name) for name in names}
+        if "setup" in cls.__dataclass_fields__:
+            others["setup"] = setup
+        return cls(points=points, index=index, **others)
 
     @property
     @abstractmethod

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError, needed, warn
 from pincal.measure.joined import HeldPoses, held_poses, mean_turn
@@ -256,8 +257,6 @@ def _free(frames: list[_Topic], path: Path) -> list[_Topic]:
 
     The joints of a robot turn about a place that stands still, or slide along a line.
     """
-    from scipy.spatial.transform import Rotation
-
     found = list[_Topic]()
     by_child = {topic.frames[1]: topic for topic in frames}
     for topic in frames:

@@ -14,10 +14,9 @@ from pincal.measure.sensor import Block, Sensor, Simulatable
 from pincal.measure.sensors.camera import CameraPixelSensor, CameraPointSensor, FixedCameraSensor
 from pincal.measure.sensors.distance import AnchoredDistanceSensor, DistanceSensor
 from pincal.measure.sensors.imu import ImuSensor
-from pincal.measure.sensors.link_contact import LinkContactSensor, LinkDistanceSensor
 from pincal.measure.sensors.plane import GaugeSensor, PlaneContactSensor
 from pincal.measure.sensors.pose import PoseSensor, PositionSensor
-from pincal.measure.sensors.socket import ContactSensor
+from pincal.measure.sensors.socket import ContactSensor, LinkContactSensor, LinkDistanceSensor
 from pincal.plugins import Registry
 
 

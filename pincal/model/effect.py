@@ -116,6 +116,7 @@ class Effect(ABC):
         meaning: what a machine with this effect does, in plain words.
         family: what kind of cause it is.
         scope: whose parameters it has: the robot's, or those of a station, the set-up of an instrument and its targets.
+        stays: whether it stays as a calibration found it, so that rows of another day are not asked for a change of it.
         uses_moments: whether its terms need the static moments.
         alike: whether its basis functions are one function in several places, as those of a curve: one that the poses
             hardly touch is as large as the others then, and its coefficient no larger.
@@ -125,6 +126,7 @@ class Effect(ABC):
     meaning: ClassVar[str]
     family: ClassVar[Family] = Family.CAUSE
     scope: ClassVar[Scope] = "robot"
+    stays: ClassVar[bool] = False
     uses_moments: ClassVar[bool] = False
     alike: ClassVar[bool] = False
 
@@ -160,10 +162,6 @@ class Effect(ABC):
     def bodies(self, chain: Chain) -> tuple[Body, ...]:
         """Return what each parameter adds to the masses of which the static moments are taken; most add nothing."""
         return ()
-
-    def is_lasting(self, chain: Chain) -> bool:
-        """Return whether it stays what it was: links don't lose weight, and bearings stay in their places."""
-        return bool(self.bodies(chain)) or self.locus.acts_on == "place"
 
     def smoothness(self) -> np.ndarray | None:
         """Return what is believed of its K parameters together, as information beyond their sizes, shape (K, K).

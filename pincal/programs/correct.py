@@ -21,7 +21,7 @@ from pincal.model.effects import Conditions
 from pincal.programs.arms import ArmSearch, ProgramAxes
 from pincal.programs.language import ControllerLanguage
 from pincal.programs.program import Edit, Frame, Left, Point, PointKey, Posture, Program, spliced
-from pincal.robot.se3 import compose, inverse, rotation_vectors
+from pincal.robot.se3 import compose, inverse, rotation_vectors, transform
 
 # Of several arms that reach a pose one is meant if it is nearer than this part of the way to the next.
 _CLEARLY = 0.5
@@ -242,7 +242,8 @@ class Corrector:
             if reasons[i]:
                 left.append(Left(point.name, point.source, point.line, reasons[i]))
                 continue
-            before, after = (np.linalg.inv(frames[0]) @ _whole(T) @ np.linalg.inv(frames[1]) for T in (tips[i], moved[i]))
+            ends = (transform(T[i, :, :3], T[i, :, 3]) for T in (tips, moved))
+            before, after = (np.linalg.inv(frames[0]) @ T @ np.linalg.inv(frames[1]) for T in ends)
             if point.kind == "pose":
                 values = self.language.numbers(after, point.values)
             else:
@@ -324,7 +325,3 @@ def _known(
         pose = declared[frame.name]
         return f"{option} {frame.name}: {pose}" if isinstance(pose, str) else pose
     return f"the values of {frame.name or option} are not known: give --{option} '{frame.name or option}=X,Y,Z,...'"
-
-
-def _whole(T: np.ndarray) -> np.ndarray:
-    return np.vstack([T, [0.0, 0.0, 0.0, 1.0]])

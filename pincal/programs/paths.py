@@ -13,7 +13,7 @@ from pincal.compensate.robot_frames import in_base_frame
 from pincal.model.effects import Conditions
 from pincal.programs.correct import Change, Corrector
 from pincal.programs.program import Edit, Left, Motion, PointKey, Program
-from pincal.robot.se3 import compose, exponentials, inverse, rotation_vectors
+from pincal.robot.se3 import compose, exponentials, inverse, rotation_vectors, transform
 
 # Places along a motion at which it is looked at, its ends left out.
 _LOOKS = 15
@@ -135,7 +135,7 @@ class Follower:
             if np.all(sizes <= limit):
                 tips = self.corrector.arms.tips(commanded)
                 base = np.linalg.inv(end.frames[0])
-                return [base @ np.vstack([tip, [0.0, 0.0, 0.0, 1.0]]) @ leg.tool for tip in tips]
+                return [base @ transform(tip[:, :3], tip[:, 3]) @ leg.tool for tip in tips]
             parts *= 2
         return why
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pincal.robot.se3 import rotation, translation
+from pincal.robot.se3 import rotation, transform, translation
 
 # Sine of the angle below which two axes count as parallel: URDFs round their angles, the worst of them pi to 3.14.
 PARALLEL = 5e-3
@@ -124,13 +124,8 @@ def _first_frame(origin: np.ndarray, axis: np.ndarray) -> np.ndarray:
     if abs(axis @ reference) > 0.9:
         reference = np.array([0.0, 1.0, 0.0]) if abs(axis[1]) < 0.9 else np.array([0.0, 0.0, 1.0])
     x = reference - axis * (axis @ reference)
-    return _frame(origin, x / np.linalg.norm(x), axis)
-
-
-def _frame(point: np.ndarray, x: np.ndarray, z: np.ndarray) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, 0], T[:3, 1], T[:3, 2], T[:3, 3] = x, np.cross(z, x), z, point
-    return T
+    x = x / np.linalg.norm(x)
+    return transform(np.column_stack([x, np.cross(axis, x), axis]), origin)
 
 
 def _tilt(frame: np.ndarray, axis: np.ndarray) -> tuple[float, float]:

@@ -7,12 +7,13 @@ out). ``T_a_b`` takes coordinates in frame b to frame a.
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 
 def transform(R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return the transform, shape (4, 4), of a rotation, shape (3, 3), and a translation, shape (3,) [m]."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, t
+    """Return transforms, shape (..., 4, 4), of rotations, shape (..., 3, 3), and translations, shape (..., 3) [m]."""
+    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
     return T
 
 
@@ -70,29 +71,21 @@ def rotation_of_rpy(rpy: np.ndarray) -> np.ndarray:
 
 def rotation_matrices(quaternions: np.ndarray) -> np.ndarray:
     """Return rotation matrices, shape (N, 3, 3), of unit quaternions x y z w, shape (N, 4)."""
-    from scipy.spatial.transform import Rotation
-
     return np.asarray(Rotation.from_quat(quaternions).as_matrix())
 
 
 def quaternions(matrices: np.ndarray) -> np.ndarray:
     """Return unit quaternions x y z w, shape (N, 4), of rotation matrices, shape (N, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
     return np.asarray(Rotation.from_matrix(matrices).as_quat())
 
 
 def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
     """Return rotation vectors, shape (N, 3) [rad], of rotation matrices, shape (N, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
     return np.asarray(Rotation.from_matrix(matrices).as_rotvec())
 
 
 def exponentials(vectors: np.ndarray) -> np.ndarray:
     """Return the rotation matrices, shape (N, 3, 3), of rotation vectors, shape (N, 3) [rad]."""
-    from scipy.spatial.transform import Rotation
-
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 

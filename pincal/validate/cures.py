@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain, combinations, permutations
+from pathlib import Path
 
 import numpy as np
 
-from pincal.errors import BadInputError, IdentificationError
+from pincal.errors import BadInputError, IdentificationError, PincalWarning
 from pincal.identify.beliefs import is_frame, priors_of, released_of
 from pincal.identify.initial import place, starts_of
 from pincal.identify.noise import Noise
@@ -19,10 +22,10 @@ from pincal.identify.solve import Course, likeliest_values
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import JointOffset
-from pincal.robot.alike import robots_alike
 from pincal.robot.mastering import free_joints, remastered
 from pincal.robot.robot import Robot
 from pincal.robot.tree import Coupling
+from pincal.robot.urdf_file import find_file
 
 # Rows from which a typical error is told.
 _TYPICAL = 1000
@@ -31,6 +34,8 @@ _TYPICAL = 1000
 _STEP, _TRIED = np.deg2rad(15.0), 4
 # Of shifts that leave as much but for this factor the smallest are meant: the first joint's is a turn of the base.
 _ALIKE = 1.2
+# Frames that are closer than this [m, rad] make no other robot.
+_SAME = 1e-5
 
 
 def typical_left(station: Station, values: np.ndarray) -> tuple[float, float]:
@@ -280,10 +285,49 @@ def scaled(robot: Robot, table: Measurements, factor: float) -> TableCorrection 
 
 def others(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     """Yield other robots with joints of these names."""
-    for name, other in robots_alike(robot):
+    for name, other in _robots_alike(robot):
         yield TableCorrection(
             f"the table looks like that of a {name}", other, table, "give the URDF of that robot and run again"
         )
+
+
+def _robots_alike(robot: Robot) -> Iterator[tuple[str, Robot]]:
+    """Yield the names of robots whose joints have the same names but stand elsewhere, and the robots, each size once.
+
+    None without example-robot-data.
+    """
+    try:
+        from example_robot_data import robots_loader
+    except ImportError:
+        return
+    marks = [f'"{name}"'.encode() for name in robot.joint_names]
+    middle = np.clip(0.3, robot.lower, robot.upper)[None]
+    seen = [robot.forward_kinematics(middle)]
+    for name, path in _robot_files(robots_loader.ROBOTS):
+        try:
+            text = path.read_bytes()
+            if not all(mark in text for mark in marks):
+                continue
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", PincalWarning)
+                other = Robot.from_urdf(path, joints=robot.joint_names)
+        except (BadInputError, OSError):
+            continue
+        found = other.forward_kinematics(middle) if other.joint_names == robot.joint_names else seen[0]
+        if not any(np.allclose(found, one, atol=_SAME) for one in seen):
+            seen.append(found)
+            yield name, other
+
+
+def _robot_files(names: Iterable[str]) -> list[tuple[str, Path]]:
+    """Return the files of robots, those first whose own name the file bears: some loaders share one."""
+    found = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PincalWarning)
+        for name in names:
+            with suppress(BadInputError):
+                found.append((name, find_file(name)))
+    return sorted(found, key=lambda one: (not one[1].name.startswith(one[0]), len(one[0]), one[0]))
 
 
 def cures(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:

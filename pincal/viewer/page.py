@@ -28,6 +28,7 @@ import numpy as np
 from pincal.atomic import write_atomic
 from pincal.calibration.calibrated import Calibrated
 from pincal.errors import BadInputError, OutputError, nearest_first, needed
+from pincal.io.strict_json import in_script
 from pincal.measure.measurements import Measurements
 from pincal.robot.robot import Robot
 from pincal.viewer.field import Layer, deviation_fields
@@ -64,12 +65,13 @@ def write_html(path: str | os.PathLike[str], scene: Scene) -> int:
 
 def page(scene: Scene, *, live: bool = False) -> str:
     """Return the page of a scene; a ``live`` one listens to the server that it comes from."""
+    shown = {"live": live} | {field.name: getattr(scene, field.name) for field in fields(scene)}
     parts = {
         "@TITLE@": html.escape(scene.title),
         "@POLICY@": html.escape(_POLICY),
         "@STYLE@": _resource("view.css"),
         "@VIEWER@": _viewer(),
-        "@SCENE@": _json({"live": live} | {field.name: getattr(scene, field.name) for field in fields(scene)}),
+        "@SCENE@": in_script(msgspec.json.encode(shown, enc_hook=_encoded).decode()),
         "@SCRIPT@": _resource("view.js"),
     }
     text = _resource("view.html")
@@ -79,12 +81,6 @@ def page(scene: Scene, *, live: bool = False) -> str:
         parts[mark] = before + content
         text = after
     return "".join(parts.values()) + text
-
-
-def _json(content: dict[str, Any]) -> str:
-    """Return JSON that stays text inside of a script element, whatever names are in it."""
-    text = msgspec.json.encode(content, enc_hook=_encoded).decode()
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _encoded(value: np.ndarray | np.generic) -> Any:

@@ -19,7 +19,7 @@ import numpy as np
 from pincal.measure.extrinsics import Extrinsics, by_target, sample_rows
 from pincal.measure.fields import CONDITIONS, POINT, Field, TableRows
 from pincal.measure.lens import NEAREST, Lens, camera_starts, slopes
-from pincal.measure.point_sensor import PointSensor, centred, index_of, solved
+from pincal.measure.point_sensor import PointSensor, centred, solved
 from pincal.measure.sensor import Additive, Block, Excluded, KnownParameters, OwnParameters, Plausible
 from pincal.measure.sensors.pose import check_spread
 from pincal.measure.setup import Setup
@@ -129,11 +129,6 @@ class CameraPointSensor(CameraSensor, Additive, Plausible):
 
     camera_point: np.ndarray
 
-    @classmethod
-    def of(cls, table: TableRows, setup: Setup) -> Self:
-        points = setup.named()
-        return cls(points, index_of(table, points), table.array("camera_point"))
-
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         return np.asarray((self.camera_point - self.seen(poses, own)).T)
 
@@ -174,11 +169,6 @@ class CameraPixelSensor(CameraSensor, Images):
     per_row: ClassVar[tuple[str, ...]] = ("index", "pixel")
     has_scale: ClassVar[bool] = False
     impossible: ClassVar[None] = None
-
-    @classmethod
-    def of(cls, table: TableRows, setup: Setup) -> Self:
-        points = setup.named()
-        return cls(points=points, index=index_of(table, points), pixel=table.array("pixel"), setup=setup)
 
     @property
     def other_parameters(self) -> tuple[Parameter, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.measure.extrinsics import Extrinsics, by_target, least_squares
 from pincal.measure.fields import POSITIVE, Field, TableRows
-from pincal.measure.point_sensor import PointSensor, index_of
+from pincal.measure.point_sensor import PointSensor
 from pincal.measure.sensor import Additive, Block, Plausible, Simulatable
 from pincal.measure.sensors.pose import check_spread
 from pincal.measure.setup import Setup
@@ -162,12 +162,6 @@ class AnchoredDistanceSensor(PointDistances):
     names_points: ClassVar[str | None] = "anchor"
     thing: ClassVar[str] = "an anchor"
 
-    @classmethod
-    def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the distances of a table."""
-        points = setup.named()
-        return cls(points=points, index=index_of(table, points), distance=table.array("distance"))
-
     def unobservable_with(self, known: int) -> Iterator[str]:
         """Yield the place of the base where no anchor is known, and what one anchor alone leaves open."""
         if not known:
@@ -191,6 +185,5 @@ def _starts(d: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targets: int)
     constants = by_target(np.ones((len(p), 1)), target, n_targets)
     solution, complete = least_squares(np.hstack([2.0 * p, lever, products, constants]), squares)
     if complete:
-        found = tools.copy()
-        found[:, :3, 3] = solution[3 : 3 + 3 * n_targets, 0].reshape(n_targets, 3)
-        yield Extrinsics(transform(np.eye(3), solution[:3, 0]), found)
+        found = solution[3 : 3 + 3 * n_targets, 0].reshape(n_targets, 3)
+        yield Extrinsics(transform(np.eye(3), solution[:3, 0]), transform(np.eye(3), found))

@@ -23,6 +23,7 @@ from pincal.measure.point_sensor import index_of, poor_groups, rows_of_new
 from pincal.measure.sensor import Block, Constraints, Excluded, Grouped, OwnParameters, Sensor
 from pincal.measure.setup import Setup
 from pincal.parameters import ANYWHERE, FRAME_SYMBOLS, Parameter
+from pincal.robot.se3 import transform
 
 PLANE = Field("plane", ("plane",), "name")
 _SYMBOLS = ("nx", "ny", "nz", "d")
@@ -138,10 +139,8 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
         """Yield the planes through the tips, then with the probe where it fits all planes best."""
-        tools = np.tile(np.eye(4), (n_targets, 1, 1))
-        yield Extrinsics(np.eye(4), tools, self._through(tips[:, :, 3]))
-        tools = tools.copy()
-        tools[:, :3, 3] = self._probes(tips, target, n_targets)
+        yield Extrinsics(np.eye(4), np.tile(np.eye(4), (n_targets, 1, 1)), self._through(tips[:, :, 3]))
+        tools = transform(np.eye(3), self._probes(tips, target, n_targets))
         for _ in range(_ROUNDS):
             own = self._through(self._ends(tips, target, tools))
             normal, _, height = self._heights(tips, own)

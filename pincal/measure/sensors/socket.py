@@ -1,4 +1,9 @@
-"""Contacts without any instrument: the tool point is held in sockets, so that its distance from a socket is zero.
+"""Contacts without any instrument: of the tool point with sockets, and between points of two links of the robot.
+
+The tool point is held in sockets, so that its distance from a socket is zero. Of links, balls touch, at a known distance of
+their centres, or points coincide: each row names two points, each ``LINK:NAME``, and their distance. The path leads
+from the first link to the second then: what is "base" and "tool" elsewhere are the two links, and the points are places on
+them, which do not move. A point that several tables or pairs of links have in common is the same one.
 
 Where it starts: a point P that stands still and a tool t satisfy P - R_i t = p_i, linear in P and t, with the nominal arm's
 poses (R_i, p_i). P is eliminated by taking each point's rows about their mean.
@@ -8,16 +13,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from pincal.errors import MeasurementError
 from pincal.measure.extrinsics import Extrinsics, by_target
-from pincal.measure.fields import Field, TableRows
-from pincal.measure.point_sensor import PointSensor, centred, index_of, solved
-from pincal.measure.sensor import Block, Simulatable
-from pincal.measure.setup import NamedPoints, Setup
+from pincal.measure.fields import FIRST, NOT_NEGATIVE, SECOND, Field, link_of
+from pincal.measure.point_sensor import PointSensor, centred, solved
+from pincal.measure.sensor import Block, Divided, Simulatable
+from pincal.measure.sensors.distance import PointDistances
+from pincal.measure.setup import NamedPoints
 from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.robot.se3 import transform
+
+_SCALE = "contacts without a known length do not determine the scale of the robot, which relies on its nominal lengths"
 
 
 @dataclass(frozen=True)
@@ -73,11 +83,8 @@ class Coincidences(PointSensor):
         p, R = tips[:, :, 3], tips[:, :, :3]
         columns = by_target(R, target, n_targets)
         offsets = solved(-centred(columns, self.index), centred(p, self.index))
-        tools = np.tile(np.eye(4), (n_targets, 1, 1))
-        yield self.start_at_means(p, tools)
-        tools = tools.copy()
-        tools[:, :3, 3] = offsets.reshape(n_targets, 3)
-        yield self.start_at_means(p + columns @ offsets, tools)
+        yield self.start_at_means(p, np.tile(np.eye(4), (n_targets, 1, 1)))
+        yield self.start_at_means(p + columns @ offsets, transform(np.eye(3), offsets.reshape(n_targets, 3)))
 
     def _about_means(self, values: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Put the mean of ``values``, shape (3, N), in place of what is not known."""
@@ -100,12 +107,6 @@ class ContactSensor(Coincidences, Simulatable):
     needs_places: ClassVar[bool] = True
 
     @classmethod
-    def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the contacts of a table; sockets that the setup does not have are judged by their mean."""
-        points = setup.named()
-        return cls(points, index_of(table, points, may_be_new=True))
-
-    @classmethod
     def simulated(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
         """Return the contacts of poses in sockets of unknown position, called socket_1, socket_2, ..."""
         assert places is not None, "contacts need places"
@@ -121,3 +122,72 @@ class ContactSensor(Coincidences, Simulatable):
                 "contacts without a known length do not determine the scale of the arm, which relies on its nominal "
                 "lengths: give the distance between two sockets (--socket-distance A B METRES)"
             )
+
+
+def between_links(table: Any) -> Any:
+    """Return a table of contacts with the links of their points, the second point as the target.
+
+    Raises:
+        MeasurementError: for a point that is not LINK:NAME, or two of one link.
+    """
+    links = []
+    for field in (FIRST, SECOND):
+        names, first, inverse = np.unique(table.array(field.name), return_index=True, return_inverse=True)
+        where = (f'{table.source}, line {table.rows[row]}, "{field}"' for row in first)
+        links.append(np.array([link_of(str(name), where=at) for name, at in zip(names, where, strict=True)])[inverse])
+    if np.any(same := links[0] == links[1]):
+        line, link = table.rows[same][0], links[0][same][0]
+        raise MeasurementError(f"{table.source}, line {line}: both points are on {link}; expected points of two links")
+    return replace(table, from_link=links[0], to_link=links[1], target=table.array(SECOND.name))
+
+
+@dataclass(frozen=True)
+class LinkDistanceSensor(PointDistances, Divided):
+    """1D: known distances, shape (N,) [m], between points of two links, such as the centres of balls that touch."""
+
+    kind: ClassVar[str] = "contact distance"
+    is_of_joints: ClassVar[bool] = True
+    fields: ClassVar[tuple[Field, ...]] = (Field("distance", ("distance",), "length", NOT_NEGATIVE), FIRST, SECOND)
+    names_points: ClassVar[str | None] = "first"
+    thing: ClassVar[str] = "a point of a link"
+    deviation_end: ClassVar[str] = "the point that it touches"
+    in_link_frame: ClassVar[bool] = True
+
+    @classmethod
+    def parts(cls, table: Any) -> Iterator[tuple[str, Any]]:
+        """Yield contacts at a distance, and those of points that coincide, which are read in three directions."""
+        whole, distance = between_links(table), table.array("distance")
+        if (apart := distance > 0.0).any():
+            yield "distance", whole.select(apart)
+        if not apart.all():
+            rows = whole.select(~apart)
+            yield (
+                "contact",
+                replace(rows, readings={FIRST.name: rows.array(FIRST.name), SECOND.name: rows.array(SECOND.name)}),
+            )
+
+    def unobservable_with(self, known: int) -> Iterator[str]:
+        """Yield nothing: the distance of the contact is a length, and the points belong to the robot."""
+        yield from ()
+
+
+@dataclass(frozen=True)
+class LinkContactSensor(Coincidences, Divided):
+    """3D: coincidence of points of two links, such as a ball of one hand in a socket of the other."""
+
+    kind: ClassVar[str] = "contact"
+    fields: ClassVar[tuple[Field, ...]] = (FIRST, SECOND)
+    names_points: ClassVar[str | None] = "first"
+    thing: ClassVar[str] = "a point of a link"
+    deviation_end: ClassVar[str] = "the point that it meets"
+    in_link_frame: ClassVar[bool] = True
+
+    @classmethod
+    def parts(cls, table: Any) -> Iterator[tuple[str, Any]]:
+        """Yield all contacts."""
+        yield "contact", between_links(table)
+
+    def unobservable_with(self, known: int) -> Iterator[str]:
+        """Yield the scale."""
+        if known < 2:
+            yield _SCALE

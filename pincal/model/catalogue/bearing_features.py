@@ -77,6 +77,7 @@ class BearingPlace(Effect):
 
     joint: str
     family: ClassVar[Family] = Family.ELASTICITY
+    stays: ClassVar[bool] = True
     name: ClassVar[str] = "bearing_place"
     meaning: ClassVar[str] = "the bearing is at another place on its axis than the URDF's joint frame"
 

@@ -13,7 +13,7 @@ they are not tested. What stretches coordinates is the same in any frame.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal, NamedTuple
@@ -70,10 +70,9 @@ class Sight(NamedTuple):
         )
 
 
-class _Reading(ABC):
+class _Reading(Discoverable):
     """What errors of an instrument's reading share."""
 
-    name: ClassVar[str]
     scope: ClassVar[Scope] = "station"
     is_sighted: ClassVar[bool] = True
 
@@ -98,7 +97,11 @@ class _Circle(_Reading):
     """
 
     orders: Orders = 1
-    locus: ClassVar[Locus]
+
+    @classmethod
+    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
+        """Yield it once: eccentric, or oval as well."""
+        yield Candidate(cls(), variants=tuple(map(cls, _ORDERS)), obstacle=_obstacle(situation))
 
     def __post_init__(self) -> None:
         """Refuse other orders."""
@@ -108,7 +111,7 @@ class _Circle(_Reading):
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Amplitudes s and c of each order [rad]."""
         symbols = [f"{self.locus.acts_on}_{wave}{k}" for k in _ORDERS[: self.orders] for wave in ("sin", "cos")]
-        return tuple(Parameter(f"instrument.{symbol}", "rad", self.name, 0.0, TILT) for symbol in symbols)
+        return parameters_of(self, "instrument", symbols, unit="rad", size=TILT)
 
     @abstractmethod
     def _read(self, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
@@ -120,7 +123,7 @@ class _Circle(_Reading):
 
 
 @dataclass(frozen=True)
-class InstrumentAzimuth(_Circle, Discoverable):
+class InstrumentAzimuth(_Circle):
     r"""Azimuth encoder of a tracker, eccentric (k = 1) and elliptical (k = 2): reads :math:`s \sin kA + c \cos kA` more.
 
     Distinguished by:
@@ -140,17 +143,12 @@ class InstrumentAzimuth(_Circle, Discoverable):
     )
     locus: ClassVar[Locus] = Locus(acts_on="azimuth")
 
-    @classmethod
-    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it once: eccentric, or oval as well."""
-        yield Candidate(cls(), variants=tuple(map(cls, _ORDERS)), obstacle=_obstacle(situation))
-
     def _read(self, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
         return sight.azimuth, sight.range * np.cos(sight.elevation) * sight.level
 
 
 @dataclass(frozen=True)
-class InstrumentElevation(_Circle, Discoverable):
+class InstrumentElevation(_Circle):
     r"""Elevation encoder of a tracker, eccentric (k = 1) and elliptical (k = 2): reads :math:`s \sin kE + c \cos kE` more.
 
     Distinguished by:
@@ -170,17 +168,12 @@ class InstrumentElevation(_Circle, Discoverable):
     )
     locus: ClassVar[Locus] = Locus(acts_on="elevation")
 
-    @classmethod
-    def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it once: eccentric, or oval as well."""
-        yield Candidate(cls(), variants=tuple(map(cls, _ORDERS)), obstacle=_obstacle(situation))
-
     def _read(self, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
         return sight.elevation, sight.range * sight.up
 
 
 @dataclass(frozen=True)
-class InstrumentTilt(_Reading, Discoverable):
+class InstrumentTilt(_Reading):
     r"""Axes of a tracker that are not perpendicular or do not intersect.
 
     The transit axis deviates from perpendicular to the standing axis by t, the beam from perpendicular to the transit axis
@@ -223,7 +216,7 @@ class InstrumentTilt(_Reading, Discoverable):
 
 
 @dataclass(frozen=True)
-class InstrumentRange(_Reading, Discoverable):
+class InstrumentRange(_Reading):
     """Zero of a tracker's distance meter: every range is read longer by the same length.
 
     Its scale is ``measurement_scale``.
@@ -254,7 +247,7 @@ class InstrumentRange(_Reading, Discoverable):
 
 
 @dataclass(frozen=True)
-class InstrumentStretch(_Reading, Discoverable):
+class InstrumentStretch(_Reading):
     r"""Instrument whose coordinates are stretched: it reads lengths in one direction longer than in another.
 
     :math:`\Delta p = E p`, with E symmetric: by how much lengths along x and y are read longer than along z, and the shears
@@ -272,6 +265,8 @@ class InstrumentStretch(_Reading, Discoverable):
     name: ClassVar[str] = "instrument_stretch"
     meaning: ClassVar[str] = "the instrument reads lengths in one direction longer than in another"
     locus: ClassVar[Locus] = Locus(acts_on="directions")
+    # On all days alike: one that the calibration did not find would hide what is new.
+    stays: ClassVar[bool] = True
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:

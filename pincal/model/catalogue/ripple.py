@@ -32,7 +32,22 @@ _BY_CHANCE = 0.1
 
 
 @dataclass(frozen=True)
-class GearRipple(DriveHarmonic, Harmonic):
+class _FineWaves(DriveHarmonic, Harmonic):
+    """Waves of an order that is any number."""
+
+    order: float
+    typical: ClassVar[float] = WAVE
+
+    def __post_init__(self) -> None:
+        """Refuse orders that are none."""
+        if not self.order > 0.0:
+            raise BadInputError(
+                f"{self.name} of {self.joint}: order {self.order:g}; expected cycles per revolution, more than 0"
+            )
+
+
+@dataclass(frozen=True)
+class GearRipple(_FineWaves):
     r"""Motor or gear stage that turns many times per revolution of the joint: it adds :math:`s \sin kq + c \cos kq`.
 
     Distinguished by:
@@ -49,17 +64,11 @@ class GearRipple(DriveHarmonic, Harmonic):
         chosen_among: number of independent orders among which this one was selected; 1 for a known one.
     """
 
-    order: float
     chosen_among: float = 1.0
     name: ClassVar[str] = "gear_ripple"
     meaning: ClassVar[str] = "a motor or gear stage causes a ripple of many cycles per revolution"
     pattern: ClassVar[str] = "ripple_{wave}_{order}"
-    typical: ClassVar[float] = WAVE
     band: ClassVar[tuple[float, float] | None] = _BAND
-
-    def __post_init__(self) -> None:
-        """Refuse orders that are none."""
-        _check(self)
 
     @property
     def looks(self) -> float:
@@ -101,7 +110,7 @@ class GearRipple(DriveHarmonic, Harmonic):
 
 
 @dataclass(frozen=True)
-class EncoderSubdivision(DriveHarmonic, Harmonic):
+class EncoderSubdivision(_FineWaves):
     r"""Interpolation error of an encoder: :math:`\sum_j s_j \sin jkq + c_j \cos jkq`, once and twice per line.
 
     Distinguished by:
@@ -116,15 +125,9 @@ class EncoderSubdivision(DriveHarmonic, Harmonic):
         order: k, lines per revolution of the joint; for an encoder on the motor, those of the motor times the ratio.
     """
 
-    order: float
     name: ClassVar[str] = "encoder_subdivision"
     meaning: ClassVar[str] = "the encoder has interpolation errors between its lines"
     pattern: ClassVar[str] = "line_{wave}_{order}"
-    typical: ClassVar[float] = WAVE
-
-    def __post_init__(self) -> None:
-        """Refuse orders that are none."""
-        _check(self)
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
@@ -182,10 +185,3 @@ def _binary(order: float, resolution: float) -> tuple[int, float]:
 
 def _as_near(chance: float) -> str:
     return f" (a random order is as near to such a number with a probability of {100.0 * chance:.1g} %)"
-
-
-def _check(effect: GearRipple | EncoderSubdivision) -> None:
-    if not effect.order > 0.0:
-        raise BadInputError(
-            f"{effect.name} of {effect.joint}: order {effect.order:g}; expected cycles per revolution, more than 0"
-        )
