@@ -69,6 +69,7 @@ def test_a_jump_between_two_days_is_named_with_its_interval(robot: Robot) -> Non
         entry = record["parameters"][0]
         assert abs(entry["change"] - truth) < 3.0 * entry["sigma"] < 1e-3
     words = station_changes(records)
+    assert str(run.result.warnings[0]).startswith("wednesday: joint_3.theta moved by 0.")
     assert words.startswith("joint_3.theta at wednesday by 0.") and "mrad +- 0.0" in words and "thursday" not in words
     table = moved_table(records)
     assert table is not None and [row[2] for row in table.rows] == list(DAYS[1:])
@@ -129,6 +130,7 @@ def test_a_calibration_names_the_drive_whose_curve_changed(robot: Robot, change:
         assert not moved
         return
     assert [move["moved"] for move in moved] == [True]
+    assert any("tuesday: " in str(w) and "joint_3.curve moved by 0.3" in str(w) for w in run.result.warnings)
     wave = change * np.sin(3.0 * tables["tuesday"].q[:, 2] + 1.0)
     assert abs(moved[0]["change"] - np.std(wave)) < max(3.0 * moved[0]["sigma"], 0.1 * np.std(wave))
     assert "joint_3.curve at tuesday by 0.3" in station_changes(run.result.to_dict()["stations"])

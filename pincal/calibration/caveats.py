@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -11,16 +11,19 @@ import numpy as np
 
 from pincal.identify.calibrate import doubts_of_known
 from pincal.identify.choices import found_moments
+from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.notes import Note, Severity
+from pincal.units import format_readable
 from pincal.validate.accuracy import pose_errors
 from pincal.validate.agreement import computed, implausible
 from pincal.validate.gathered import Gathering, bump_in, gathering_of, in_common
 from pincal.validate.lack_of_fit import LackOfFit
 from pincal.validate.midway import change_in
 from pincal.validate.misfit import MISFIT, tells
+from pincal.validate.outcome import MovedParameter
 
 # A held-out row is far off if its error is this many times the median: 15 standard deviations of a normal error in 3D.
 _FAR = 10.0
@@ -115,6 +118,10 @@ class CaveatKind(Enum):
         "where {joint} is {low:.4g} to {high:.4g} {unit}, {count} rows share an error of {size:.3g} m{per} of this joint: "
         "its drive has a local error that the model does not describe; measure more poses there. Lines {lines}"
     )
+    MOVED = (
+        "{what} since the station before: the model has one value for all stations and is right at none; calibrate them one "
+        "by one, or run pincal discover on all of them, which names what changed"
+    )
     OUTLIERS = "{count} rows were rejected as outliers and left out of the fit: lines {lines}"
     NOT_HELD_OUT = "no rows were held out, so the errors are those of the fit, not of prediction"
     NOT_LEFT_OUT = "not predicted by the model of the other stations: {why}"
@@ -149,6 +156,7 @@ DOUBTS = UNUSABLE | {
     CaveatKind.BUMP,
     CaveatKind.FAR_OFF,
     CaveatKind.LACK_OF_FIT,
+    CaveatKind.MOVED,
 }
 """What keeps the verdict from being "adequate"."""
 
@@ -216,6 +224,21 @@ def findings_on_data(fit: ModelFit, read: Readings) -> list[Caveat]:
     if not tells(read.degrees):
         return [Caveat(CaveatKind.FEW_READINGS, figures | {"left": max(read.degrees, 0.0)}), *found]
     return [Caveat(CaveatKind.SPARE_READINGS, figures), *found] if read.readings < 2 * released else found
+
+
+def findings_on_moves(fit: ModelFit, moves: Sequence[Sequence[MovedParameter]]) -> Iterator[Caveat]:
+    """Yield what moved at each station by so much that the model, which has one value for all, is not right there."""
+    effects = (effect for station in fit.problem.stations for effect in station.model.effects)
+    own = {p.name for e in effects if e.locus.station is not None for p in e.parameters(fit.problem.chain)}
+    for station, here in zip(fit.problem.stations, moves, strict=False):
+        least = CHANGES.matters * len(station) * station.reading_size
+        some = [
+            f"{move['name']} moved by {format_readable(move['change'], move['unit'])}"
+            for move in here
+            if move["moved"] and move["name"] not in own and (move["change"] / move["sigma"]) ** 2 > least
+        ]
+        if some:
+            yield Caveat(CaveatKind.MOVED, {"what": " and ".join(some)}, station.name)
 
 
 def findings_on_fit(fit: ModelFit, p_value: float | None) -> list[Caveat]:

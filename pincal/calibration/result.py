@@ -20,6 +20,7 @@ from pincal.calibration.caveats import (
     findings_on_data,
     findings_on_fit,
     findings_on_held_out,
+    findings_on_moves,
     findings_on_order,
     findings_on_outliers,
     findings_on_plausibility,
@@ -39,7 +40,16 @@ from pincal.notes import Note, doubts_first, doubts_of
 from pincal.validate.accuracy import Replicates, error_statistics, error_summary, iso9283, pose_error_sizes
 from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
 from pincal.validate.misfit import NoiseTest, Verdict, judge, tells
-from pincal.validate.outcome import ClockRecord, Correlation, Errors, NoiseRecord, Outcome, StationRecord, noise_key
+from pincal.validate.outcome import (
+    ClockRecord,
+    Correlation,
+    Errors,
+    MovedParameter,
+    NoiseRecord,
+    Outcome,
+    StationRecord,
+    noise_key,
+)
 
 # Absolute correlation from which a pair is listed: two parameters then share four fifths of their variance.
 _CORRELATED = 0.9
@@ -147,6 +157,7 @@ def result_of(
     ]
     read = Readings.of(fit, [part.poses[0] for part in seen])
     improved = () if has_instrument(fit) else improvements(fit)
+    moves = moves_of(fit) if len(seen) > 1 else ()
     found = [
         *findings_on_plausibility(fit, [part.train for part in rows]),
         *findings_on_fit(fit, p_value),
@@ -154,6 +165,7 @@ def result_of(
         *findings_without_instrument(fit, improved),
         *_on_rows(seen, left_out),
         *on_replicates,
+        *findings_on_moves(fit, moves),
     ]
     if len(on_replicates) == len(seen) and all(n.kind is CaveatKind.NOISY_REPLICATES for n in on_replicates):
         # What exceeds the declared noise is the scatter between replicates, which is told.
@@ -191,7 +203,7 @@ def result_of(
         shift=next((str(n) for n in found if n.kind is CaveatKind.STEP), ""),
         iso9283=iso,
         lack_of_fit=lack,
-        stations=tuple(_records(fit, seen, apart, again)) if len(seen) > 1 else UNSET,
+        stations=tuple(_records(fit, seen, apart, again, moves)) if len(seen) > 1 else UNSET,
         improvement=improved or UNSET,
         clocks=tuple(_clocks(fit, rows)) or UNSET,
     )
@@ -263,10 +275,11 @@ def _records(
     seen: Sequence[_Seen],
     left_out: Sequence[LeftOut],
     again: Sequence[tuple[dict[str, Any] | None, LackOfFit | None]],
+    moved_there: Sequence[Sequence[MovedParameter]],
 ) -> Iterator[StationRecord]:
     """Yield what is to be said of each of several stations."""
     first = CalibratedModel.of(fit, station=seen[0].rows.name)
-    for k, (station, one, (iso, lack), moves) in enumerate(zip(seen, left_out, again, moves_of(fit), strict=True)):
+    for k, (station, one, (iso, lack), moves) in enumerate(zip(seen, left_out, again, moved_there, strict=True)):
         record: StationRecord = {
             "name": station.rows.name,
             "kind": station.parts["train"].sensor.kind,

@@ -120,6 +120,9 @@ class ChangeNumbers:
         "one sound station in a thousand")
     uneven: float = number(0.05, "probability", "test_moves.py::test_what_no_model_knows_moves_nothing",
         "that parts of a station differ as much by chance, below which stations may differ by as much, too", "usual")
+    matters: float = number(0.01, "ratio", _STATIONS,
+        "part of a station's squares that a parameter which moved explains, above which the model is not right there",
+        "as of an effect that is named")
     unmodelled: float = number(1e-3, "probability", "test_diagnosis.py::test_an_adequate_model_left_nothing",
         "of an effect that a model left, all candidates counted, beyond which none is taken for real",
         "a new diagnosis compares with it, so it has to be there")
