@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from tracker_cases import NOISE, seen, standing
 
-from pincal import load_model
+from pincal import load_model, run_calibration
 from pincal import simulate as sim
+from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibrated_robot import Fit, calibrate
 from pincal.calibration.placing import place_station
 from pincal.diagnosis.robot_diagnosis import diagnose
@@ -35,6 +36,7 @@ from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect
 from pincal.model.effects import GEOMETRIC
+from pincal.notes import Severity
 from pincal.robot.robot import Robot
 from pincal.simulate.tracker import ReadingEffect, cartesian, spherical
 
@@ -187,3 +189,15 @@ def test_two_places_tell_the_instrument_from_the_robot(kuka: Robot) -> None:
 
         assert [(step.effect.name, step.effect.locus.joint) for step in steps] == [(name, joint)]
         assert not {effect.name for effect in steps[0].equivalent} & {name, *OWN}
+
+
+@pytest.mark.parametrize("size", [0.0, 2.5e-5])
+def test_a_calibration_of_a_tracker_that_misreads_is_not_adequate(size: float) -> None:
+    """Residuals of 1.06 times the declared noise pass by themselves; the eccentric encoder is seen, and said."""
+    hidden = [sim.InstrumentAzimuth(size=size)] if size else []
+    table = seen(*hidden, poses=150, sigma=2e-5)
+    result = run_calibration(Robot.from_urdf(kuka_urdf_path()), table, Options(sigma=2e-5)).result
+    doubts = [str(note) for note in result.warnings if note.severity is Severity.DOUBT]
+
+    assert result.chi2_p_value is not None and result.chi2_p_value > 1e-3
+    assert [("instrument_azimuth" in doubt, "misreads" in doubt) for doubt in doubts] == ([(True, True)] if size else [])

@@ -122,6 +122,11 @@ class CaveatKind(Enum):
         "{what} since the station before: the model has one value for all stations and is right at none; calibrate them one "
         "by one, or run pincal discover on all of them, which names what changed"
     )
+    MISREAD = (
+        "the readings follow the instrument's own directions ({effect}, p {p_value:.1g}): it misreads, or the robot has an "
+        "error alike, and intervals do not include it; run pincal discover, or measure the same poses with the instrument "
+        "elsewhere"
+    )
     OUTLIERS = "{count} rows were rejected as outliers and left out of the fit: lines {lines}"
     NOT_HELD_OUT = "no rows were held out, so the errors are those of the fit, not of prediction"
     NOT_LEFT_OUT = "not predicted by the model of the other stations: {why}"
@@ -157,6 +162,7 @@ DOUBTS = UNUSABLE | {
     CaveatKind.FAR_OFF,
     CaveatKind.LACK_OF_FIT,
     CaveatKind.MOVED,
+    CaveatKind.MISREAD,
 }
 """What keeps the verdict from being "adequate"."""
 

@@ -13,6 +13,7 @@ from scipy.special import chdtrc
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.caveats import (
+    DOUBTS,
     UNUSABLE,
     Caveat,
     CaveatKind,
@@ -32,6 +33,7 @@ from pincal.calibration.moves import moves_of
 from pincal.calibration.placing import moved
 from pincal.calibration.result_tables import ParameterRecord, ParameterRow, parameter_rows
 from pincal.calibration.station_information import spent_at
+from pincal.calibration.unmodelled import instruments_error
 from pincal.identify.fit import ModelFit
 from pincal.identify.prior_scale import has_instrument
 from pincal.identify.station import Station
@@ -167,6 +169,10 @@ def result_of(
         *on_replicates,
         *findings_on_moves(fit, moves),
     ]
+    is_judged = fit.is_declared or any(lack is not None for _, lack in again)
+    if is_judged and not any(n.kind in DOUBTS for n in found) and (misread := instruments_error(fit)) is not None:
+        station, effect, chance = misread
+        found.append(Caveat(CaveatKind.MISREAD, {"effect": effect, "p_value": chance}, station))
     if len(on_replicates) == len(seen) and all(n.kind is CaveatKind.NOISY_REPLICATES for n in on_replicates):
         # What exceeds the declared noise is the scatter between replicates, which is told.
         found = [n for n in found if n.kind is not CaveatKind.NOISE_EXCEEDED]

@@ -20,6 +20,7 @@ import numpy as np
 from pincal.calibration.station_information import fit_with, information_at, shared_places
 from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import ModelFit
+from pincal.identify.normal import accumulate
 from pincal.identify.posterior import eliminate
 from pincal.identify.quadratic import Form, Quadratic
 from pincal.identify.selection import Scored, select_stepwise
@@ -82,6 +83,35 @@ def unmodelled_by(fit: ModelFit) -> Unmodelled | None:
     values, covariance = said.estimate(at, _ROUNDING)
     found = tuple(said.names[i] for i in at)
     return Unmodelled(tuple(effects[i] for i in chosen), found, values, covariance, robot, carried[:, at])
+
+
+def instruments_error(fit: ModelFit) -> tuple[str, str, float] | None:
+    """Return station, effect and chance of what an instrument misreads beyond doubt and by what matters; None if none does.
+
+    Each effect is asked alone, beside all that the fit has; of a bent circle or a tilt the robot may be the cause as well.
+    """
+    found = []
+    for k, rows in _sample(fit).items():
+        station, forms, names = fit.problem.stations[k], list[Effect](), set(fit.problem.stations[k].model.names)
+        situation = PoseSet(fit.problem.chain, station.conditions.select(rows))
+        for form in (form for of in testable(situation) for form in of.forms if form.is_sighted and form.scope == "station"):
+            own = {p.name for p in form.parameters(fit.problem.chain)}
+            if names.isdisjoint(own):
+                forms.append(form)
+                names |= own
+        if not forms:
+            continue
+        wide, known = fit_with(fit, forms, {k: rows})
+        free, values = wide.solution.free, wide.solution.values
+        said = accumulate(wide.problem.stations[0], values, free, wide.solution.weights).at(wide.solution.sigma)
+        left, _ = eliminate(said, known[free], wide.priors.sizes[free], values[free])
+        names_left = [parameter.name for parameter in compress(wide.problem.parameters, free & ~known)]
+        for form in forms:
+            at = np.array([names_left.index(p.name) for p in form.parameters(fit.problem.chain)])
+            if left.gain(at, _SEEN)[0] > CHANGES.matters * len(rows) * station.reading_size:
+                found.append((station.name, form.name, left.chance(at, _SEEN) * len(forms)))
+    surest = min(found, key=lambda one: one[2], default=None)
+    return surest if surest is not None and surest[2] < CHANGES.unmodelled else None
 
 
 def _joined(places: Sequence[np.ndarray], chosen: Iterable[int]) -> np.ndarray:
