@@ -15,11 +15,13 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibrated_robot import Fit, calibrate
 from pincal.calibration.placing import place_station
+from pincal.calibration.unmodelled import instruments_error
 from pincal.diagnosis.robot_diagnosis import diagnose
 from pincal.discover.candidate_tests import variants
 from pincal.discover.loop import discover_effects
 from pincal.discover.steps import History
 from pincal.export.c_source import CSource
+from pincal.identify.calibrate import fit_tables
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
 from pincal.io.urdf_export import rigid_notes
@@ -201,3 +203,14 @@ def test_a_calibration_of_a_tracker_that_misreads_is_not_adequate(size: float) -
 
     assert result.chi2_p_value is not None and result.chi2_p_value > 1e-3
     assert [("instrument_azimuth" in doubt, "misreads" in doubt) for doubt in doubts] == ([(True, True)] if size else [])
+
+
+@pytest.mark.long
+def test_of_two_trackers_the_one_that_misreads_is_said() -> None:
+    """Each from a place of its own, the second with an eccentric encoder."""
+    second = seen(sim.InstrumentAzimuth(size=2.5e-5), poses=100, seed=1, place=standing(1.2), sigma=2e-5)
+    tables = {"a": seen(poses=100, sigma=2e-5), "b": second}
+    fit = fit_tables(Robot.from_urdf(kuka_urdf_path()), tables, Options(sigma=2e-5))
+    found = instruments_error(fit)
+
+    assert found is not None and found[:2] == ("b", "instrument_azimuth") and found[2] < 1e-4

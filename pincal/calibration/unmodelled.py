@@ -24,9 +24,11 @@ from pincal.identify.normal import accumulate
 from pincal.identify.posterior import eliminate
 from pincal.identify.quadratic import Form, Quadratic
 from pincal.identify.selection import Scored, select_stepwise
+from pincal.identify.station import Station
 from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, packed_covariance, packed_matrix
 from pincal.io.entries import Effects
 from pincal.model.catalogue.candidates import testable
+from pincal.model.chain import Chain
 from pincal.model.conditions import PoseSet, joined_conditions
 from pincal.model.effect import Curve, Effect
 
@@ -90,28 +92,37 @@ def instruments_error(fit: ModelFit) -> tuple[str, str, float] | None:
 
     Each effect is asked alone, beside all that the fit has; of a bent circle or a tilt the robot may be the cause as well.
     """
+    rows, chain = _sample(fit), fit.problem.chain
+    of_each = [list(_misreadings(fit.problem.stations[k], chain, kept)) for k, kept in rows.items()]
+    forms = [form for form in of_each[0] if all(form in others for others in of_each)]
+    if not forms:
+        return None
     found = []
-    for k, rows in _sample(fit).items():
-        station, forms, names = fit.problem.stations[k], list[Effect](), set(fit.problem.stations[k].model.names)
-        situation = PoseSet(fit.problem.chain, station.conditions.select(rows))
-        for form in (form for of in testable(situation) for form in of.forms if form.is_sighted and form.scope == "station"):
-            own = {p.name for p in form.parameters(fit.problem.chain)}
-            if names.isdisjoint(own):
-                forms.append(form)
-                names |= own
-        if not forms:
-            continue
-        wide, known = fit_with(fit, forms, {k: rows})
-        free, values = wide.solution.free, wide.solution.values
-        said = accumulate(wide.problem.stations[0], values, free, wide.solution.weights).at(wide.solution.sigma)
-        left, _ = eliminate(said, known[free], wide.priors.sizes[free], values[free])
-        names_left = [parameter.name for parameter in compress(wide.problem.parameters, free & ~known)]
+    wide, known = fit_with(fit, forms, rows)
+    for station, places, blocks, of_rows in zip(
+        wide.problem.stations, wide.problem.places, wide.problem.block_spans, wide.problem.rows, strict=True
+    ):
+        free, values, solution = wide.solution.free[places], wide.solution.values[places], wide.solution
+        said = accumulate(station, values, free, solution.weights[of_rows]).at(solution.sigma[blocks])
+        left, _ = eliminate(said, known[places][free], wide.priors.sizes[places][free], values[free])
+        names = [wide.problem.parameters[place].local_name for place in places[free & ~known[places]]]
         for form in forms:
-            at = np.array([names_left.index(p.name) for p in form.parameters(fit.problem.chain)])
-            if left.gain(at, _SEEN)[0] > CHANGES.matters * len(rows) * station.reading_size:
-                found.append((station.name, form.name, left.chance(at, _SEEN) * len(forms)))
+            at = np.array([names.index(p.local_name) for p in form.parameters(chain)])
+            if left.gain(at, _SEEN)[0] > CHANGES.matters * len(station) * station.reading_size:
+                found.append((station.name, form.name, left.chance(at, _SEEN) * len(forms) * len(rows)))
     surest = min(found, key=lambda one: one[2], default=None)
     return surest if surest is not None and surest[2] < CHANGES.unmodelled else None
+
+
+def _misreadings(station: Station, chain: Chain, rows: np.ndarray) -> Iterator[Effect]:
+    """Yield what an instrument may misread of some rows, and the model does not have."""
+    names = set(station.model.names)
+    for candidate in testable(PoseSet(chain, station.conditions.select(rows))):
+        for form in candidate.forms:
+            own = {p.name for p in form.parameters(chain)}
+            if form.is_sighted and form.scope == "station" and names.isdisjoint(own):
+                names |= own
+                yield form
 
 
 def _joined(places: Sequence[np.ndarray], chosen: Iterable[int]) -> np.ndarray:
