@@ -367,6 +367,7 @@ def test_a_later_session_has_the_noise_of_its_instrument(tmp_path: Path) -> None
     assert not pincal.diagnose(fit, later["later/tracker"]).changed
 
 
+@pytest.mark.long
 def test_distances_are_read_in_motion(tmp_path: Path) -> None:
     """A draw-wire sensor on a clock of its own, 1000 ppm off, leaves its noise; distances of another motion are refused."""
     wire = ["--sensor", "distance", "--noise", "0.05mm", "--elastic", "0", "--log-rates", "80,80,50", "--path", "40s"]
