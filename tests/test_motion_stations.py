@@ -299,7 +299,7 @@ def test_causes_are_not_looked_for_by_an_imu_alone(day: Path, tmp_path: Path, ca
 @pytest.mark.parametrize(
     ("count", "header", "words"),
     [
-        (2400, "distance", "distances do not change as these joints move"),
+        pytest.param(2400, "distance", "distances do not change as these joints move", marks=pytest.mark.long),
         (999, "distance", "distances of 9.98 s of motion do not tell the offset"),
         (999, "distance,anchor", "distances of 9.98 s of motion"),
     ],
