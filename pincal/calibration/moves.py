@@ -80,13 +80,11 @@ class _Shape:
     """The curve of a drive, its mean apart.
 
     Attributes:
-        curve: the curve.
         parameter: what it is called.
         T: shape (size, n), orthonormal; T times n values are the coefficients of the curve.
         at: shape (n, N_k) for each station, what these values make at its rows.
     """
 
-    curve: Curve
     parameter: Parameter
     T: np.ndarray
     at: tuple[np.ndarray, ...]
@@ -102,7 +100,7 @@ class _Shape:
         is_one = np.allclose(constant @ basis, 1.0, atol=_CONSTANT)
         T = null_space(constant[None]) if is_one else np.eye(len(basis))
         parameter = replace(curve.parameters(chain)[0], name=f"{joint}.curve")
-        return cls(curve, parameter, T, tuple(T.T @ basis for basis in bases))
+        return cls(parameter, T, tuple(T.T @ basis for basis in bases))
 
     def size(self, k: int, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
         """Return a curve at a station, in the mean square over the rows that tell of it, and its standard deviation."""
