@@ -69,7 +69,8 @@ def test_a_jump_between_two_days_is_named_with_its_interval(robot: Robot) -> Non
         entry = record["parameters"][0]
         assert abs(entry["change"] - truth) < 3.0 * entry["sigma"] < 1e-3
     words = station_changes(records)
-    assert str(run.result.warnings[0]).startswith("wednesday: joint_3.theta moved by 0.")
+    doubts = [str(note) for note in run.result.warnings if "moved by" in str(note)]
+    assert [doubt.startswith("wednesday: joint_3.theta moved by 0.") for doubt in doubts] == [True]
     assert words.startswith("joint_3.theta at wednesday by 0.") and "mrad +- 0.0" in words and "thursday" not in words
     table = moved_table(records)
     assert table is not None and [row[2] for row in table.rows] == list(DAYS[1:])
@@ -122,15 +123,17 @@ def test_what_no_model_knows_moves_nothing(robot: Robot) -> None:
 
 @pytest.mark.parametrize("change", [0.0, 5e-4])
 def test_a_calibration_names_the_drive_whose_curve_changed(robot: Robot, change: float) -> None:
-    """With the day, and by how much in the mean square, among drives whose ripples the model does not have."""
+    """With the day, and by how much in the mean square, to a tenth, as pieces are coarse, beside ripples of all drives."""
     tables = rippled(7, change=change, ripple=5e-5, split=False)
     run = pincal.run_calibration(robot, tables, Options(effects=ELASTIC), test_fraction=0.0)
-    moved = [move for move in run.result.to_dict()["stations"][1].get("parameters", []) if move["name"] == "joint_3.curve"]
+    every = run.result.to_dict()["stations"][1].get("parameters", [])
+    moved = [move for move in every if move["name"].endswith(".curve")]
+    doubts = [str(note) for note in run.result.warnings if "moved by" in str(note)]
     if not change:
-        assert not moved
+        assert not moved and not doubts
         return
-    assert [move["moved"] for move in moved] == [True]
-    assert any("tuesday: " in str(w) and "joint_3.curve moved by 0.3" in str(w) for w in run.result.warnings)
+    assert [(move["name"], move["moved"]) for move in moved] == [("joint_3.curve", True)]
+    assert [doubt.startswith("tuesday: ") and "joint_3.curve moved by 0.3" in doubt for doubt in doubts] == [True]
     wave = change * np.sin(3.0 * tables["tuesday"].q[:, 2] + 1.0)
     assert abs(moved[0]["change"] - np.std(wave)) < max(3.0 * moved[0]["sigma"], 0.1 * np.std(wave))
     assert "joint_3.curve at tuesday by 0.3" in station_changes(run.result.to_dict()["stations"])

@@ -119,7 +119,7 @@ class CaveatKind(Enum):
         "its drive has a local error that the model does not describe; measure more poses there. Lines {lines}"
     )
     MOVED = (
-        "{what} since the station before: the model has one value for all stations and is right at none; calibrate them one "
+        "{what} since the first station: the model has one value for all stations and is right at none; calibrate them one "
         "by one, or run pincal discover on all of them, which names what changed"
     )
     MISREAD = (
@@ -233,7 +233,12 @@ def findings_on_data(fit: ModelFit, read: Readings) -> list[Caveat]:
 
 
 def findings_on_moves(fit: ModelFit, moves: Sequence[Sequence[MovedParameter]]) -> Iterator[Caveat]:
-    """Yield what moved at each station by so much that the model, which has one value for all, is not right there."""
+    """Yield what moved by so much that the model, which has one value for all stations, is not right there.
+
+    Args:
+        fit: a calibration.
+        moves: for each of its stations what moved; none of a single one.
+    """
     effects = (effect for station in fit.problem.stations for effect in station.model.effects)
     own = {p.name for e in effects if e.locus.station is not None for p in e.parameters(fit.problem.chain)}
     for station, here in zip(fit.problem.stations, moves, strict=False):
