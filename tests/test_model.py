@@ -836,3 +836,14 @@ def test_how_far_effects_move_coordinates_is_asked_once(kuka: Robot, monkeypatch
     each = [largest_basis(Model(chain, (effect,)), conditions) for effect in reversed(ELASTIC)]
     np.testing.assert_array_equal(np.concatenate([size for size, _ in reversed(each)]), whole)
     np.testing.assert_array_equal(np.concatenate([acts for _, acts in reversed(each)]), acted)
+
+
+def test_a_bearing_that_feels_a_moment_of_rounding_is_not_made_of_rubber() -> None:
+    """About a vertical axis a UR's second bearing feels 1e-14 N m: its compliance is small, not 1e11 rad/(N m)."""
+    robot = Robot.from_urdf("ur5")
+    poses = Conditions.at(robot.random_configurations(40, np.random.default_rng(0)))
+    model = Model(Chain.of(robot).with_moment_frame("before"), (catalogue.BearingElasticity(("shoulder_lift_joint",)),))
+    largest, excited = largest_basis(model, poses)
+
+    assert excited.tolist() == [True, False]
+    assert 1e-3 < largest[1] < largest[0]

@@ -237,9 +237,10 @@ class _Run:
     def is_beyond_normal_equations(self) -> bool:
         """Return whether readings are so exact that J^T J can't hold what they say, and few enough for J itself.
 
-        What is believed beyond the priors of each parameter has no part in J.
+        What is believed beyond the priors of each parameter, and noise that is correlated, have no part in J.
         """
-        if not self.problem.beliefs.is_slope:
+        correlated = any(s.serial is not None or s.whitening is not None for s in self.problem.stations)
+        if correlated or not self.problem.beliefs.is_slope:
             return False
         whole = self.point.posterior(self.judged.sigma).whole
         return is_exact(whole, self.priors.sizes[self.free]) and len(self.problem) * len(whole) <= MOST_EXACT

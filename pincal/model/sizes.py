@@ -14,8 +14,9 @@ def largest_basis(model: Model, conditions: Conditions) -> tuple[np.ndarray, np.
     """Return how far one unit of each parameter moves its coordinate at most, and whether it does at all.
 
     A moment itself is taken as at least a part of the largest on the arm, so that a wrist that carries nothing is
-    not thought to be made of rubber. A moment that the nominal arm does not feel, such as about a vertical axis, does
-    not excite its parameter, although a base that is not quite level would. A spline of a curve is taken to be as
+    not thought to be made of rubber, nor what feels a moment of rounding alone of anything softer. A moment that the nominal
+    arm does not feel, such as about a vertical axis, does not excite its parameter, although a base that is not quite level
+    would. A spline of a curve is taken to be as
     large as the others of the curve, however few of the poses are near it.
 
     Returns:
@@ -59,7 +60,7 @@ def _largest_bases(model: Model, conditions: Conditions, starts: np.ndarray) -> 
         size = np.ones(len(starts)) if term.basis is None else most(term.basis)
         if term.moment is not None:
             excited[:, p] |= moments[term.moment] > UNFELT * heaviest
-            size = size if term.slope is not None else np.maximum(size, least[p] * heaviest)
+            size = size if term.slope is not None else np.maximum(size, max(least[p], UNFELT) * heaviest)
         else:
             excited[:, p] |= size > 0.0
         largest[:, p] = np.maximum(largest[:, p], size)
