@@ -79,7 +79,7 @@ def discover_effects(
         first = in_frame(first, state.fit.problem.chain.moment_frame)
         return History(state.fit, state.steps, state.changes, first=first, extra=search.extra, policy=policy)
 
-    if any(station.serial is not None for station in fit.problem.stations):
+    if fit.options.serial and any(station.serial is not None for station in fit.problem.stations):
         # What depends on the order of rows may be what is looked for.
         fit = refit(with_serial(fit, (None,) * len(fit.problem.stations)), fit.options.effects, start={})
     found = searched(fit)

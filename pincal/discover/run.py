@@ -289,6 +289,8 @@ def begin_subsamples(
     if not count:
         return lambda: Subsamples((), 0)
     few, rows = sampled(trail.first, trail.policy)
+    # How noise depends on the order is known from all rows.
+    few = replace(few, options=replace(few.options, serial=False))
     offsets = np.cumsum([0, *(int(part.max()) + 1 for part in regions)])
     joined = np.concatenate([part + offset for part, offset in zip(regions, offsets, strict=False)])[rows]
     parts = [np.unique(joined[span]) for span in few.problem.rows]
