@@ -103,7 +103,7 @@ class CaveatKind(Enum):
         "which pincal discover looks for, or the instrument's set-up or a clock changed on the way"
     )
     BLOCKS = (
-        "the errors of consecutive rows are correlated: standard deviations are {factor:.2g} times those of independent "
+        "the errors of consecutive rows are correlated: standard deviations are {factor:.3g} times those of independent "
         "rows; look for what changed during the measurement"
     )
     SORTED = (
