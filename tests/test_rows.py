@@ -12,6 +12,7 @@ from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate, measurements_f
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.decisions import standard_errors
 from pincal.discover.run import run_discovery
+from pincal.identify.calibrate import refit
 from pincal.identify.dependence import _largest_factor, dependence, is_dependent, serial_noise
 from pincal.identify.fit import ModelFit
 from pincal.identify.split import ways_held_out
@@ -128,6 +129,20 @@ def test_rows_in_any_order_of_a_table_are_one_fit(kuka: Robot) -> None:
 
     assert all(fit.problem.stations[0].serial is not None for fit in fits)
     np.testing.assert_allclose(fits[1].values, fits[0].values, atol=1e-6)
+
+
+def test_an_instrument_stands_where_the_rows_saw_it_on_average(kuka: Robot) -> None:
+    """Nothing is left of an error that persists, on average, and all but where the instrument stands is the weighed fit."""
+    rows = table(kuka, 150, NOISE * autoregression(np.random.default_rng(3), 150, 0.98), 3)
+    fit = calibrate(kuka, rows, Options(effects=GEOMETRIC))
+    weighed = refit(fit, fit.options.effects, start={})
+    moved = np.abs(weighed.values - fit.values) > 0.01 * fit.estimate.sigma
+
+    assert fit.problem.stations[0].serial is not None
+    assert np.linalg.norm(fit.problem.stations[0].residuals(fit.values).mean(axis=1)) < 1e-9
+    assert np.linalg.norm(fit.problem.stations[0].residuals(weighed.values).mean(axis=1)) > 0.1 * NOISE
+    assert {fit.problem.parameters[k].name for k in np.flatnonzero(moved)} <= {"base.x", "base.y", "base.z"}
+    np.testing.assert_allclose(fit.estimate.sigma, weighed.estimate.sigma, rtol=1e-6)
 
 
 @pytest.mark.long

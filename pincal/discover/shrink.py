@@ -13,6 +13,7 @@ from pincal.calibration.held_out import StationRows, errors_held_out, headline_o
 from pincal.discover.levers import levers, on_steps
 from pincal.discover.policy import WAVES
 from pincal.discover.steps import History, ModelChange
+from pincal.identify.dependence import placed_at_mean
 from pincal.identify.fit import ModelFit
 from pincal.io.discovery_file import EffectName, Gap, Stage
 from pincal.model.conditions import MOMENT, recorded_variable
@@ -31,6 +32,7 @@ def gaps_of(fit: ModelFit, rows: Sequence[StationRows]) -> dict[str, Gap]:
 
     Where none are held out these are the errors on the fitted ones.
     """
+    fit = placed_at_mean(fit)
     errors = errors_held_out(fit, fit.values, rows)
     if not errors:
         pairs = zip(fit.problem.stations, fit.problem.places, strict=True)

@@ -18,7 +18,7 @@ from pincal.identify.beliefs import excited_of, is_frame, of_stations, priors_of
 from pincal.identify.believed import Earlier
 from pincal.identify.choices import along_gauge, best_of, required_features, some_rows_of, weight_of
 from pincal.identify.criteria import CRITERIA
-from pincal.identify.dependence import is_dependent, serial_noise, with_blocks, with_serial
+from pincal.identify.dependence import is_dependent, placed_at_mean, serial_noise, with_blocks, with_serial
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import FitStage, ModelFit, Solution
 from pincal.identify.initial import begin
@@ -283,7 +283,7 @@ def reweighted_by_order(fit: ModelFit) -> ModelFit:
     found = serial_noise(fit)
     if not any(serial is not None for serial in (*found, *(station.serial for station in fit.problem.stations))):
         return fit
-    return refit(with_serial(fit, found), fit.options.effects, start={})
+    return placed_at_mean(refit(with_serial(fit, found), fit.options.effects, start={}))
 
 
 def with_bearings(fit: ModelFit) -> ModelFit:

@@ -93,6 +93,26 @@ def with_serial(fit: ModelFit, found: tuple[Serial | None, ...]) -> ModelFit:
     return fit.over(stations)
 
 
+def placed_at_mean(fit: ModelFit) -> ModelFit:
+    """Return a fit whose instruments, or targets, stand where they were on average, as far as an error persisted.
+
+    An error that persists through a session moves them for what the session shows. The best estimate of where they are
+    without it lies off most of the rows, by as much as it is unsure; the mean of what is left is as good an estimate, to a
+    few per cent, and the rows are predicted. Nothing else in the fit depends on it, and its covariance stays.
+    """
+    values = fit.values.copy()
+    for (station, places, _), rows in zip(fit.stations, fit.problem.rows, strict=True):
+        if station.serial is None:
+            continue
+        frame = "base_frame" if station.serial.turns is None else "tool_frame"
+        moved = np.array([p.effect == frame and p.unit == "m" for p in station.parameters]) & fit.solution.free[places]
+        if moved.any():
+            weights, parts = station.weights * fit.solution.weights[rows], list(station.linearise(values[places], moved))
+            left, J = (np.concatenate([part[i] for part in parts], axis=-1) * weights for i in (1, 2))
+            values[places[moved]] += np.linalg.lstsq(J.reshape(len(J), -1).T, left.ravel(), rcond=None)[0]
+    return replace(fit, solution=replace(fit.solution, values=values))
+
+
 def is_dependent(fit: ModelFit) -> bool:
     """Return whether what a fit leaves, as it weighs it, depends on the order of the rows at any station."""
     return any(seen.dependence > CRITERIA.dependent for seen in _seen(fit))
