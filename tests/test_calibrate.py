@@ -113,6 +113,13 @@ def test_how_exact_readings_are_is_told_of_any_size(size: float, information: fl
     assert is_exact(G, sizes) == exact
 
 
+def test_wide_priors_make_no_reading_exact(noisy, kuka, monkeypatch):
+    """Readings of 50 um are fitted with priors, however wide: as exact ones they would be fitted without any."""
+    monkeypatch.setattr("pincal.identify.solve.polish", None)
+
+    calibrate(kuka, noisy[0], replace(OPTIONS, priors={"*.theta": np.inf}))
+
+
 def test_order_of_rows_means_nothing(kuka, noisy):
     """Predictions of a fit to shuffled rows are the same."""
     table, fit = noisy

@@ -10,7 +10,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.identify.fit import Priors
-from pincal.identify.noise import Noise
+from pincal.identify.noise import Noise, usual_sizes
 from pincal.identify.options import Options, PriorScale, known_frames
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station
@@ -132,7 +132,7 @@ def deviations(problem: Problem, options: Options) -> tuple[np.ndarray, ...]:
 
 def priors_of(problem: Problem, options: Options) -> Priors:
     """Return priors by physical group: so many mm, mrad, or mrad at the largest moment that these poses bring."""
-    sizes, given = np.array([p.size for p in problem.parameters]) / problem.largest_basis[0], given_sizes(problem, options)
+    sizes, given = usual_sizes(problem), given_sizes(problem, options)
     for kind, scale in zip(deviations(problem, options), options.prior_scale or PriorScale(), strict=True):
         sizes[kind] *= scale
     for pattern in options.zeros:

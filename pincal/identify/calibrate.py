@@ -23,7 +23,7 @@ from pincal.identify.equations import Linearised
 from pincal.identify.fit import FitStage, ModelFit, Solution
 from pincal.identify.initial import begin
 from pincal.identify.many_rows import over_all
-from pincal.identify.noise import is_exact, rounding
+from pincal.identify.noise import is_exact, rounding, usual_sizes
 from pincal.identify.options import Options, PriorScale, StationOptions, Tools
 from pincal.identify.prior_scale import prior_scale, sees_places
 from pincal.identify.problem import Problem
@@ -346,7 +346,7 @@ def _is_missed(fit: ModelFit, released: np.ndarray) -> tuple[bool, Linearised]:
     if not held.any():
         return False, found
     wide = found.posterior(np.maximum(fitted.sigma, rounding(problem)))
-    if is_exact(wide.whole, sizes[found.free]):
+    if is_exact(wide.whole, usual_sizes(problem, sizes)[found.free]):
         # The least deviation counts, and is lost in the rounding of H.
         return bool(np.any(fitted.estimated > rounding(problem))), found
     gain = wide.gain(np.ones(len(wide.is_shared), bool)) - wide.gain(fitted.free[found.free])

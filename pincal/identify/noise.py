@@ -40,6 +40,11 @@ def rounding(problem: Problem) -> np.ndarray:
     return np.array([block.rounding for block in problem.blocks])
 
 
+def usual_sizes(problem: Problem, at_most: np.ndarray | float = np.inf) -> np.ndarray:
+    """Return the standard deviations of what is usual of the parameters in these poses, shape (P,)."""
+    return np.asarray(np.minimum([p.size for p in problem.parameters] / problem.largest_basis[0], at_most))
+
+
 def is_exact(G: np.ndarray, sizes: np.ndarray) -> bool:
     """Return whether the information of the readings, the diagonal of G, is too much for the rounding of what priors say."""
     known = np.isfinite(sizes)

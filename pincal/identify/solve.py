@@ -16,7 +16,7 @@ import numpy as np
 
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import MOST_STEPS, Ending, Priors, Solution
-from pincal.identify.noise import MOST_EXACT, Judge, Loss, Noise, is_exact, polish, rounding
+from pincal.identify.noise import MOST_EXACT, Judge, Loss, Noise, is_exact, polish, rounding, usual_sizes
 from pincal.identify.problem import Problem
 from pincal.units import readable_unit
 
@@ -243,7 +243,9 @@ class _Run:
         if correlated or not self.problem.beliefs.is_slope:
             return False
         whole = self.point.posterior(self.judged.sigma).whole
-        return is_exact(whole, self.priors.sizes[self.free]) and len(self.problem) * len(whole) <= MOST_EXACT
+        # A prior that is wider than usual makes no reading more exact.
+        sizes = usual_sizes(self.problem, self.priors.sizes)[self.free]
+        return is_exact(whole, sizes) and len(self.problem) * len(whole) <= MOST_EXACT
 
     def solution(self, ended: Ending) -> Solution:
         """Put the solution together, its noise judged with the parameters really spent."""
