@@ -115,7 +115,7 @@ def test_points_of_one_image_share_a_stamp(hand: tuple[Path, Session]) -> None:
     slow = one.select(np.arange(0, len(one), 4))
     assert len(stream_of("slow", slow.time, slow.readings)) == len(slow)
     with pytest.raises(MeasurementError, match="stamps are those of packets"):
-        stream_of("packets", np.repeat(slow.time, 2), {name: np.repeat(v, 2, axis=0) for name, v in slow.readings.items()})
+        stream_of("packets", np.repeat(slow.time, 2)[: len(one)], one.select(np.arange(2 * len(slow))[: len(one)]).readings)
     with pytest.raises(MeasurementError, match=r"a row every 400 s.*looks like .ms."):
         stream_of("ms", 1e3 * slow.time, slow.readings)
 

@@ -24,7 +24,8 @@ from pincal.measure.recordings import is_bag, open_streams
 from pincal.measure.registry import check_fields, known_fields, sensor_class
 from pincal.measure.sensors.imu import FORCE, RATE
 from pincal.measure.sheet import Sheet
-from pincal.motion.stream import Stream, checked_imu, checked_joints, in_order
+from pincal.motion.stamps import in_order
+from pincal.motion.stream import Stream, checked_imu, checked_joints
 from pincal.robot.robot import Robot
 
 STREAMS = ("joints", "imu", "tracker")

@@ -19,12 +19,13 @@ from pincal.motion.imu_rows import ImuRows
 from pincal.motion.moving_arm import MovingArm
 from pincal.motion.stream import Stream
 from pincal.robot.se3 import nearest_rotation, rotation_vectors
+from pincal.units import size_of
 
 # Samples a second of the arm's speeds, and the window of rates that are compared with them [s].
 _GRID, _WIDTH = 0.02, 0.03
-# By how much lengths and rates may seem off before units are [1], and how far a drift is worth telling [1].
-_SCALE, _DRIFT = 0.2, 2e-4
-_DEGREE = np.pi / 180.0
+# By how much lengths and rates may seem off before units are, by how much rates in another unit are off it, and how far a
+# drift is worth telling [1].
+_SCALE, _UNIT, _DRIFT = 0.2, 0.05, 2e-4
 # Angle between the frames of accelerometer and gyroscope from which columns are mixed up [rad]; of a mount that slipped, and
 # how many times its own scatter that has to be; rows over which a mount is found, and the number of such blocks on a side of
 # which the scatter is half unsure: errors of the nominal arm turn the mount, too, in each move by another angle. Part of the
@@ -141,11 +142,12 @@ def _match(arm: MovingArm, stream: Stream, time: np.ndarray, speed: np.ndarray, 
 def _check_rates(imu: Stream, found: Alignment) -> None:
     """Refuse rates whose linear map from the arm's is no rotation."""
     sizes = np.linalg.svd(found.matrix, compute_uv=False)
-    if np.all(np.abs(sizes * _DEGREE - 1.0) < _SCALE):
-        raise MeasurementError(
-            f"{imu.name}: rates are {sizes.mean():.3g} times those of the arm; looks like degrees: write `wx [deg/s]`, "
-            "`wy [deg/s]`, `wz [deg/s]` in the header"
-        )
+    for unit in ("deg/s", "mdeg/s", "mrad/s"):
+        if np.all(np.abs(sizes * size_of(unit) - 1.0) < _UNIT):
+            raise MeasurementError(
+                f"{imu.name}: rates are {sizes.mean():.3g} times those of the arm; looks like [{unit}]: write "
+                f"`wx [{unit}]`, `wy [{unit}]`, `wz [{unit}]` in the header"
+            )
     if np.any(np.abs(sizes - 1.0) > _SCALE):
         raise OtherMotionError(
             f"{imu.name}: rates are {', '.join(f'{size:.3g}' for size in sizes)} times those of the arm along three axes; "
