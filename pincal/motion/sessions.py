@@ -212,18 +212,3 @@ def _checked_joints(robot: Robot, joints: Stream) -> Stream:
     table = measurements(robot, joints.readings["q"], rows=joints.lines, source=joints.name, units=joints.units)
     check_joint_values(table, robot.lower, robot.upper, robot.joint_types)
     return checked_joints(joints, robot.joint_names, np.array([kind == "revolute" for kind in robot.joint_types]))
-
-
-def stream_of(name: str, time: np.ndarray, readings: Mapping[str, np.ndarray]) -> Stream:
-    """Return a stream of arrays in SI units, checked like one that is read.
-
-    Args:
-        name: for messages.
-        time: shape (T,) [s].
-        readings: as :class:`Stream` has them.
-
-    Raises:
-        MeasurementError: as :func:`read_streams`.
-    """
-    stream = in_order(Stream(name, np.asarray(time, float), dict(readings), {}))
-    return checked_imu(stream) if FORCE.name in readings else stream

@@ -142,12 +142,11 @@ def _match(arm: MovingArm, stream: Stream, time: np.ndarray, speed: np.ndarray, 
 def _check_rates(imu: Stream, found: Alignment) -> None:
     """Refuse rates whose linear map from the arm's is no rotation."""
     sizes = np.linalg.svd(found.matrix, compute_uv=False)
-    for unit in ("deg/s", "mdeg/s", "mrad/s"):
-        if np.all(np.abs(sizes * size_of(unit) - 1.0) < _UNIT):
-            raise MeasurementError(
-                f"{imu.name}: rates are {sizes.mean():.3g} times those of the arm; looks like [{unit}]: write "
-                f"`wx [{unit}]`, `wy [{unit}]`, `wz [{unit}]` in the header"
-            )
+    if unit := _unit(sizes, _UNIT, "deg/s", "mdeg/s", "mrad/s"):
+        raise MeasurementError(
+            f"{imu.name}: rates are {sizes.mean():.3g} times those of the arm; looks like [{unit}]: write `wx [{unit}]`, "
+            f"`wy [{unit}]`, `wz [{unit}]` in the header"
+        )
     if np.any(np.abs(sizes - 1.0) > _SCALE):
         raise OtherMotionError(
             f"{imu.name}: rates are {', '.join(f'{size:.3g}' for size in sizes)} times those of the arm along three axes; "
@@ -158,6 +157,11 @@ def _check_rates(imu: Stream, found: Alignment) -> None:
             f"{imu.name}: rates are those of a mirrored arm, its frame is left-handed; expected a right-handed frame: turn "
             "the sign of one axis of ax ay az and of wx wy wz, or swap two columns of both"
         )
+
+
+def _unit(sizes: np.ndarray, within: float, *units: str) -> str:
+    """Return the unit in which values are so many times too large; empty for none."""
+    return next((unit for unit in units if np.all(np.abs(sizes * size_of(unit) - 1.0) < within)), "")
 
 
 def _check_forces(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount: np.ndarray) -> None:
@@ -236,14 +240,7 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
     found = aligned(tracker.time, position, lambda at, _: _features(arm.tips(at)), arm.path.covers, Clock(match.offset))
     sizes = np.linalg.svd(found.matrix[:, :3], compute_uv=False)
     if np.any(np.abs(sizes - 1.0) > _SCALE):
-        unit = next(
-            (
-                u
-                for u, size in (("mm", 1e3), ("cm", 1e2), ("in", 1.0 / 0.0254))
-                if np.all(np.abs(sizes / size - 1.0) < _SCALE)
-            ),
-            "",
-        )
+        unit = _unit(sizes, _SCALE, "mm", "cm", "in")
         cure = (
             f"looks like [{unit}]: write `x [{unit}]` in the header" if unit else "look at its unit and at the robot's size"
         )
