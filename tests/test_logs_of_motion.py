@@ -383,6 +383,20 @@ def test_stamps_of_packets_are_those_of_their_samples_again(logs: Tables, which:
     assert len(found) == len(logs[which]["time"])
 
 
+def test_stamps_of_arrival_are_told_from_those_of_two_devices(logs: Tables, tmp_path: Path) -> None:
+    """Whose samples come in pairs, and are smooth by their stamps; by those of arrival time runs back again and again."""
+    tables = copied({name: logs[name] for name in ("joints", "tracker")})
+    true = tables["joints"]["time"]
+    pairs = np.sort(np.append(true[::2], true[:-1:2] + 0.003))
+    tables["joints"] = {name: np.interp(pairs, true, values) for name, values in tables["joints"].items()}
+    tables["tracker"]["time"] += np.random.default_rng(0).exponential(0.01, len(tables["tracker"]["time"]))
+    session, told = read(tmp_path, tables)
+    assert session.tracker is not None and "joints.csv" not in told
+    assert re.search(r"tracker.csv: time runs back \d+ times, by 0.0\d+ s or less: .* taken to be 16.66", told)
+    np.testing.assert_array_equal(session.joints.time, pairs)
+    assert np.ptp(session.tracker.time - logs["tracker"]["time"]) < 5e-4
+
+
 def test_rows_that_are_written_late_or_twice_are_put_in_order(logs: Tables, tmp_path: Path) -> None:
     """By several threads of a logger; what is then read is what was logged."""
     tables, rng = copied(logs), np.random.default_rng(0)

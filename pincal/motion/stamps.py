@@ -18,10 +18,12 @@ _ENDLESS = 3600.0
 # Part of the rows that may have the stamp of the row before.
 _FEW = 0.05
 # How late a row may be written [s]; stamps too many where it was, in all and of those that there should be, from which on a
-# clock was set back.
-_LATE, _EXTRA, _CROWDED = 2.0, 1.5, 0.2
+# clock was set back; times that one may be set in a log.
+_LATE, _EXTRA, _CROWDED, _OFTEN_SET = 2.0, 1.5, 0.2, 3
 # Part of the mean step by which most stamps follow each other in bursts, or a part of them that two devices do not explain.
 _BURST, _PAIRED, _OFTEN = 1.0 / 3.0, 0.25, 0.2
+# How much smoother some reading is by stamps or by the count of samples, whichever is right.
+_SMOOTHER = 0.7
 # Packets in which one is hardly delayed, and parts of a log in which the least delayed are compared, at least and at most;
 # what these may be off an even rate, of a step and in all [s], and those of few packets, which lack less than one sample.
 _PACKETS, _PARTS, _STRAIGHT, _EXACT, _WHOLE = 10, (5, 30), 0.25, 1e-3, 0.75
@@ -37,8 +39,8 @@ def in_order(stream: Stream) -> Stream:
         MeasurementError: for stamps that run back, or from which the times of the samples do not follow.
     """
     name = stream.name
-    if len(stream) < 2 * _SLOWEST:
-        raise MeasurementError(f"{name}: {len(stream)} rows; expected a log of some minutes")
+    if (stamps := len(stream.steps)) < 2 * _SLOWEST:
+        raise MeasurementError(f"{name}: {len(stream)} rows with {stamps + 1} stamps; expected a log of some minutes")
     same, twice = _same(stream)
     in_packets = (same & ~twice).mean() > _FEW
     if twice.any() and not in_packets:
@@ -91,13 +93,19 @@ def _sorted(stream: Stream, in_packets: bool) -> Stream:
     around = np.concatenate([[-np.inf], ordered.time, [np.inf]])
     # A clock that was set back gives each of some times to two samples.
     usual = (around[np.append(begins[1:], len(time)) + 1] - around[begins]) * ordered.rate
-    is_set = np.any((np.diff(begins, append=len(time)) > 1) & (count + 1 - usual > np.maximum(_EXTRA, _CROWDED * usual)))
-    if is_set or np.max(latest - time) > _LATE:
+    crowded = (np.diff(begins, append=len(time)) > 1) & (count + 1 - usual > np.maximum(_EXTRA, _CROWDED * usual))
+    farthest = float(np.max(latest - time))
+    is_often = crowded.any() and farthest <= _LATE and back.sum() > _OFTEN_SET
+    # Rows in the order of their samples are smooth as they stand.
+    if is_often and _is_smoother((stream, np.arange(len(time))), (ordered, ordered.time)):
+        return _by_count(stream, f"time runs back {int(back.sum())} times, by {farthest:.2g} s or less")
+    if crowded.any() or farthest > _LATE:
         k = int(np.argmax(back))
         raise MeasurementError(
             f"{stream.name}, line {stream.lines[k + 1]}: time runs back from {_shown(time[k])} to {_shown(time[k + 1])}; "
             "expected one log by one clock: give logs that were appended to each other, or what is before and after a clock "
-            "was set, as sessions of their own, and add its range to a counter that overflowed"
+            "was set, as sessions of their own, and add its range to a counter that overflowed; if it runs back again and "
+            "again, stamps are those of arrival: log the device's own"
         )
     late, name = latest > time, stream.name
     warn(f"{name}: {int(late.sum())} rows, the first in line {stream.lines[late][0]}, stand late and are put in order")
@@ -106,9 +114,8 @@ def _sorted(stream: Stream, in_packets: bool) -> Stream:
 
 def _by_count(stream: Stream, what: str) -> Stream:
     """Return a stream whose stamps are those of packets by the count of its samples, if they came at an even rate."""
-    time, count = stream.time, np.arange(len(stream))
-    mean = float(np.mean(np.diff(time)[np.diff(time) <= stream.gap]))
-    packets = int(np.sum(np.diff(time) > mean)) + 1
+    time, count, steps = stream.time, np.arange(len(stream)), np.diff(stream.time)
+    packets = int(np.sum(steps > steps[steps <= stream.gap].mean())) + 1
     text, cure = f"{stream.name}: {what}: stamps are those of", "; log the device's own time stamps, with all their digits"
     if stream.things.any() or packets < _PACKETS * _PARTS[0]:
         raise MeasurementError(f"{text} packets, not of samples, or lost digits{cure}")
@@ -135,6 +142,20 @@ def _by_count(stream: Stream, what: str) -> Stream:
     return replace(stream, time=np.polyval(line, count))
 
 
+def _is_smoother(one: tuple[Stream, np.ndarray], other: tuple[Stream, np.ndarray]) -> bool:
+    """Return whether readings change more smoothly in one order at some times than in another at others."""
+    rough, else_ = (_roughness(*each) for each in (one, other))
+    return bool(np.any(rough < _SMOOTHER * else_))
+
+
+def _roughness(stream: Stream, time: np.ndarray) -> np.ndarray:
+    """Return how far values are on the average off the line between those before and after, by column, at such times."""
+    values = np.column_stack([v for v in stream.readings.values() if v.dtype.kind == "f"])
+    share = ((time[1:-1] - time[:-2]) / np.maximum(time[2:] - time[:-2], 1e-300))[:, None]
+    off = np.abs(values[1:-1] - (1.0 - share) * values[:-2] - share * values[2:])
+    return np.asarray(off.mean(axis=0))
+
+
 def _shown(stamp: float) -> str:
     return f"{stamp:.6g} s" if abs(stamp) < 1e5 else f"{stamp:.3f} s"
 
@@ -143,7 +164,9 @@ def _checked_rate(stream: Stream) -> Stream:
     """Return a stream without bursts; refuse stamps in another unit than is said, or that count samples."""
     step, slowest = float(np.median(stream.steps)), _SLOWEST if {"q", FORCE.name} & stream.readings.keys() else _SLOW
     usual = stream.steps[stream.steps < stream.gap]
-    if len(usual) and (step < _BURST * usual.mean() or np.mean(usual < _PAIRED * usual.mean()) > _OFTEN):
+    is_burst = len(usual) and (step < _BURST * usual.mean() or np.mean(usual < _PAIRED * usual.mean()) > _OFTEN)
+    # Two devices that log into one stream stamp their samples in pairs, too, and rightly.
+    if is_burst and not _is_smoother((stream, stream.time), (stream, np.arange(len(stream)))):
         return _by_count(stream, f"rows come in bursts, mostly {step:.2g} s apart, on the average {usual.mean():.2g} s")
     if 1.0 / _FASTEST <= step <= 1.0 / slowest:
         return stream

@@ -229,7 +229,9 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
     if not (kept := steady(position)).all():
         tracker, position = tracker.select(kept), position[kept]
     smooth = max(round(0.02 * tracker.rate), 1)
-    moved = (position[smooth:] - position[:-smooth]) / (tracker.time[smooth:] - tracker.time[:-smooth])[:, None]
+    lasts = tracker.time[smooth:] - tracker.time[:-smooth]
+    # Stamps that jitter may be next to each other.
+    moved = (position[smooth:] - position[:-smooth]) / np.maximum(lasts, 0.5 * np.median(lasts))[:, None]
     middles = 0.5 * (tracker.time[smooth:] + tracker.time[:-smooth])
     match = _match(arm, tracker, middles, np.linalg.norm(moved, axis=1), by_rate=False)
     if not match.is_same:
