@@ -55,6 +55,8 @@ SIZES = {
     "deg/s": math.pi / 180,
     "°/s": math.pi / 180,
     "dps": math.pi / 180,
+    "mdeg/s": 1e-3 * math.pi / 180,
+    "mdps": 1e-3 * math.pi / 180,
 }
 """Units in which values are given, each with its size in SI units (temperatures: in deg C)."""
 STANDARD_GRAVITY = 9.80665
@@ -83,7 +85,7 @@ UNITS: dict[str, tuple[str, ...]] = {
     "temperature": ("degC", "°C", "K"),
     "pixel": ("px",),
     "acceleration": ("m/s^2", "m/s²", "mm/s^2", "g", "mg"),
-    "angular rate": ("rad/s", "mrad/s", "deg/s", "°/s", "dps"),
+    "angular rate": ("rad/s", "mrad/s", "deg/s", "°/s", "dps", "mdeg/s", "mdps"),
     "number": (),
     "name": (),
 }

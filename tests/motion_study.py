@@ -23,7 +23,9 @@ from pincal.builtin import kuka_urdf_path
 from pincal.design.design_model import DesignModel
 from pincal.design.motion_design import MotionDesign, design_motion
 from pincal.measure.measurements import Measurements
-from pincal.motion.sessions import Session, stream_of
+from pincal.motion.sessions import Session
+from pincal.motion.stamps import in_order
+from pincal.motion.stream import Stream, checked_imu
 from pincal.robot.se3 import align, exponentials, nearest_rotation
 from pincal.robot.urdf_file import find_file
 from pincal.simulate.contact import draw_instrument, draw_targets
@@ -99,7 +101,9 @@ class Truth:
             read = {f: np.column_stack([columns[c] for c in of]) for f, of in fields.items() if of[0] in columns}
             if what == "joints":
                 read = {"q": np.column_stack([columns[name] for name in self.robot.joint_names])}
-            streams[what] = stream_of(what, columns["time"], read)
+            streams[what] = in_order(Stream(what, columns["time"], read, {}))
+        if "imu" in streams:
+            streams["imu"] = checked_imu(streams["imu"])
         return pincal.session_tables(self.robot, [Session("", **streams)])
 
     def poses(self, n: int, seed: int = 0) -> Measurements:

@@ -155,6 +155,17 @@ def test_columns_that_may_be_two_things_are_refused() -> None:
     assert len(joint_families(arms, ["elbow_joint"])) == 2
 
 
+@pytest.mark.parametrize("style", ["Acc{0}(G) Gyro{0}(°/s)", "accel_{1}_g gyro_{1}_dps", "A_{0}[mg] G_{0}[mdps]"])
+def test_a_unit_is_no_name(style: str) -> None:
+    """The g of an acceleration is none of a gyroscope, and each unit is that of its own columns."""
+    texts = [part.format(axis.upper(), axis) for part in style.split() for axis in "xyz"]
+    labels = [Label(i, text.replace("[", " ["), text) for i, text in enumerate(texts)]
+    known = dict.fromkeys(("ax", "ay", "az"), "acceleration") | dict.fromkeys(("wx", "wy", "wz"), "angular rate")
+    units = {"Acc": ("g", "°/s"), "acc": ("g", "dps"), "A_{": ("mg", "mdps")}[style[:3]]
+    expected = [f"{letter}{axis} [{unit}]" for letter, unit in zip("aw", units, strict=True) for axis in "xyz"]
+    assert list(vector_columns(labels, known, is_stream=True).values()) == expected
+
+
 def test_what_a_name_means_is_said_once_for_all_files(logs: Tables, tmp_path: Path) -> None:
     """Of a column that only one of them has; one that none has is refused."""
     order = dict(zip(("qx", "qy", "qz", "qw"), ("q0", "q1", "q2", "q3"), strict=True))
@@ -330,9 +341,13 @@ def unset(table: Table) -> None:
     table["time"][50:] += SINCE
 
 
-def in_bursts(table: Table) -> None:
+def in_bursts(table: Table, within: float = 1e-4, lost: int = 5) -> None:
+    """Give five samples at once the stamps of their arrival, and lose some, all but the first time 5 ms late or less."""
+    for name, values in table.items():
+        table[name] = np.delete(values, range(1200, 1200 + lost))
     rows = np.arange(len(table["time"]))
-    table["time"] = table["time"][np.minimum(rows // 5 * 5 + 4, len(rows) - 1)] + 1e-4 * (rows % 5)
+    late = np.random.default_rng(0).uniform(0.0, 5e-3, len(rows))[rows // 5 * 5]
+    table["time"] = table["time"][np.minimum(rows // 5 * 5 + 4, len(rows) - 1)] + late + within * (rows % 5)
 
 
 WRONG: dict[str, tuple[Callable[[Table], None], str]] = {
@@ -340,7 +355,7 @@ WRONG: dict[str, tuple[Callable[[Table], None], str]] = {
     "poses the other way round": (inverted, "poses are those of the instrument as the target sees it; .*: invert them"),
     "a clock that jumps": (stepped, r"its clock, or that of the joints, jumps by about 0\.0\d+ s near (1[89]|2\d)"),
     "a clock that was set late": (unset, r"line 52: time jumps from -?\d.* to 1600000000\.\d* s"),
-    "stamps of arrival": (in_bursts, "rows come in bursts, mostly 0.0001 s apart, on the average 0.01. s"),
+    "stamps of arrival": (in_bursts, "rows come in bursts, mostly 0.0001 s apart, on the average 0.01. s.* some are lost"),
 }
 
 
@@ -352,6 +367,48 @@ def test_the_stream_at_fault_is_refused(logs: Tables, at: str, fault: str, tmp_p
     change(tables[at])
     with pytest.raises(MeasurementError, match=f"^{at}.csv.*{said}"):
         laid(read(tmp_path, tables)[0])
+
+
+@pytest.mark.parametrize("within", [0.0, 1e-4])
+@pytest.mark.parametrize("which", ["joints", "tracker"])
+def test_stamps_of_packets_are_those_of_their_samples_again(logs: Tables, which: str, within: float, tmp_path: Path) -> None:
+    """Whether a packet has one stamp or several: the samples are counted, which is said; a delay is left to the clock."""
+    tables = copied({name: logs[name] for name in ("joints", "tracker")})
+    in_bursts(tables[which], within, 0)
+    session, told = read(tmp_path, tables)
+    found = session.joints if which == "joints" else session.tracker
+    assert found is not None and f"{which}.csv: " in told and "those of their arrival; samples are taken to be" in told
+    late = found.time - logs[which]["time"]
+    assert np.ptp(late) < 4e-4 and late.mean() == pytest.approx(4.0 * within, abs=4e-4)
+    assert len(found) == len(logs[which]["time"])
+
+
+def test_stamps_of_arrival_are_told_from_those_of_two_devices(logs: Tables, tmp_path: Path) -> None:
+    """Whose samples come in pairs, and are smooth by their stamps; by those of arrival time runs back again and again."""
+    tables = copied({name: logs[name] for name in ("joints", "tracker")})
+    true = tables["joints"]["time"]
+    pairs = np.sort(np.append(true[::2], true[:-1:2] + 0.003))
+    tables["joints"] = {name: np.interp(pairs, true, values) for name, values in tables["joints"].items()}
+    tables["tracker"]["time"] += np.random.default_rng(0).exponential(0.01, len(tables["tracker"]["time"]))
+    session, told = read(tmp_path, tables)
+    assert session.tracker is not None and "joints.csv" not in told
+    assert re.search(r"tracker.csv: time runs back \d+ times, by 0.0\d+ s or less: .* taken to be 16.66", told)
+    np.testing.assert_array_equal(session.joints.time, pairs)
+    assert np.ptp(session.tracker.time - logs["tracker"]["time"]) < 5e-4
+
+
+def test_rows_that_are_written_late_or_twice_are_put_in_order(logs: Tables, tmp_path: Path) -> None:
+    """By several threads of a logger; what is then read is what was logged."""
+    tables, rng = copied(logs), np.random.default_rng(0)
+    for name, table in tables.items():
+        rows = np.sort(np.append(np.arange(len(table["time"])), rng.choice(len(table["time"]), 300, replace=False)))
+        rows = rows[np.argsort(np.arange(len(rows)) + rng.uniform(0.0, 6.0, len(rows)))]
+        tables[name] = {column: values[rows] for column, values in table.items()}
+    session, told = read(tmp_path, tables)
+    for name in tables:
+        stream = getattr(session, name)
+        np.testing.assert_array_equal(stream.time, logs[name]["time"])
+        assert f"{name}.csv: 300 rows stand twice" in told and re.search(rf"{name}.csv: \d+ rows, .* late and are put", told)
 
 
 def test_gaps_do_no_harm(logs: Tables, tmp_path: Path) -> None:

@@ -22,7 +22,8 @@ from pincal.measure.registry import sensor_class
 from pincal.measure.setup import Setup, read_points
 from pincal.motion.joint_path import JointPath
 from pincal.motion.reading_starts import start_readings
-from pincal.motion.sessions import Session, Stream, stream_of
+from pincal.motion.sessions import Session, Stream
+from pincal.motion.stamps import in_order
 from pincal.motion.stations import MovingArm, session_tables
 from pincal.simulate.moving import ViaPath
 
@@ -113,11 +114,11 @@ def test_points_of_one_image_share_a_stamp(hand: tuple[Path, Session]) -> None:
     assert np.mean(np.diff(stream.time) == 0.0) > 0.5 and stream.rate == pytest.approx(10.0, rel=0.01)
     one = stream.select(stream.readings["point"] == "p_4_5")
     slow = one.select(np.arange(0, len(one), 4))
-    assert len(stream_of("slow", slow.time, slow.readings)) == len(slow)
+    assert len(in_order(slow)) == len(slow)
     with pytest.raises(MeasurementError, match="stamps are those of packets"):
-        stream_of("packets", np.repeat(slow.time, 2), {name: np.repeat(v, 2, axis=0) for name, v in slow.readings.items()})
+        in_order(replace(one, time=np.repeat(slow.time, 2)[: len(one)]).select(np.arange(min(len(one), 2 * len(slow)))))
     with pytest.raises(MeasurementError, match=r"a row every 400 s.*looks like .ms."):
-        stream_of("ms", 1e3 * slow.time, slow.readings)
+        in_order(replace(slow, time=1e3 * slow.time))
 
 
 def test_what_is_held_is_no_stream(hand: tuple[Path, Session]) -> None:

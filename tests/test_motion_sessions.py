@@ -173,6 +173,18 @@ def run_back(time: np.ndarray) -> np.ndarray:
     return time
 
 
+def set_back(time: np.ndarray) -> np.ndarray:
+    time[2000:] -= 0.05
+    return time
+
+
+def lost_packet(tables: dict[str, Table]) -> None:
+    """Give samples the stamps of packets, and leave one of these out."""
+    kept = np.append(np.arange(2000), np.arange(2005, 3490))
+    tables["imu"] = {name: values[kept] for name, values in tables["imu"].items()}
+    tables["imu"]["time"] = tables["imu"]["time"] // 0.05 * 0.05
+
+
 def freeze(values: np.ndarray) -> np.ndarray:
     values[1000:1400] = values[1000]
     return values
@@ -185,7 +197,8 @@ AT_THE_DOOR: dict[str, tuple[Corrupt, str]] = {
         "counts 1, 2, 3.*divide by the rate",
     ),
     "milliseconds": (change("joints", "time", lambda t: 1e3 * t), r"joints.csv: a row every 10 s.*write `time \[ms\]`"),
-    "stamps of packets": (change("imu", "time", lambda t: t // 0.05 * 0.05), "stamps are those of packets"),
+    "a clock that was set": (change("imu", "time", set_back), "imu.csv, line 2002: .* before and after a clock"),
+    "packets of which one is lost": (lost_packet, r"those of packets, .* about line \d+ .* as where some are lost"),
     "g": (scale("imu", "a", 1.0 / 9.80665), r"0.9\d* m/s\^2.*looks like \[g\]: write `ax \[g\]`"),
     "gravity taken out": (scale("imu", "a", 0.2), "gravity was taken out; log raw accelerations"),
     "a frozen axis": (change("imu", "wy", freeze), "column 'wy' stands still for 3.99 s while others change"),
@@ -218,7 +231,9 @@ def swap(tables: dict[str, Table]) -> None:
 
 
 ON_THE_MOTION: dict[str, tuple[Corrupt, str]] = {
-    "degrees": (scale("imu", "w", 180.0 / np.pi), r"57.* times those of the arm; looks like degrees: write `wx \[deg/s\]`"),
+    "rates of a thousandth": (scale("imu", "w", 180e3 / np.pi), r"looks like .mdeg/s.: write `wx \[mdeg/s\]`"),
+    "counts": (scale("imu", "w", 16.4 * 180.0 / np.pi), "rates are 9.*, 9.*, 9.* times those of the arm along three axes"),
+    "degrees": (scale("imu", "w", 180.0 / np.pi), r"57.* times those of the arm; looks like .deg.s.: write `wx \[deg/s\]`"),
     "a mirrored IMU": (mirror, "mirrored arm, its frame is left-handed.*turn the sign of one axis"),
     "axes of the accelerometer": (swap, "frames of ax ay az and wx wy wz are 90 deg apart"),
     "the other sign of gravity": (scale("imu", "a", -1.0), r"the other sign: a resting IMU reads \+9.8 upwards"),

@@ -514,10 +514,13 @@ def test_many_stations_need_not_be_kept(two: ModelFit, monkeypatch: pytest.Monke
     point = at_hand()
     kept = point.posterior(sigma)
     point.release()
-    again = point.posterior(sigma)
+    assert point.posterior(sigma) is kept, "what is small is not computed again"
     monkeypatch.setattr(equations, "_MOST_KEPT", 0)
     passed = at_hand()
-    for other in (again, passed.posterior(sigma)):
+    never = passed.posterior(sigma)
+    passed.release()
+    for other in (never, passed.posterior(sigma)):
+        assert other is not kept
         np.testing.assert_array_equal(other.form.H, kept.form.H)
         np.testing.assert_array_equal(other.form.g, kept.form.g)
         np.testing.assert_array_equal(other.whole, kept.whole)

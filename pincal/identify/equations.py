@@ -78,8 +78,8 @@ class Linearised:
         return found
 
     def release(self) -> None:
-        """Give up the memory of several stations' equations, which are computed again if they are asked for."""
-        if len(self.problem.stations) > 1 and self._squares:
+        """Give up the memory of many stations' equations, which are computed again if they are asked for."""
+        if not self._are_kept and self._squares:
             for kept in (self.normals, self.sums, self._posteriors):
                 kept.clear()
 

@@ -23,6 +23,11 @@ _WRITTEN = {"°": ("degree", "degrees", "º"), "mm": ("millimeter", "millimeters
 _WRITTEN |= {
     "m": ("meter", "meters", "metre", "metres"),
     "rad": ("radian", "radians"),
+    "g": (),
+    "dps": (),
+    "m/s^2": ("m/s2", "m/s/s", "m/s**2", "m/sec^2"),
+    "deg/s": ("deg/sec", "degree/s", "degrees/s", "degree/sec", "degrees/sec"),
+    "rad/s": ("rad/sec", "radians/s"),
     "s": ("sec", "secs", "second", "seconds"),
 }
 _WRITTEN |= {

@@ -258,7 +258,9 @@ def vector_columns(
                 is_named = names.issuperset(rest)
                 if is_stream:
                     ends = [k for k in (2, 1) if " ".join(rest[-k:]) in names]
-                    is_named = bool(ends) and not (_OTHERS - names) & {*rest[: -ends[0]]}
+                    # A single letter behind that of the axis is a unit: ``accel_x_g``.
+                    is_name = bool(ends) and (len(rest[-1]) > 1 or parts[-1] in axes)
+                    is_named = is_name and not (_OTHERS - names) & {*rest[: -ends[0]]}
                 if len(axes) == 1 and rest and is_named:
                     families.setdefault(rest, {}).setdefault(axes[0], (label, unit))
         whole = [axes for axes in families.values() if len(axes) == len(columns)]

@@ -69,7 +69,7 @@ def start_readings(arm: MovingArm, tracker: Stream, sensor: type[Sensor]) -> Clo
         raise OtherMotionError(
             f"{tracker.name}: its {what} do not change as these joints move, or as well at several offsets of the clocks "
             f"({100 * np.sqrt(left):.1f} % are left at best); expected a target on the tool of this arm, or points that are "
-            "seen from it, read while the joints were logged, on a motion of some minutes that does not repeat"
+            "seen from it, by a clock and no count of frames, on a motion of some minutes that does not repeat"
         )
     lain = _aligned(things, arm, Clock(float(offsets[best])))
     if sensor.follows != "squared" and things[0].handedness(lain.matrix[0]) < _MIRRORED:

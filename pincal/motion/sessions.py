@@ -24,7 +24,8 @@ from pincal.measure.recordings import is_bag, open_streams
 from pincal.measure.registry import check_fields, known_fields, sensor_class
 from pincal.measure.sensors.imu import FORCE, RATE
 from pincal.measure.sheet import Sheet
-from pincal.motion.stream import Stream, checked_imu, checked_joints, in_order
+from pincal.motion.stamps import in_order
+from pincal.motion.stream import Stream, checked_imu, checked_joints
 from pincal.robot.robot import Robot
 
 STREAMS = ("joints", "imu", "tracker")
@@ -211,18 +212,3 @@ def _checked_joints(robot: Robot, joints: Stream) -> Stream:
     table = measurements(robot, joints.readings["q"], rows=joints.lines, source=joints.name, units=joints.units)
     check_joint_values(table, robot.lower, robot.upper, robot.joint_types)
     return checked_joints(joints, robot.joint_names, np.array([kind == "revolute" for kind in robot.joint_types]))
-
-
-def stream_of(name: str, time: np.ndarray, readings: Mapping[str, np.ndarray]) -> Stream:
-    """Return a stream of arrays in SI units, checked like one that is read.
-
-    Args:
-        name: for messages.
-        time: shape (T,) [s].
-        readings: as :class:`Stream` has them.
-
-    Raises:
-        MeasurementError: as :func:`read_streams`.
-    """
-    stream = in_order(Stream(name, np.asarray(time, float), dict(readings), {}))
-    return checked_imu(stream) if FORCE.name in readings else stream

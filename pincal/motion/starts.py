@@ -19,12 +19,13 @@ from pincal.motion.imu_rows import ImuRows
 from pincal.motion.moving_arm import MovingArm
 from pincal.motion.stream import Stream
 from pincal.robot.se3 import nearest_rotation, rotation_vectors
+from pincal.units import size_of
 
 # Samples a second of the arm's speeds, and the window of rates that are compared with them [s].
 _GRID, _WIDTH = 0.02, 0.03
-# By how much lengths and rates may seem off before units are [1], and how far a drift is worth telling [1].
-_SCALE, _DRIFT = 0.2, 2e-4
-_DEGREE = np.pi / 180.0
+# By how much lengths and rates may seem off before units are, by how much rates in another unit are off it, and how far a
+# drift is worth telling [1].
+_SCALE, _UNIT, _DRIFT = 0.2, 0.05, 2e-4
 # Angle between the frames of accelerometer and gyroscope from which columns are mixed up [rad]; of a mount that slipped, and
 # how many times its own scatter that has to be; rows over which a mount is found, and the number of such blocks on a side of
 # which the scatter is half unsure: errors of the nominal arm turn the mount, too, in each move by another angle. Part of the
@@ -141,10 +142,10 @@ def _match(arm: MovingArm, stream: Stream, time: np.ndarray, speed: np.ndarray, 
 def _check_rates(imu: Stream, found: Alignment) -> None:
     """Refuse rates whose linear map from the arm's is no rotation."""
     sizes = np.linalg.svd(found.matrix, compute_uv=False)
-    if np.all(np.abs(sizes * _DEGREE - 1.0) < _SCALE):
+    if unit := _unit(sizes, _UNIT, "deg/s", "mdeg/s", "mrad/s"):
         raise MeasurementError(
-            f"{imu.name}: rates are {sizes.mean():.3g} times those of the arm; looks like degrees: write `wx [deg/s]`, "
-            "`wy [deg/s]`, `wz [deg/s]` in the header"
+            f"{imu.name}: rates are {sizes.mean():.3g} times those of the arm; looks like [{unit}]: write `wx [{unit}]`, "
+            f"`wy [{unit}]`, `wz [{unit}]` in the header"
         )
     if np.any(np.abs(sizes - 1.0) > _SCALE):
         raise OtherMotionError(
@@ -156,6 +157,11 @@ def _check_rates(imu: Stream, found: Alignment) -> None:
             f"{imu.name}: rates are those of a mirrored arm, its frame is left-handed; expected a right-handed frame: turn "
             "the sign of one axis of ax ay az and of wx wy wz, or swap two columns of both"
         )
+
+
+def _unit(sizes: np.ndarray, within: float, *units: str) -> str:
+    """Return the unit in which values are so many times too large; empty for none."""
+    return next((unit for unit in units if np.all(np.abs(sizes * size_of(unit) - 1.0) < within)), "")
 
 
 def _check_forces(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount: np.ndarray) -> None:
@@ -223,7 +229,9 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
     if not (kept := steady(position)).all():
         tracker, position = tracker.select(kept), position[kept]
     smooth = max(round(0.02 * tracker.rate), 1)
-    moved = (position[smooth:] - position[:-smooth]) / (tracker.time[smooth:] - tracker.time[:-smooth])[:, None]
+    lasts = tracker.time[smooth:] - tracker.time[:-smooth]
+    # Stamps that jitter may be next to each other.
+    moved = (position[smooth:] - position[:-smooth]) / np.maximum(lasts, 0.5 * np.median(lasts))[:, None]
     middles = 0.5 * (tracker.time[smooth:] + tracker.time[:-smooth])
     match = _match(arm, tracker, middles, np.linalg.norm(moved, axis=1), by_rate=False)
     if not match.is_same:
@@ -234,14 +242,7 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
     found = aligned(tracker.time, position, lambda at, _: _features(arm.tips(at)), arm.path.covers, Clock(match.offset))
     sizes = np.linalg.svd(found.matrix[:, :3], compute_uv=False)
     if np.any(np.abs(sizes - 1.0) > _SCALE):
-        unit = next(
-            (
-                u
-                for u, size in (("mm", 1e3), ("cm", 1e2), ("in", 1.0 / 0.0254))
-                if np.all(np.abs(sizes / size - 1.0) < _SCALE)
-            ),
-            "",
-        )
+        unit = _unit(sizes, _SCALE, "mm", "cm", "in")
         cure = (
             f"looks like [{unit}]: write `x [{unit}]` in the header" if unit else "look at its unit and at the robot's size"
         )

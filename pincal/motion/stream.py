@@ -12,13 +12,10 @@ from pincal.errors import MeasurementError, warn
 from pincal.measure.sensors.imu import FORCE, RATE
 from pincal.units import STANDARD_GRAVITY
 
-# Slowest log that a motion can be followed by [Hz], slowest instrument beside it, the fastest log that there is, and the
-# fastest that is usual.
-_SLOWEST, _SLOW, _FASTEST, _USUAL = 9.0, 2.0, 2e4, 2e3
-# A gap is longer than so many samples; one of more than this [s] is told.
-_GAP, _LONG = 3.0, 0.2
-# A gap that is none [s].
-_ENDLESS = 3600.0
+# A gap is longer than so many samples.
+_GAP = 3.0
+LONG_GAP = 0.2
+"""A gap of more than this is told [s]."""
 # Part of the rows that may be lost, by being doubled or cut off, before a stream is no good; by a target out of sight.
 _FEW, _MOST = 0.05, 0.5
 # What gravity is in units in which logs have it, and by how much it may be off.
@@ -116,84 +113,15 @@ class Stream:
         return kept
 
     @property
+    def gap(self) -> float:
+        """Step that a gap is longer than [s]."""
+        return max(_GAP / self.rate, LONG_GAP)
+
+    @property
     def covered(self) -> float:
         """Time of which there are readings, gaps left out [s]."""
         steps = self.steps
-        return float(steps[steps <= max(_GAP * float(np.median(steps)), _LONG)].sum()) if len(steps) else 0.0
-
-
-def in_order(stream: Stream) -> Stream:
-    """Return a stream whose stamps increase and come as fast as a log's; say where they do not."""
-    steps, name = np.diff(stream.time), stream.name
-    if len(stream) < 2 * _SLOWEST:
-        raise MeasurementError(f"{name}: {len(stream)} rows; expected a log of some minutes")
-    if np.any(back := steps < 0.0):
-        k = int(np.argmax(back))
-        stamps = f"from {_shown(stream.time[k])} to {_shown(stream.time[k + 1])}"
-        where = f"{name}, line {stream.lines[k + 1]}: time runs back {stamps}"
-        if -steps.min() < _GAP * _FLAT * float(np.median(np.abs(steps))):
-            raise MeasurementError(
-                f"{where}, {int(back.sum())} rows stand out of order; expected stamps of the device: sort the rows by them"
-            )
-        raise MeasurementError(
-            f"{where}; expected one log in order: give logs that were appended to each other as sessions of their own, and "
-            "add its range to a counter that overflowed"
-        )
-    order = np.lexsort((things := stream.things, stream.time))
-    same = np.zeros(len(stream), bool)
-    same[order[1:]] = (np.diff(stream.time[order]) == 0.0) & (np.diff(things[order]) == 0)
-    if same.mean() > _FEW:
-        raise MeasurementError(
-            f"{name}: {100 * same.mean():.0f} % of the rows have the stamp of the row before: stamps are those of "
-            "packets, not of samples, or lost digits; log the device's own time stamps, with all their digits"
-        )
-    if same.any():
-        warn(f"{name}: {int(same.sum())} rows with the stamp of the row before are left out")
-        stream = stream.select(~same)
-    steps = np.diff(stream.time)
-    _check_rate(stream)
-    gaps = steps > max(_GAP * float(np.median(stream.steps)), _LONG)
-    if gaps.any():
-        k = int(np.argmax(steps))
-        if steps[k] > _ENDLESS:
-            raise MeasurementError(
-                f"{name}, line {stream.lines[k + 1]}: time jumps from {_shown(stream.time[k])} to "
-                f"{_shown(stream.time[k + 1])}; expected one log: give the parts as sessions of their own, or delete rows "
-                "from before the clock was set"
-            )
-        warn(
-            f"{name}: {int(gaps.sum())} gaps of more than {_LONG} s, the longest {steps[k]:.3g} s from "
-            f"{_shown(stream.time[k])} on: what lies in them is left out"
-        )
-    return stream
-
-
-def _shown(stamp: float) -> str:
-    return f"{stamp:.6g} s" if abs(stamp) < 1e5 else f"{stamp:.3f} s"
-
-
-def _check_rate(stream: Stream) -> None:
-    """Refuse stamps in another unit than is said, or that count samples."""
-    step, slowest = float(np.median(stream.steps)), _SLOWEST if {"q", FORCE.name} & stream.readings.keys() else _SLOW
-    if 1.0 / _FASTEST <= step <= 1.0 / slowest:
-        usual = float(np.mean(stream.steps[stream.steps < max(_GAP * step, _LONG)]))
-        if usual > _GAP * step:
-            raise MeasurementError(
-                f"{stream.name}: rows come in bursts, mostly {step:.2g} s apart, on the average {usual:.2g} s: stamps are "
-                "those of their arrival; log the device's own time stamps"
-            )
-        return
-    if step == 1.0 and np.all(stream.time == np.round(stream.time)):
-        raise MeasurementError(
-            f"{stream.name}: time counts 1, 2, 3, ...: frames or samples; expected seconds: divide by the rate of the device"
-        )
-    units = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-    fits = next((unit for unit, size in units.items() if 1.0 / _USUAL <= step * size <= 1.0 / slowest), None)
-    is_untold = fits and "time" not in stream.units
-    cure = f"looks like [{fits}]: write `time [{fits}]` in the header" if is_untold else "look at its unit"
-    raise MeasurementError(
-        f"{stream.name}: a row every {step:.3g} s; expected {slowest:g} to {_FASTEST:g} rows a second; {cure}"
-    )
+        return float(steps[steps <= self.gap].sum()) if len(steps) else 0.0
 
 
 def checked_joints(stream: Stream, names: Sequence[str], turning: np.ndarray) -> Stream:
@@ -225,9 +153,9 @@ def checked_joints(stream: Stream, names: Sequence[str], turning: np.ndarray) ->
         if ends[run[k + 1]] > k + 2:
             lost[k + 1 : ends[run[k + 1]]] = True
     for first, last in pairwise(jumps):
-        if stream.time[last] - stream.time[first + 1] < _LONG:
+        if stream.time[last] - stream.time[first + 1] < LONG_GAP:
             lost[first + 1 : last + 1] = True
-    if stays := [k for k in jumps if not lost[max(k - 1, 0) : k + 3].any() and usual[k, 0] < _LONG]:
+    if stays := [k for k in jumps if not lost[max(k - 1, 0) : k + 3].any() and usual[k, 0] < LONG_GAP]:
         k, j = stays[0], int(np.argmax(speed[stays[0]]))
         raise MeasurementError(
             f"{stream.name}, line {stream.lines[k + 1]}: {names[j]} jumps by {q[k + 1, j] - q[k, j]:.3g} within "
@@ -247,7 +175,7 @@ def _still(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _at_own_rate(stream: Stream) -> Stream:
     """Return a log of joints without rows that repeat the one before because it is faster than their controller."""
     starts, ends, run = _still(stream.readings["q"])
-    again = (np.arange(len(stream)) > starts[run]) & (stream.time[ends - 1] - stream.time[starts] < 0.5 * _LONG)[run]
+    again = (np.arange(len(stream)) > starts[run]) & (stream.time[ends - 1] - stream.time[starts] < 0.5 * LONG_GAP)[run]
     if again.mean() < _OFTEN_SAME:
         return stream
     share = f"{100 * again.mean():.0f} %"
