@@ -25,7 +25,7 @@ from pincal.diagnosis.row_evidence import Known
 from pincal.errors import BadInputError, ChangedRobotError, MeasurementError
 from pincal.io.diagnosis_file import DiagnosisFile
 from pincal.io.schemas import shipped
-from pincal.report.diagnosis import excluded_table
+from pincal.report.diagnosis import excluded_table, headline
 
 CASES = [
     f"{kind}_{arm}_6r"
@@ -370,7 +370,10 @@ def test_what_a_model_left_is_no_change(tmp_path: Path) -> None:
     read = pincal.load_model(tmp_path / "model.json")
 
     assert pincal.diagnose(forgetful, case.new).changed
-    assert not pincal.diagnose(case.model, case.new).changed
+    found = pincal.diagnose(case.model, case.new)
+    assert not found.changed and headline(found.found).endswith("the robot still matches its model.")
+    beyond_chance = msgspec.structs.replace(found.found, p_value=1e-9)
+    assert headline(beyond_chance).endswith("(p = 1e-09) by what it lacked when the robot was calibrated.")
     assert pincal.diagnose(read, case.new).report == pincal.diagnose(case.model, case.new).report
     assert read.left is not None and read.left.effects == case.model.left.effects
     sizes = [(tmp_path / name).stat().st_size for name in ("model.json", "forgetful.json")]

@@ -124,7 +124,9 @@ def read_bounded(path: str | os.PathLike[str], kind: FileKind) -> bytes:
         with Path(path).open("rb") as stream:
             content = stream.read(MOST_BYTES + 1)
     except OSError as error:
-        raise kind.error(f"{file}: can't be read ({error.strerror}); expected {kind.name}") from None
+        within = Path(path) / "model.json"
+        such = f", such as {within}" if kind is MODEL_FILE and within.is_file() else ""
+        raise kind.error(f"{file}: can't be read ({error.strerror}); expected {kind.name}{such}") from None
     return bounded(content, kind, file)
 
 

@@ -39,6 +39,11 @@ def headline(found: DiagnosisFile) -> str:
     """Return the answer in a sentence."""
     if not found.is_judged:
         return f"These {found.rows} rows can't show whether the robot has changed."
+    if not found.changed and found.p_value < found.alpha:
+        return (
+            f"No change was detected in these {found.rows} poses; they differ from the model beyond chance "
+            f"({_chance(found.p_value)}) by what it lacked when the robot was calibrated."
+        )
     if not found.changed:
         return (
             f"No change was detected in these {found.rows} poses (p = {found.p_value:.2g}): the robot "
