@@ -133,6 +133,7 @@ def test_tables_models_and_diagnoses_go_into_a_store(
         assert (
             run("fleet", "add", store, folder / table, "--check", "--machine", machine, "--day", "2026-01-12") == Exit.DONE
         )
+    assert capsys.readouterr().out.endswith(": 1 check of 2026-01-12\n")
     found = pincal.diagnose(load_model(folder / "r2" / "model.json"), rows_of(arm, siblings(6)[1], 14, 13))
     write_json(folder / "diagnosis.json", found.report)
     assert run("fleet", "add", store, folder / "diagnosis.json", "--machine", "r2", "--day", "2026-01-12") == Exit.DONE

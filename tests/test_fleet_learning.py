@@ -211,6 +211,37 @@ def test_a_file_holds_a_type_to_the_last_digit(tmp_path: Path) -> None:
             load_type(tmp_path / "bad.json")
 
 
+@pytest.mark.parametrize(
+    ("name", "places", "value", "words"),
+    [
+        ("covariance", ([0, 1], [1, 0]), 1.0, "is no covariance"),
+        ("covariance", ([0], [1]), 1e-6, "is no covariance"),
+        ("mean_covariance", ([0], [0]), 1e6, "is no covariance"),
+        ("seen", ([0], [0]), 2.0, "is no projector"),
+        ("mean", ([2],), 1e300, "can't be meant"),
+        ("mean", ([2],), np.nan, "finite"),
+        ("spread_variance", ([2],), -0.1, "can't be meant"),
+        ("priors", ([2],), 1e-30, "can't be meant"),
+    ],
+)
+def test_a_type_that_was_edited_by_hand_is_refused(
+    name: str, places: tuple[list[int], ...], value: float, words: str, tmp_path: Path
+) -> None:
+    """By the name of what can't be: no machine could be drawn from it, and the fits by it were wrong or crashed."""
+    of = learned(Family.drawn(np.random.default_rng(14), parameters=12), 8)[0].type
+    of.save(tmp_path / "type.json", provenance={})
+    entries = json.loads((tmp_path / "type.json").read_text())
+    array = np.array(getattr(of, name))
+    array[places] = value
+    (tmp_path / "type.json").write_text(json.dumps({**entries, name: array.tolist()}))
+
+    with pytest.raises(ModelFileError, match=words):
+        load_type(tmp_path / "type.json")
+    (tmp_path / "type.json").write_text(json.dumps({**entries, "entries": [entries["entries"][0]] * 12}))
+    with pytest.raises(ModelFileError, match="twice"):
+        load_type(tmp_path / "type.json")
+
+
 def test_what_is_not_of_one_type_is_refused(tmp_path: Path) -> None:
     """Another nominal geometry, other units, no machine, and damaged files."""
     family = Family.drawn(np.random.default_rng(15), parameters=12)

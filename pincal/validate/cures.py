@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pincal.errors import BadInputError, IdentificationError, PincalWarning
+from pincal.errors import BadInputError, IdentificationError, PincalWarning, counted
 from pincal.identify.beliefs import is_frame, priors_of, released_of
 from pincal.identify.initial import place, starts_of
 from pincal.identify.noise import Noise
@@ -235,7 +235,7 @@ def delays(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     n, everything = len(table), tuple(range(robot.n_joints))
     for rows in _DELAYS:
         kept = np.arange(max(-rows, 0), n - max(rows, 0))
-        word = f"{abs(rows)} row{'s' * (abs(rows) > 1)} {'late' if rows > 0 else 'early'}"
+        word = f"{counted(abs(rows), 'row')} {'late' if rows > 0 else 'early'}"
         for columns in ((i,) for i in everything) if len(kept) > 1 else ():
             name = f"the column {robot.joint_names[columns[0]]!r} looks"
             yield TableCorrection(f"{name} {word}", robot, _late(table, kept, rows, columns), _TABLE)
