@@ -161,6 +161,7 @@ def test_what_is_none_is_refused(folder: Path, of: Path, capsys: pytest.CaptureF
         (("fleet", "add", tmp_path / "store", tmp_path / "odd.json"), "odd.json"),
         (("fleet", "add", tmp_path / "store", few), "--robot URDF"),
         (("fleet", "add", tmp_path / "store", few, "--robot", robot, "--day", "soon"), "ISO date"),
+        (("fleet", "add", tmp_path / "store", folder, "--robot", robot), "add its model.json"),
         (("fleet", "check", of, tmp_path / "store"), "no store"),
         (("calibrate", robot, few, "--type", folder / "r0" / "model.json", "--out", tmp_path / "x"), "pincal fleet learn"),
         (("calibrate", "ur10", few, "--type", of, "--out", tmp_path / "x"), "joint"),

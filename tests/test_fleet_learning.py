@@ -169,6 +169,20 @@ def test_machines_that_were_hit_do_not_spoil_the_type_and_are_named() -> None:
     assert 0.02 < found.type.hit < 0.09
 
 
+@pytest.mark.parametrize("count", [10, 20])
+def test_a_machine_that_was_hit_hard_is_named_among_few(count: int) -> None:
+    """However far it is off: its distance was once taken for a wide spread of all."""
+    family = Family.drawn(np.random.default_rng(31), parameters=24)
+    rng = np.random.default_rng(32)
+    x = family.draw(count, rng)
+    k = int(np.argsort(np.diag(family.root))[12])
+    x[0, k] += 3.0
+    found = learn_type(family.measured(one, rng, least=1e4, most=1e6, name=f"m{i}") for i, one in enumerate(x))
+
+    assert [member.machine for member in found.members if member.off] == ["m0"]
+    assert np.sqrt(found.type.covariance[k, k]) / PRIOR < 3.0 * family.root[k, k]
+
+
 def test_p_values_of_machines_of_the_type_are_uniform_or_larger() -> None:
     """Of 250 further machines."""
     family = Family.drawn(np.random.default_rng(11), parameters=18, unseen=6)

@@ -108,6 +108,8 @@ def fleet_add(arguments: AddArguments) -> Exit:
             add: Callable[..., object] = add_diagnosis if is_diagnosis else partial(add_model, labels=labels)
             adding.append(partial(add, machine=machine, day=day, path=path))
             continue
+        if path.is_dir():
+            raise BadInputError(f"{path}: a folder, as of an arm in motion; calibrate it and add its model.json")
         if robot is None and arguments.robot is not None:
             robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
         elif robot is None:

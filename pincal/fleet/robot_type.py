@@ -174,7 +174,7 @@ class RobotType(Record, frozen=True, kw_only=True):
         if geometry != self.geometry:
             raise BadInputError(
                 f"the type is of {self.robot}, and {robot} has another nominal geometry; expected the same URDF, base "
-                "and tip"
+                "and tip, and the same robots of a cell (pincal calibrate --beside; fleet add takes its model.json)"
             )
 
     def prior(self, *, names: Collection[str] | None = None, member: Membership | None = None) -> Estimate:

@@ -222,7 +222,7 @@ def descriptions(robot: Robot, table: Measurements) -> Iterator[TableCorrection]
         yield correction.cure(robot, table, f"the column {name!r} looks turned round in sign")
     # Two joints are coupled once: of either by the other no positions follow.
     coupled = [{robot.joint_names.index(name) for name in (one.joint, one.source)} for one in robot.couplings]
-    pairs = [(i, j) for i, j in permutations(range(robot.n_joints), 2) if abs(i - j) == 1 and {i, j} not in coupled]
+    pairs = [(i, j) for i, j in permutations(robot.own_joints, 2) if abs(i - j) == 1 and {i, j} not in coupled]
     turns = [kind != "prismatic" and name in free for name, kind in zip(robot.joint_names, robot.joint_types, strict=True)]
     for i, j in (pair for pair in pairs if turns[pair[0]] and turns[pair[1]]):
         for factor in (*_ADDED, *(_OF_WRISTS if min(i, j) >= robot.n_joints - _WRIST else ())):
