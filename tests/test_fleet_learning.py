@@ -32,6 +32,7 @@ from pincal.errors import ModelFileError
 from pincal.fleet.machines import Machine, load_machines, save_machines
 from pincal.fleet.robot_type import EVERYTHING, Learned, Membership, RobotType, calibrate_of_type, learn_type, load_type
 from pincal.io.schemas import schema_of
+from pincal.model.effects import Conditions
 
 
 def learned(family: Family, count: int, seed: int = 1, **measured: float) -> tuple[Learned, np.ndarray, list[Machine]]:
@@ -292,6 +293,29 @@ def test_real_siblings_save_poses(shared_data: Path) -> None:
     assert alone > 0.4 and with_type < 0.45 * alone
     alone, with_type = np.mean(ratios[25], axis=0)
     assert with_type < 1.02 * alone
+
+
+def test_a_target_on_parallel_axes_stays_within_reach() -> None:
+    """Of a SCARA its height is told by tilts alone: the surer these are small, the farther off it went, up to kilometres."""
+    text = '<robot name="scara"><link name="l0"/>'
+    for k, (x, kind, low, high) in enumerate(((0.0, "revolute", -2.3, 2.3), (0.35, "revolute", -2.3, 2.3),
+                                              (0.25, "prismatic", -0.2, 0.0), (0.0, "revolute", -3.0, 3.0)), 1):  # fmt: skip
+        text += f'<link name="l{k}"/><joint name="j{k}" type="{kind}"><parent link="l{k - 1}"/><child link="l{k}"/>'
+        text += f'<origin xyz="{x} 0 0"/><axis xyz="0 0 1"/><limit lower="{low}" upper="{high}" effort="1" velocity="1"/>'
+        text += "</joint>"
+    arm, nominal = Robot.from_urdf((text + "</robot>").encode()), sim.TrueMachine.from_urdf(text + "</robot>", tip="l4")
+    rng = np.random.default_rng(41)
+    machines = [nominal.draw_errors(rng, sigma_length=2e-4, sigma_angle=2e-4, sigma_offset=2e-4) for _ in range(14)]
+    of = learn_type(sibling_of(arm, m, f"m{k}", poses=40, seed=k) for k, m in enumerate(machines[:8])).type
+    heights, inside = [], []
+    for k, machine in enumerate(machines[8:]):
+        fit, _ = calibrate_of_type(arm, table_of(arm, machine, 6, 90 + k), of, OPTIONS)
+        truth = table_of(arm, machine, 50, 190 + k, noise=0.0)
+        off = fit.predict(truth.q)[:, :, 3] - truth.position
+        inside.append(np.mean(np.abs(off) < 1.96 * fit.position_sigma(Conditions.at(truth.q))))
+        heights.append(abs(fit.values[[p.name for p in fit.problem.parameters].index("tool.z")]))
+
+    assert max(heights) < 2.0 and np.mean(inside) > 0.88
 
 
 def test_a_machine_far_from_its_type_is_no_noise() -> None:
