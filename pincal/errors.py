@@ -179,6 +179,16 @@ def nearest_first(wrong: Iterable[str], known: Iterable[str]) -> list[str]:
     return sorted(dict.fromkeys(known), key=likeness, reverse=True)
 
 
+def counted(count: int, word: str) -> str:
+    """Return a number of things in words.
+
+    Example:
+        >>> counted(1, "check"), counted(0, "check"), counted(2, "diagnosis")
+        ('1 check', '0 checks', '2 diagnoses')
+    """
+    return f"{count} {word if count == 1 else f'{word}s'.replace('siss', 'ses')}"
+
+
 def few(items: Sequence[object] | np.ndarray, most: int) -> str:
     """Return some items as a list in a sentence, the first ones of many.
 

@@ -118,6 +118,7 @@ def test_diagnoses_count_by_their_p_values(family: Family, of: RobotType) -> Non
 
     assert [(change.subject, change.what) for change in found.changes] == [("r5", DIAGNOSED)]
     assert found.robots == 40 and found.checks == 40
+    assert {one.machine: one.p_value for one in found.last} == {visit.machine: visit.p_value for visit in usual}
 
 
 def test_the_latest_round_has_adjusted_p_values(family: Family, of: RobotType) -> None:

@@ -133,6 +133,7 @@ def test_tables_models_and_diagnoses_go_into_a_store(
         assert (
             run("fleet", "add", store, folder / table, "--check", "--machine", machine, "--day", "2026-01-12") == Exit.DONE
         )
+    assert capsys.readouterr().out.endswith(": 1 check of 2026-01-12\n")
     found = pincal.diagnose(load_model(folder / "r2" / "model.json"), rows_of(arm, siblings(6)[1], 14, 13))
     write_json(folder / "diagnosis.json", found.report)
     assert run("fleet", "add", store, folder / "diagnosis.json", "--machine", "r2", "--day", "2026-01-12") == Exit.DONE
@@ -160,6 +161,7 @@ def test_what_is_none_is_refused(folder: Path, of: Path, capsys: pytest.CaptureF
         (("fleet", "add", tmp_path / "store", tmp_path / "odd.json"), "odd.json"),
         (("fleet", "add", tmp_path / "store", few), "--robot URDF"),
         (("fleet", "add", tmp_path / "store", few, "--robot", robot, "--day", "soon"), "ISO date"),
+        (("fleet", "add", tmp_path / "store", folder, "--robot", robot), "add its model.json"),
         (("fleet", "check", of, tmp_path / "store"), "no store"),
         (("calibrate", robot, few, "--type", folder / "r0" / "model.json", "--out", tmp_path / "x"), "pincal fleet learn"),
         (("calibrate", "ur10", few, "--type", of, "--out", tmp_path / "x"), "joint"),

@@ -32,6 +32,7 @@ from pincal.errors import ModelFileError
 from pincal.fleet.machines import Machine, load_machines, save_machines
 from pincal.fleet.robot_type import EVERYTHING, Learned, Membership, RobotType, calibrate_of_type, learn_type, load_type
 from pincal.io.schemas import schema_of
+from pincal.model.effects import Conditions
 
 
 def learned(family: Family, count: int, seed: int = 1, **measured: float) -> tuple[Learned, np.ndarray, list[Machine]]:
@@ -169,6 +170,20 @@ def test_machines_that_were_hit_do_not_spoil_the_type_and_are_named() -> None:
     assert 0.02 < found.type.hit < 0.09
 
 
+@pytest.mark.parametrize("count", [10, 20])
+def test_a_machine_that_was_hit_hard_is_named_among_few(count: int) -> None:
+    """However far it is off: its distance was once taken for a wide spread of all."""
+    family = Family.drawn(np.random.default_rng(31), parameters=24)
+    rng = np.random.default_rng(32)
+    x = family.draw(count, rng)
+    k = int(np.argsort(np.diag(family.root))[12])
+    x[0, k] += 3.0
+    found = learn_type(family.measured(one, rng, least=1e4, most=1e6, name=f"m{i}") for i, one in enumerate(x))
+
+    assert [member.machine for member in found.members if member.off] == ["m0"]
+    assert np.sqrt(found.type.covariance[k, k]) / PRIOR < 3.0 * family.root[k, k]
+
+
 def test_p_values_of_machines_of_the_type_are_uniform_or_larger() -> None:
     """Of 250 further machines."""
     family = Family.drawn(np.random.default_rng(11), parameters=18, unseen=6)
@@ -211,6 +226,37 @@ def test_a_file_holds_a_type_to_the_last_digit(tmp_path: Path) -> None:
             load_type(tmp_path / "bad.json")
 
 
+@pytest.mark.parametrize(
+    ("name", "places", "value", "words"),
+    [
+        ("covariance", ([0, 1], [1, 0]), 1.0, "is no covariance"),
+        ("covariance", ([0], [1]), 1e-6, "is no covariance"),
+        ("mean_covariance", ([0], [0]), 1e6, "is no covariance"),
+        ("seen", ([0], [0]), 2.0, "is no projector"),
+        ("mean", ([2],), 1e300, "can't be meant"),
+        ("mean", ([2],), np.nan, "finite"),
+        ("spread_variance", ([2],), -0.1, "can't be meant"),
+        ("priors", ([2],), 1e-30, "can't be meant"),
+    ],
+)
+def test_a_type_that_was_edited_by_hand_is_refused(
+    name: str, places: tuple[list[int], ...], value: float, words: str, tmp_path: Path
+) -> None:
+    """By the name of what can't be: no machine could be drawn from it, and the fits by it were wrong or crashed."""
+    of = learned(Family.drawn(np.random.default_rng(14), parameters=12), 8)[0].type
+    of.save(tmp_path / "type.json", provenance={})
+    entries = json.loads((tmp_path / "type.json").read_text())
+    array = np.array(getattr(of, name))
+    array[places] = value
+    (tmp_path / "type.json").write_text(json.dumps({**entries, name: array.tolist()}))
+
+    with pytest.raises(ModelFileError, match=words):
+        load_type(tmp_path / "type.json")
+    (tmp_path / "type.json").write_text(json.dumps({**entries, "entries": [entries["entries"][0]] * 12}))
+    with pytest.raises(ModelFileError, match="twice"):
+        load_type(tmp_path / "type.json")
+
+
 def test_what_is_not_of_one_type_is_refused(tmp_path: Path) -> None:
     """Another nominal geometry, other units, no machine, and damaged files."""
     family = Family.drawn(np.random.default_rng(15), parameters=12)
@@ -247,6 +293,29 @@ def test_real_siblings_save_poses(shared_data: Path) -> None:
     assert alone > 0.4 and with_type < 0.45 * alone
     alone, with_type = np.mean(ratios[25], axis=0)
     assert with_type < 1.02 * alone
+
+
+def test_a_target_on_parallel_axes_stays_within_reach() -> None:
+    """Of a SCARA its height is told by tilts alone: the surer these are small, the farther off it went, up to kilometres."""
+    text = '<robot name="scara"><link name="l0"/>'
+    for k, (x, kind, low, high) in enumerate(((0.0, "revolute", -2.3, 2.3), (0.35, "revolute", -2.3, 2.3),
+                                              (0.25, "prismatic", -0.2, 0.0), (0.0, "revolute", -3.0, 3.0)), 1):  # fmt: skip
+        text += f'<link name="l{k}"/><joint name="j{k}" type="{kind}"><parent link="l{k - 1}"/><child link="l{k}"/>'
+        text += f'<origin xyz="{x} 0 0"/><axis xyz="0 0 1"/><limit lower="{low}" upper="{high}" effort="1" velocity="1"/>'
+        text += "</joint>"
+    arm, nominal = Robot.from_urdf((text + "</robot>").encode()), sim.TrueMachine.from_urdf(text + "</robot>", tip="l4")
+    rng = np.random.default_rng(41)
+    machines = [nominal.draw_errors(rng, sigma_length=2e-4, sigma_angle=2e-4, sigma_offset=2e-4) for _ in range(14)]
+    of = learn_type(sibling_of(arm, m, f"m{k}", poses=40, seed=k) for k, m in enumerate(machines[:8])).type
+    heights, inside = [], []
+    for k, machine in enumerate(machines[8:]):
+        fit, _ = calibrate_of_type(arm, table_of(arm, machine, 6, 90 + k), of, OPTIONS)
+        truth = table_of(arm, machine, 50, 190 + k, noise=0.0)
+        off = fit.predict(truth.q)[:, :, 3] - truth.position
+        inside.append(np.mean(np.abs(off) < 1.96 * fit.position_sigma(Conditions.at(truth.q))))
+        heights.append(abs(fit.values[[p.name for p in fit.problem.parameters].index("tool.z")]))
+
+    assert max(heights) < 2.0 and np.mean(inside) > 0.88
 
 
 def test_a_machine_far_from_its_type_is_no_noise() -> None:

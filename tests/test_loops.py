@@ -22,6 +22,7 @@ from test_model import (
     values_of,
 )
 
+from pincal import measurements_from_arrays
 from pincal.errors import PincalWarning, RobotFileError
 from pincal.model.catalogue.transmission import TransmissionError
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
@@ -29,6 +30,7 @@ from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions
 from pincal.model.model import Model
 from pincal.model.sparse_basis import dense_rows
 from pincal.robot.robot import Robot
+from pincal.validate.cures import descriptions
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 
@@ -167,6 +169,17 @@ def test_readings_decide_which_joints_follow() -> None:
     with pytest.warns(PincalWarning, match="readings of wrist are not used: more than the loops leave free"):
         robot = Robot.from_urdf(palletizer(), joints=[*DRIVES, "wrist"])
     assert [robot.joint_names[i] for i in robot.own_joints] == DRIVES
+
+
+def test_rods_are_not_asked_for_couplings() -> None:
+    """A table that agrees badly was refused by the name of a joint that has no column."""
+    robot = Robot.from_urdf(palletizer())
+    q = robot.random_configurations(9, np.random.default_rng(0))
+    table = measurements_from_arrays(robot.joint_names, q, position=np.zeros((9, 3)))
+    found = [c.couplings for cure in descriptions(robot, table) if (c := cure.correction) is not None and c.couplings]
+
+    own = {robot.joint_names[i] for i in robot.own_joints}
+    assert found and {name for (one,) in found for name in (one.joint, one.source)} <= own
 
 
 def test_a_loop_that_mimics_is_described_by_that() -> None:

@@ -22,7 +22,7 @@ from pincal.cli.common import (
     verbose_option,
 )
 from pincal.cli.outputs import print_json, provenance, require_accuracy
-from pincal.errors import BadInputError, Exit, IdentificationError
+from pincal.errors import BadInputError, Exit, IdentificationError, counted
 from pincal.io.result_folder import output_folder
 from pincal.spread import own_processes
 
@@ -214,7 +214,7 @@ def _of_type(path: Path | None, prepared: Prepared) -> tuple[Options, tuple[str,
     whole = ELASTIC if any(parameter.is_compliance for parameter in of.parameters) else ()
     judging = replace(prepared.options, effects=(*effects, *(effect for effect in whole if effect not in effects)))
     _, member = calibrate_of_type(prepared.robot, prepared.tables, of, judging)
-    told = f"compared with {of.machines} robots of its type, p = {member.p_value:.2g}"
+    told = f"compared with {counted(of.machines, 'robot')} of its type, p = {member.p_value:.2g}"
     if not member.is_usual:
         prepared = replace(prepared, options=replace(prepared.options, earlier=of.prior_of(prepared.robot, effects, member)))
     if not member.off:

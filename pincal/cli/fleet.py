@@ -19,7 +19,7 @@ from pincal.cli.common import (
 from pincal.cli.fleet_store import machine_names, store_argument
 from pincal.cli.outputs import print_json, provenance
 from pincal.cli.quantities import LENGTH
-from pincal.errors import BadInputError, Exit
+from pincal.errors import BadInputError, Exit, counted
 
 if TYPE_CHECKING:
     from pincal.calibration.calibrated import CalibratedModel
@@ -205,7 +205,7 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
             click.echo(f"note: left out: checks of {names}, of which there is no calibration")
         if left := len(without_information(store)):
             click.echo(
-                f"note: {left} tables of the store are not calibrated: pincal fleet calibrate ROBOT.urdf "
+                f"note: {counted(left, 'table')} of the store not calibrated yet: pincal fleet calibrate ROBOT.urdf "
                 f"{arguments.store} --type {arguments.type}"
             )
         if arguments.report is not None:

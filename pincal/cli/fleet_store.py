@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import click
 
@@ -17,7 +17,7 @@ from pincal.cli.common import GeneralOptions, ModelOptions, TableArguments, base
 from pincal.cli.fitting import workers
 from pincal.cli.outputs import echo_notes, print_json
 from pincal.cli.quantities import ANGLE, LENGTH
-from pincal.errors import BadInputError, Exit
+from pincal.errors import BadInputError, Exit, counted
 
 if TYPE_CHECKING:
     from pincal.fleet.jobs import Job
@@ -85,10 +85,12 @@ def fleet_add(arguments: AddArguments) -> Exit:
     """Add models, diagnoses or tables of measurements to a store."""
     import datetime
 
+    from pincal.calibration.calibrated_robot import load_stations
     from pincal.cli.inputs import load_table
-    from pincal.fleet.jobs import add_diagnosis, add_model, last_model
+    from pincal.fleet.jobs import add_diagnosis, add_model, last_model, load_diagnosis
     from pincal.fleet.store import Store, iso_day, named_machine, open_store
     from pincal.fleet.stored_rows import CALIBRATION, CHECK
+    from pincal.io.strict_json import MODEL_FILE, read_bounded
     from pincal.robot.robot import Robot
 
     day = iso_day(arguments.day or datetime.datetime.now(tz=datetime.UTC).date().isoformat())
@@ -100,12 +102,14 @@ def fleet_add(arguments: AddArguments) -> Exit:
     for path in arguments.files:
         machine = named_machine(names[str(path)] if arguments.machine is None else arguments.machine)
         if path.suffix.lower() == ".json":
-            kinds.append(_kind(path))
-            if kinds[-1] == "diagnosis":
-                adding.append(partial(add_diagnosis, machine=machine, day=day, path=path))
-            else:
-                adding.append(partial(add_model, machine=machine, day=day, path=path, labels=labels))
+            is_diagnosis = b'"excluded"' in read_bounded(path, MODEL_FILE)
+            (load_diagnosis if is_diagnosis else load_stations)(path)
+            kinds.append("diagnosis" if is_diagnosis else "model")
+            add: Callable[..., object] = add_diagnosis if is_diagnosis else partial(add_model, labels=labels)
+            adding.append(partial(add, machine=machine, day=day, path=path))
             continue
+        if path.is_dir():
+            raise BadInputError(f"{path}: a folder, as of an arm in motion; calibrate it and add its model.json")
         if robot is None and arguments.robot is not None:
             robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
         elif robot is None:
@@ -126,29 +130,12 @@ def fleet_add(arguments: AddArguments) -> Exit:
     if arguments.general.as_json:
         print_json({"store": arguments.store, "day": day, "added": dict(Counter(kinds))})
     else:
-        counted = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in Counter(kinds).items())
-        click.echo(f"added to {arguments.store}: {counted} of {day}")
+        found = ", ".join(counted(count, kind) for kind, count in Counter(kinds).items())
+        click.echo(f"added to {arguments.store}: {found} of {day}")
     if without:
-        words = f"{without} models are of a version that kept no information of the rows; calibrate these machines again"
+        words = f"{counted(without, 'model')} of a version that kept no information of the rows: calibrate again"
         echo_notes([words], quiet=arguments.general.quiet)
     return Exit.DONE
-
-
-def _kind(path: Path) -> Literal["model", "diagnosis"]:
-    """Return what a JSON file is, which is read as a whole.
-
-    Raises:
-        BadInputError: if it is neither.
-    """
-    from pincal.calibration.calibrated_robot import load_stations
-    from pincal.fleet.jobs import load_diagnosis
-    from pincal.io.strict_json import MODEL_FILE, read_bounded
-
-    if b'"excluded"' in read_bounded(path, MODEL_FILE):
-        load_diagnosis(path)
-        return "diagnosis"
-    load_stations(path)
-    return "model"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,13 +242,15 @@ def _run(store: Store, job: Job, tables: Sequence[Key], dask: str | None, genera
         counts = {"done": good, "before": before + found.before, "failed_before": found.failed_before}
         print_json({"job": job.name, **counts, "failed": found.failed})
     else:
-        click.echo(f"{good} tables {done}" + (f"; {before} were before" if (before := before + found.before) else ""))
+        words = f"; {before} {'was' if before == 1 else 'were'} before" if (before := before + found.before) else ""
+        click.echo(f"{counted(good, 'table')} {done}{words}")
         for path, reason in list(found.failed.items())[:_FAILURES]:
             click.echo(f"failed: {path}: {reason}")
         if len(found.failed) > _FAILURES:
             click.echo(f"failed: {len(found.failed) - _FAILURES} more, see the column failure of {job.kind} in the store")
         if found.failed_before:
-            click.echo(f"{found.failed_before} failed before, and are not tried again: see the column failure of {job.kind}")
+            click.echo(f"{found.failed_before} failed before, not tried again: see the column failure of {job.kind}")
     if found.failed and not good:
-        raise BadInputError(f"{store.place}: none of {found.done} tables could be worked on; the reasons are in the store")
+        all_of_them = counted(found.done, "table")
+        raise BadInputError(f"{store.place}: none of {all_of_them} could be worked on; the reasons are in the store")
     return Exit.DONE

@@ -19,6 +19,7 @@ from pincal.design.study import RANDOM_DESIGNS
 from pincal.discover.policy import SIGHT
 from pincal.discover.precheck import DataReport, DetectabilityTable
 from pincal.discover.run import Discovery
+from pincal.errors import counted
 from pincal.io.discovery_file import FoundEffect
 from pincal.measure.registry import blocks_of
 from pincal.model.effect import Family
@@ -102,9 +103,8 @@ def print_first_notes(told: Sequence[Note | str], out: Console) -> None:
     """Print the first of what is good to know, and how much more there is; doubts stand before the result, in full."""
     notes = [note for note in doubts_first(told) if not note.is_doubt]
     more = len(notes) - _NOTES
-    plural = "s" if more > 1 else ""
     for i, note in enumerate(notes[:_NOTES], 1):
-        rest = f" ({more} more note{plural} with --verbose)" if more > 0 and i == _NOTES else ""
+        rest = f" ({counted(more, 'more note')} with --verbose)" if more > 0 and i == _NOTES else ""
         out.print(hanging("note:   ", f"{note}{rest}"), style="yellow")
 
 

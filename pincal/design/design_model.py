@@ -17,7 +17,7 @@ import numpy as np
 from pincal.design.exchange import covariance, total
 from pincal.design.reach import SensorSetup
 from pincal.errors import BadInputError
-from pincal.identify.beliefs import declared_noise, priors_of
+from pincal.identify.beliefs import declared_noise, is_frame, priors_of
 from pincal.identify.believed import Earlier
 from pincal.identify.options import Options
 from pincal.identify.posterior import Posterior
@@ -102,7 +102,7 @@ class DesignModel:
         problem = predicted_station(model, values, rig, conditions)
         free = np.append(largest_basis(model, conditions)[1], ~problem.sensor.fixed)
         whole = Problem((problem,), None if options.earlier is None else Earlier.of(options.earlier))
-        whole_sizes = priors_of(whole, options).sizes
+        whole_sizes = np.where(is_frame(whole), np.inf, priors_of(whole, options).sizes)
         sizes = whole_sizes[free]
         places = _places(model, free, rivals)
         for columns in places:

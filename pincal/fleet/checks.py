@@ -102,6 +102,7 @@ class _Step:
         day: of the robot's check in it.
         H, g: information, the prior included.
         extra: log e-values of diagnoses from this round on.
+        p_value: the least of those of diagnoses in this round.
         q, Q: score of a change before the round, and its covariance.
         logs: log evidence of each way to change, weighted with the chance of the way.
         total: log evidence of any way.
@@ -112,6 +113,7 @@ class _Step:
     H: np.ndarray
     g: np.ndarray
     extra: float = 0.0
+    p_value: float = 1.0
     q: np.ndarray = field(default_factory=lambda: np.empty(0))
     Q: np.ndarray = field(default_factory=lambda: np.empty(0))
     logs: np.ndarray = field(default_factory=lambda: np.empty(0))
@@ -246,6 +248,7 @@ class FleetWatch:
             H, g = self._form(visit.found)
             epoch.H, epoch.g = epoch.H + H, epoch.g + g - H @ epoch.drift
         elif visit.p_value is not None:
+            epoch.steps[-1].p_value = min(visit.p_value, epoch.steps[-1].p_value)
             for step in epoch.steps:
                 step.extra += float(np.log(e_value(visit.p_value)))
 
@@ -274,7 +277,7 @@ class FleetWatch:
         for k, robot in enumerate(robots):
             step = self._epochs[robot].steps[-1]
             root = np.linalg.inv(np.linalg.cholesky(step.H)).T
-            p[k] = least_chance(step.q[None], step.Q[None], root, self._elements)[0]
+            p[k] = min(step.p_value, least_chance(step.q[None], step.Q[None], root, self._elements)[0])
         for robot, one, adjusted in zip(robots, p, benjamini_hochberg(p), strict=True):
             self._last[robot] = LastCheck(robot, day, float(one), float(adjusted), self._epochs[robot].log_e())
 

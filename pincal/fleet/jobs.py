@@ -179,7 +179,7 @@ class DiscoverTables(Job):
     @property
     def facts(self) -> str:
         """Robot and options."""
-        return f"{self.robot.frames!r} {self.robot.joint_names} {self.options!r}"
+        return CalibrateTables(self.robot, self.options).facts
 
     def row(self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]) -> pl.DataFrame:
         """Return the discovery."""
@@ -264,8 +264,7 @@ def _work(store: Store, job: Job, key: Key) -> str | None:
         return str(error)
     except PincalError as error:
         row, reason, result = job.nothing(key, labels), str(error), _failure(result)
-    facts = {"role": role, "job": job.name, "table": key.id, "failure": reason}
-    store.add(result, row.with_columns(**{name: pl.lit(value) for name, value in facts.items()}))
+    store.add(result, row, role=role, job=job.name, table=key.id, failure=reason)
     return reason
 
 

@@ -22,14 +22,16 @@ a type allow. A machine counts by the probability that it is not one of them (a 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from pincal.fleet.evidence import Forms, in_prior_units, log_ratios, regular, scores
 
-# Machines by which the first rounds are made.
-_FEW = 400
+# Machines by which the first rounds are made, and by which it is tried where to begin; by how much better the second way has
+# to be, in logarithms of likelihood.
+_FEW, _TRIED, _BETTER = 400, 100, 3.0
 # Rounds at most, and the largest change of a log variance in one. They end where all are as near as _SETTLED, and that part
 # of their standard deviations.
 _ROUNDS, _FARTHEST, _SETTLED, _NEGLIGIBLE = 60, 1.5, 0.005, 0.05
@@ -130,7 +132,11 @@ def population_of(forms: Forms, kinds: np.ndarray) -> Population:
         kinds: shape (P,), numbers of kinds of parameters, such as lengths of links.
     """
     few = next(part for _, part in forms.pieces()) if len(forms) > _FEW else forms
-    found, counts = _uncorrelated(few, kinds, _begun(few, kinds))
+    some = replace(forms, H=forms.H[:_TRIED], g=forms.g[:_TRIED])
+    # By the mean a machine that was hit hard is taken for a wide spread of all, by the median it is not.
+    mean, median = (_uncorrelated(some, kinds, _begun(some, kinds, by_median=way))[0] for way in (False, True))
+    is_hit = _log_likelihood(some, kinds, median) > _log_likelihood(some, kinds, mean) + _BETTER
+    found, counts = _uncorrelated(few, kinds, median if is_hit else _begun(few, kinds))
     if few is not forms:
         found, counts = _uncorrelated(forms, kinds, found)
     root, scale = _correlated(forms, found, counts), np.outer(found.spread, found.spread)
@@ -145,12 +151,15 @@ def population_of(forms: Forms, kinds: np.ndarray) -> Population:
     )
 
 
-def _begun(forms: Forms, kinds: np.ndarray) -> _Uncorrelated:
+def _begun(forms: Forms, kinds: np.ndarray, *, by_median: bool = False) -> _Uncorrelated:
     """Return what machines show at first sight, as if the priors without a type were their spread."""
     P = len(kinds)
     q, Q = scores(forms, np.zeros(P), np.eye(P))
-    seen = np.mean(np.diagonal(Q, axis1=1, axis2=2), axis=0)
-    square = np.mean(q**2, axis=0) + 1e-12
+    own = np.diagonal(Q, axis1=1, axis2=2)
+    seen, square = np.mean(own, axis=0), np.mean(q**2, axis=0) + 1e-12
+    if by_median:
+        typical = np.nanmedian(np.where(own > 0.1, q**2, np.where(seen > 0.1, np.nan, 0.0)), axis=0)
+        square = typical / chdtri(1, 0.5) + 1e-12
     for at in (kinds == kind for kind in np.unique(kinds)):
         mean = np.sum(square[at]) / max(np.sum(seen[at] ** 2), 1e-12)
         square[at] = np.where(seen[at] > 0.1, square[at], mean)
@@ -195,9 +204,7 @@ def _sums(forms: Forms, at: _Uncorrelated, counts: np.ndarray | None = None, roo
 
 def _uncorrelated(forms: Forms, kinds: np.ndarray, start: _Uncorrelated) -> tuple[_Uncorrelated, np.ndarray]:
     """Return the population without correlations, and how far each machine counts, shape (M,)."""
-    P, M, at = len(kinds), len(forms), start
-    alike = (kinds[:, None] == kinds).astype(float)
-    spreads = [_LEVEL**2 + k**2 * alike + u**2 * np.eye(P) for k in _KINDS for u in _UNLIKE]
+    P, M, at, spreads = len(kinds), len(forms), start, _spreads(kinds)
     means = [off**2 * np.eye(P) for off in _OFF]
     step, reach = np.zeros(P), np.full(P, _FARTHEST)
     for _ in range(_ROUNDS):
@@ -217,6 +224,29 @@ def _uncorrelated(forms: Forms, kinds: np.ndarray, start: _Uncorrelated) -> tupl
         if np.all(np.abs(gap) < _SETTLED + _NEGLIGIBLE * np.sqrt(at.variance)):
             break
     return at, counts
+
+
+def _spreads(kinds: np.ndarray) -> list[np.ndarray]:
+    """Return what log variances may be, as covariances about zero, shape (P, P)."""
+    alike, own = (kinds[:, None] == kinds).astype(float), np.eye(len(kinds))
+    return [_LEVEL**2 + k**2 * alike + u**2 * own for k in _KINDS for u in _UNLIKE]
+
+
+def _log_likelihood(forms: Forms, kinds: np.ndarray, at: _Uncorrelated) -> float:
+    """Return how likely a population is, but for a constant: machines like the others or hit, and spreads of their sizes."""
+    L, mean = np.diag(at.spread), at.spread * at.mean
+    total = np.logaddexp.reduce(
+        [-0.5 * at.theta @ np.linalg.solve(S, at.theta) - 0.5 * np.linalg.slogdet(S)[1] for S in _spreads(kinds)]
+    )
+    total += _HIT_COUNTS * (_HIT * np.log(at.hit) + (1.0 - _HIT) * np.log1p(-at.hit))
+    for _, part in forms.pieces():
+        q, Q = scores(part, mean, L)
+        left, logs = np.eye(len(mean)) - Q, log_ratios(part, *in_prior_units(q, Q, L))
+        own = 0.5 * (np.sum(q * np.linalg.solve(left, q[..., None])[..., 0], axis=1) + np.linalg.slogdet(left)[1])
+        own += (part.g - 0.5 * part.H @ mean) @ mean
+        hit = np.log(at.hit / len(logs)) + np.logaddexp.reduce(logs)
+        total += np.sum(own + np.logaddexp(np.log1p(-at.hit), hit))
+    return float(total)
 
 
 def _averaged(information: np.ndarray, slope: np.ndarray, priors: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -41,6 +41,8 @@ _FITS = 2.0
 # Log variances are known at least by this [variance], however few the machines; logarithm of how much wider standard
 # deviations are by each unit of it, so that 95 % of further machines are within 1.96 of them.
 _LOOSEST, _WIDER = 2.0, 0.35
+# Rounding of a covariance whose diagonal is 1, and of its eigenvalues; and how many times its prior no deviation can be.
+_ROUNDED, _INDEFINITE, _ABSURD = 1e-9, 1e-6, 1e3
 EVERYTHING = "all"
 """A machine that differs in more than one element."""
 
@@ -110,13 +112,20 @@ class RobotType(Record, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if np.any(self.priors <= 0.0) or not 0.0 <= self.hit < 1.0:
+        if len(set(self.names)) < len(self.names):
+            raise Fault("has a parameter twice", "each once", key=".entries")
+        sound = np.all(self.priors > 0.0) and np.all(self.spread_variance >= 0.0) and self.machines > 0 <= self.hit < 1.0
+        if not sound or np.any(np.abs(self.mean) > _ABSURD * self.priors):
             raise Fault("holds numbers that can't be meant", "standard deviations above 0 and a part below 1")
-        for name in ("covariance", "mean_covariance", "seen"):
+        for name in ("covariance", "mean_covariance"):
             matrix = getattr(self, name)
-            size = np.sqrt(np.abs(np.diag(matrix)))
-            if np.any(np.diag(matrix) < -1e-12) or np.any(np.abs(matrix - matrix.T) > 1e-9 * np.outer(size, size) + 1e-30):
-                raise Fault("is no covariance", "a symmetric matrix with a positive diagonal", key=f".{name}")
+            size = np.sqrt(np.abs(np.diag(matrix))) + _ROUNDED * self.priors
+            unit = matrix / np.outer(size, size)
+            is_even = np.all(np.abs(unit - unit.T) <= _ROUNDED) and np.linalg.eigvalsh(unit).min(initial=0.0) > -_INDEFINITE
+            if not is_even or np.any(size > _ABSURD * self.priors):
+                raise Fault("is no covariance", "a symmetric matrix without negative eigenvalues", key=f".{name}")
+        if np.any(np.abs(self.seen @ self.seen.T - self.seen) > _INDEFINITE):
+            raise Fault("is no projector", "a symmetric matrix whose square it is", key=".seen")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -165,7 +174,7 @@ class RobotType(Record, frozen=True, kw_only=True):
         if geometry != self.geometry:
             raise BadInputError(
                 f"the type is of {self.robot}, and {robot} has another nominal geometry; expected the same URDF, base "
-                "and tip"
+                "and tip, and the same robots of a cell (pincal calibrate --beside; fleet add takes its model.json)"
             )
 
     def prior(self, *, names: Collection[str] | None = None, member: Membership | None = None) -> Estimate:

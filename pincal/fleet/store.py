@@ -187,11 +187,11 @@ class Store:
                 raise BadInputError(f"{self.place}/{kind}: {len(frame)} rows in {len(some)} files; expected one in each")
             yield some, frame
 
-    def add(self, key: Key, frame: pl.DataFrame) -> None:
-        """Write a file, with its key in the columns ``machine``, ``day`` and ``id``."""
-        facts = {"schema": pl.lit(SCHEMA_VERSION, pl.Int32)}
-        facts |= {name: pl.lit(getattr(key, name)) for name in ("machine", "day", "id")}
-        self.write(key.path, parquet_bytes(frame.with_columns(**facts)))
+    def add(self, key: Key, frame: pl.DataFrame, **facts: str) -> None:
+        """Write a file, with facts as further columns, and its key in the columns ``machine``, ``day`` and ``id``."""
+        facts |= {name: getattr(key, name) for name in ("machine", "day", "id")}
+        columns = {"schema": pl.lit(SCHEMA_VERSION, pl.Int32)} | {name: pl.lit(fact) for name, fact in facts.items()}
+        self.write(key.path, parquet_bytes(frame.with_columns(**columns)))
 
     def add_table(
         self,

@@ -83,10 +83,11 @@ def information_frame(
         noise: of each block of readings [m, rad, px].
         off: elements in which the machine differs from its type.
     """
-    return machines_frame([machine]).with_columns(
+    columns = [
         pl.Series("role", [role]),
         pl.Series("rows", [rows], pl.Int64),
         pl.Series("converged", [converged]),
         pl.Series("noise", [list(noise)], pl.List(pl.Float64)),
         pl.Series("off", [list(off)], pl.List(pl.String)),
-    )
+    ]
+    return machines_frame([machine]).hstack(columns)

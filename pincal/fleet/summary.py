@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from pincal.design.design_model import DesignModel
 from pincal.design.reach import SensorSetup
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, counted
 from pincal.fleet.history import FleetChange, FleetHistory
 from pincal.fleet.robot_type import Learned, Membership, RobotType
 from pincal.identify.options import Options
@@ -192,7 +192,8 @@ def member_summary(learned: Learned) -> Table:
         Column("differs in", kind=Kind.NAME),
     )
     rows = [(member.machine or "-", p, ", ".join(member.off)) for member, p in strangers(learned.members)]
-    count = f"{len(learned.members)} machines, of which {100 * learned.type.hit:.1f} % are estimated to be unlike the others"
+    hit = f"of which {100 * learned.type.hit:.1f} % are estimated to be unlike the others"
+    count = f"{counted(len(learned.members), 'machine')}, {hit}"
     return Table("Machines that do not belong", columns, tuple(rows), (count,))
 
 
@@ -205,7 +206,8 @@ def type_lines(learned: Learned, at: AtTool | None, *, error: float | None = Non
         error: that is wanted of a further machine [m].
     """
     of, apart = learned.type, len(strangers(learned.members))
-    yield f"{of.robot}: {of.machines} machines, {len(of.names)} parameters, of which they determine {np.trace(of.seen):.0f}"
+    machines, parameters = counted(of.machines, "machine"), counted(len(of.names), "parameter")
+    yield f"{of.robot}: {machines}, {parameters}, of which they determine {np.trace(of.seen):.0f}"
     if at is not None:
         yield f"differ by:         {1e3 * at.spread:.3f} mm rms at the tool from their mean, base and tool placed"
         yield f"exchangeability:   {1e3 * at.exchangeability:.3f} mm (ISO 9283, five machines)"
@@ -323,7 +325,8 @@ def history_lines(found: FleetHistory) -> Iterator[str]:
     """Yield what became of a fleet, in some lines."""
     groups = [change for change in found.changes if change.is_group]
     robots = len(found.changes) - len(groups)
-    yield f"{found.robots} robots, {found.checks} checks: {robots} changed, {len(found.open)} of them not calibrated since"
+    whole = f"{counted(found.robots, 'robot')}, {counted(found.checks, 'check')}"
+    yield f"{whole}: {robots} changed, {len(found.open)} of them not calibrated since"
     for change in groups:
         yield f"drift: {change.subject} since {change.since}: {change.what} {_by(change)}".removesuffix(" -")
 

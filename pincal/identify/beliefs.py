@@ -138,6 +138,10 @@ def priors_of(problem: Problem, options: Options) -> Priors:
     for pattern in options.zeros:
         unknown = [fnmatchcase(p.local_name, f"{pattern}.theta") for p in problem.parameters]
         sizes[np.array(unknown, bool)] = np.pi
+    if options.earlier is not None:
+        # Along axes that are known to be nearly parallel, as a SCARA's, a target's place has no end else.
+        on_tool = [p.is_extrinsic and p.unit == "m" and p.element != "base" for p in problem.parameters]
+        sizes[np.array(on_tool, bool)] = problem.chain.robot.reach
     # What no pose shows of a parameter that is free has to stay somewhere; what is held never moves, whatever its size.
     given = np.where(np.isinf(given), np.maximum(_FREE * sizes, 1e-300), given)
     return Priors(problem.beliefs.widened(np.where(given > 0.0, given, sizes)), bounds_of(problem, options))

@@ -120,7 +120,7 @@ class Linearised:
         """Weighted sums of squared residuals of all blocks of readings, shape (blocks,)."""
         return np.concatenate([found.blocks for found in self._squares])
 
-    @property
+    @cached_property
     def row_squares(self) -> list[np.ndarray]:
         """For each station, each row's weighted squared residual, shape (its blocks, its rows), robust weights left out."""
         pairs = zip(self._squares, self._batches, strict=True)

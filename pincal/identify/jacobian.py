@@ -225,7 +225,7 @@ def _padded(of_poses: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 def span(places: np.ndarray) -> slice | np.ndarray:
     """Return places as a slice if they follow each other, since slices need no copies."""
-    if len(places) and places[-1] - places[0] == len(places) - 1 and np.all(np.diff(places) == 1):
+    if len(places) and places[-1] - places[0] == len(places) - 1 and (places[1:] - places[:-1] == 1).all():
         return slice(int(places[0]), int(places[-1]) + 1)
     return places
 

@@ -233,6 +233,8 @@ class Judge:
         sizes = [station.reading_size for station in self.problem.stations]
         limits = [outlier_limit(n, size) if n else np.inf for n, size in zip(counts, sizes, strict=True)]
         limit2 = np.repeat(limits, counts)
+        if not np.any(distance2 > limit2):
+            return np.ones(len(self.problem))
         lighter = 0.0 if hard and self.loss == "screen" else (limit2 / np.maximum(distance2, limit2)) ** 0.25
         trusted = [np.zeros(len(s), bool) if s.trusted is None else s.trusted for s in self.problem.stations]
         return np.where((distance2 > limit2) & ~np.concatenate(trusted), lighter, 1.0)
@@ -245,6 +247,9 @@ def _medians(rows: list[np.ndarray]) -> np.ndarray:
         alike.setdefault(each.shape, []).append(i)
     found: list[np.ndarray] = [np.zeros(0)] * len(rows)
     for those in alike.values():
-        for i, medians in zip(those, np.median([rows[i] for i in those], axis=2), strict=True):
-            found[i] = medians
+        several, n = np.array([rows[i] for i in those]), rows[those[0]].shape[1]
+        # As np.median does, which takes ten times as long for few rows.
+        at = (n - 1) // 2, n // 2
+        for i, middle in zip(those, np.partition(several, at, axis=2)[..., at] if n else several, strict=True):
+            found[i] = 0.5 * middle.sum(axis=1)
     return np.concatenate(found)

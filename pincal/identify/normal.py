@@ -49,6 +49,9 @@ class Batch:
 
     def alike(self, free: np.ndarray) -> Iterator[Batch]:
         """Yield parts of it in each of which the same parameters are free, given those of all stations."""
+        if len(self.stations) == 1:
+            yield self
+            return
         changes = np.flatnonzero(np.any(np.diff(free[self.places].astype(int), axis=0), axis=1)) + 1
         cuts = [0, *changes.tolist(), len(self.stations)]
         size = (self.blocks.stop - self.blocks.start) // len(self.stations)

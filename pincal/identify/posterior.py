@@ -94,10 +94,12 @@ class Posterior:
     @cached_property
     def covariance(self) -> np.ndarray:
         """Their covariance, shape (F, F)."""
-        if not (loose := self._frames[2]).any():
-            return self.determined
-        covariance, frames = self.determined.copy(), self._parts[1]
-        covariance[..., frames[:, None], frames] += loose
+        (_, axes, seen), frames, covariance = self._frames, self._parts[1], self.determined
+        if not seen.all():
+            # Variances of (1 m, 1 rad)^2 along what nothing determines.
+            rest, covariance = np.where(seen, 0.0, axes), covariance.copy()
+            rest = rest / np.maximum(np.abs(rest).max(axis=-2, keepdims=True, initial=0.0), 1e-300)
+            covariance[..., frames[:, None], frames] += rest @ _turned(rest)
         return covariance
 
     @property
@@ -113,7 +115,7 @@ class Posterior:
     @property
     def frame_rank(self) -> np.ndarray:
         """Number of directions among base and tool that the data determine; of several stations each one's."""
-        return self._frames[1]
+        return np.asarray(np.sum(self._frames[2], axis=(-2, -1)))
 
     @property
     def visible_rank(self) -> int:
@@ -179,13 +181,11 @@ class Posterior:
         if not self.own:
             return Covariance.of(self.covariance)
         root = root_of(self.covariance)
-        factor = np.empty((len(self.is_shared), len(root)))
+        factor, groups = np.empty((len(self.is_shared), len(root))), list[tuple[np.ndarray, np.ndarray]]()
         factor[self.is_shared] = root
         for part in self.own:
-            factor[part.places] = -part.carried @ root[part.shared]
-        groups: list[tuple[np.ndarray, np.ndarray]] = []
-        for part in self.own:
             places, blocks = part.places, part.alone.covariance
+            factor[places] = -part.carried @ root[part.shared]
             groups += [(places, blocks)] if places.ndim == 1 else zip(places, blocks, strict=True)
         return Covariance(factor, tuple(groups))
 
@@ -254,6 +254,8 @@ class Posterior:
     def _quick_step(self) -> np.ndarray:
         """The step, where rounding lets it by a Cholesky factor in a tenth of the time that eigenvectors take."""
         (prior, frames), (inverse, *_), F = self._parts, self._frames, self._follow
+        if not len(prior):
+            return np.asarray(inverse @ self.form.g)
         factor = self._factor()
         if factor is None:
             return self.step
@@ -276,7 +278,7 @@ class Posterior:
 
     @cached_property
     def _frames(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of frames' H the inverse over what is determined, its rank, and variances of (1 m, 1 rad)^2 along the rest."""
+        """Of frames' H the inverse over what is determined, all axes as columns, and which of them are determined."""
         frames = self._parts[1]
         H = self.form.H[..., frames[:, None], frames]
         scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", H), 1e-300))
@@ -284,9 +286,7 @@ class Posterior:
         seen = (values > NULL * np.maximum(np.max(values, axis=-1, initial=0.0), 1e-300)[..., None])[..., None, :]
         axes = scale[..., :, None] * vectors
         inverse = np.where(seen, axes, 0.0) / np.where(seen, values[..., None, :], 1.0)
-        rest = np.where(seen, 0.0, axes)
-        rest = rest / np.maximum(np.abs(rest).max(axis=-2, keepdims=True, initial=0.0), 1e-300)
-        return inverse @ _turned(axes), np.sum(seen, axis=(-2, -1)), rest @ _turned(rest)
+        return inverse @ _turned(axes), axes, seen
 
     @cached_property
     def _follow(self) -> np.ndarray:
@@ -379,10 +379,10 @@ def eliminate(form: Form, own: np.ndarray, sizes: np.ndarray, offsets: np.ndarra
         What is left of the C others, of several stations their sum, and the eliminated ones.
     """
     shared, own = np.flatnonzero(~own), np.flatnonzero(own)
-    left, alone, across = form.part(shared), Posterior(form, sizes, offsets).part(own), form.H[..., own[:, None], shared]
+    left, alone, across = form, Posterior(form, sizes, offsets).part(own), form.H[..., own[:, None], shared]
     carried = across
     if len(own):
-        carried = alone.determined @ across
+        left, carried = form.part(shared), alone.determined @ across
         left = replace(left, H=left.H - _turned(across) @ carried, g=left.g - _times(_turned(across), alone.step))
     return left.sum(), Eliminated(alone, carried, own, np.arange(len(shared)))
 

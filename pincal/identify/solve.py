@@ -102,6 +102,7 @@ def likeliest_values(
 ) -> np.ndarray:
     """Return the values of :func:`solve` alone, shape (P,), without what is known of them."""
     run = _Run(problem, start, free, priors, noise, course)
+    run.is_whole = False
     run.until_it_ends()
     return run.point.values
 
@@ -110,6 +111,7 @@ class _Run:
     """A fit on its way; arguments as of :func:`solve`.
 
     Attributes:
+        is_whole: whether more is asked for than the values.
         point: the problem at the latest values, rows weighted by robust weights of an earlier point.
         judged: noise and robust weights by the residuals there.
         hard: whether outliers are left out rather than weighed down.
@@ -142,7 +144,7 @@ class _Run:
             self.point = replace(start.narrowed(free), executor=course.executor, sigma=declared)
         self.judged = self.judge.at(self.point, hard=self.hard)
         self.iterations, self.wanted, self.is_short, self.held = 0, np.inf, False, np.zeros(int(free.sum()), bool)
-        self.damping, self.was_refused = 0.0, False
+        self.damping, self.was_refused, self.is_whole = 0.0, False, True
         self.trail: list[tuple[np.ndarray, np.ndarray]] = []
 
     def until_it_ends(self) -> Ending:
@@ -240,7 +242,7 @@ class _Run:
         What is believed beyond the priors of each parameter, and noise that is correlated, have no part in J.
         """
         correlated = any(s.serial is not None or s.whitening is not None for s in self.problem.stations)
-        if correlated or not self.problem.beliefs.is_slope:
+        if correlated or not self.problem.beliefs.is_slope or not np.isfinite(self.priors.sizes[self.free]).any():
             return False
         whole = self.point.posterior(self.judged.sigma).whole
         # A prior that is wider than usual makes no reading more exact.
@@ -348,12 +350,15 @@ class _Trial:
 
     def succeeds(self, step: np.ndarray) -> bool:
         """Try a step, shape (F,); return whether all fits have one now that does not make them worse."""
-        self.there = self.at(step, is_doubtful=self._is_refused or self._run.was_refused)
+        run = self._run
+        # Of the last point the squares will do if only its values are asked for.
+        is_doubtful = self._is_refused or run.was_refused or (run.wanted < run.course.short and not run.is_whole)
+        self.there = self.at(step, is_doubtful=is_doubtful)
         self.is_open &= self.there.objectives(self._sigma) > self._limits
         if self.is_open.any():
             self._is_refused = True
             return False
-        self._run.was_refused = self._is_refused
+        run.was_refused = self._is_refused
         return True
 
     def at(self, step: np.ndarray, *, is_doubtful: bool = False) -> Linearised:

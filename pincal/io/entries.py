@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import Field, fields
+from functools import cache
 from typing import Annotated, Any
 
 import msgspec
@@ -193,19 +194,26 @@ def plain(value: Any) -> Any:
 
     Fields that have their default are left out.
     """
+    if value is None or type(value) in (str, int, float, bool):
+        return value
     if isinstance(value, Record):
-        fields = {field.name: field.default for field in msgspec.structs.fields(value)}
-        found = {name: getattr(value, name) for name in fields}
+        found = ((name, getattr(value, name), default) for name, default in _defaults(type(value)))
         return {
             name: value.written(name) if isinstance(part, np.ndarray) else plain(part)
-            for name, part in found.items()
-            if part is not fields[name]
+            for name, part, default in found
+            if part is not default
         }
     if isinstance(value, tuple):
         return [plain(part) for part in value]
     if isinstance(value, Effect):
         return effect_to_entry(value)
     return value.tolist() if isinstance(value, np.ndarray) else msgspec.to_builtins(value)
+
+
+@cache
+def _defaults(kind: type[Record]) -> list[tuple[str, Any]]:
+    """Return the fields of a kind of records and their defaults, which take longer to find than to write."""
+    return [(field.name, field.default) for field in msgspec.structs.fields(kind)]
 
 
 def effect_to_entry(effect: Effect) -> dict[str, Any]:

@@ -100,7 +100,9 @@ def replicate_groups(tables: Sequence[Measurements], *, within: float = SAME) ->
         >>> replicate_groups([measurements_from_arrays(["a"], q, distance=[1.0] * 4, payload=load)])[0].tolist()
         [0, 1, 0, 2]
     """
-    keys = [same_joints(np.vstack([table.q for table in tables]), within)]
+    keys, ends = [same_joints(np.vstack([table.q for table in tables]), within)], np.cumsum([len(t) for t in tables])[:-1]
+    if len(np.unique(keys[0])) == len(keys[0]):
+        return np.split(np.arange(len(keys[0])), ends)
     named = [table.names() for table in tables]
     for name in dict.fromkeys(name for columns in named for name in columns):
         names = [columns.get(name, np.full(len(t), "")) for t, columns in zip(tables, named, strict=True)]
@@ -116,7 +118,7 @@ def replicate_groups(tables: Sequence[Measurements], *, within: float = SAME) ->
     poses = _numbered(np.column_stack(keys))
     climate = _same_climate(_stacked(tables, "temperature"), poses)
     poses = _numbered(np.column_stack([poses, climate]))
-    return np.split(poses, np.cumsum([len(table) for table in tables])[:-1])
+    return np.split(poses, ends)
 
 
 def _stacked(tables: Sequence[Measurements], name: str) -> np.ndarray:

@@ -198,7 +198,7 @@ class Model:
                 apart[parameters] = False
         columns = np.where(apart, np.cumsum(apart) - 1, -1)
         poses, jacobian = self._linearise(state, columns, [group.coordinate for group in shared], rows)
-        return np.moveaxis(poses, -1, 0), jacobian, shared
+        return poses.transpose(2, 0, 1), jacobian, shared
 
     def _linearise(
         self, state: Evaluation, columns: np.ndarray, coordinates: list[int], rows: int
@@ -365,10 +365,10 @@ class Evaluation:
 
 def _sighted(model: Model, values: np.ndarray, conditions: Conditions) -> Conditions:
     """Return poses with where the instrument sees the target: where it was read, or where a model that needs it has it."""
+    if conditions.sighted is not None or not any(effect.is_sighted for effect in model.effects):
+        return conditions
     pairs = zip(model.effects, model.spans, strict=True)
     sighted = np.array([effect.is_sighted for effect, of in pairs for _ in range(of.start, of.stop)], bool)
-    if conditions.sighted is not None or not sighted.any():
-        return conditions
     without = model.with_effects([effect for effect in model.effects if not effect.is_sighted])
     return replace(conditions, sighted=without.predict(values[~sighted], conditions)[:, :, 3])
 

@@ -8,6 +8,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from pincal.errors import counted
 from pincal.fleet import summary
 from pincal.fleet.history import FleetHistory
 from pincal.fleet.robot_type import Learned, RobotType
@@ -141,7 +142,8 @@ def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str
     for is_group, title in ((True, "Drifts of groups"), (False, "Changes of robots")):
         table = summary.change_summary(found, groups=is_group)
         made.append(Section(f"changes-{is_group}", title, (table if len(table) else paragraph("None."),), title))
-    return render(f"Fleet of {of.robot}", f"{found.robots} robots, {found.checks} checks", made, version=version)
+    subtitle = f"{counted(found.robots, 'robot')}, {counted(found.checks, 'check')}"
+    return render(f"Fleet of {of.robot}", subtitle, made, version=version)
 
 
 def _reading(alpha: float) -> Markup:

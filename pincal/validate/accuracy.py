@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pincal.errors import counted
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
@@ -240,5 +241,5 @@ def cycle_words(iso: Mapping[str, Any]) -> str:
         '5 poses, 3 to 5 cycles each; ISO 9283 asks for 30, so AP and especially RP are rough estimates'
     """
     poses, least, most = sum(iso["poses"].values()), iso["cycles"]["min"], iso["cycles"]["max"]
-    words = f"{poses} pose{'s' * (poses > 1)}, {least if least == most else f'{least} to {most}'} cycles each"
+    words = f"{counted(poses, 'pose')}, {least if least == most else f'{least} to {most}'} cycles each"
     return words if least >= CYCLES else f"{words}; ISO 9283 asks for {CYCLES}, so AP and especially RP are rough estimates"

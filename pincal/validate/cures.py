@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pincal.errors import BadInputError, IdentificationError, PincalWarning
+from pincal.errors import BadInputError, IdentificationError, PincalWarning, counted
 from pincal.identify.beliefs import is_frame, priors_of, released_of
 from pincal.identify.initial import place, starts_of
 from pincal.identify.noise import Noise
@@ -222,7 +222,7 @@ def descriptions(robot: Robot, table: Measurements) -> Iterator[TableCorrection]
         yield correction.cure(robot, table, f"the column {name!r} looks turned round in sign")
     # Two joints are coupled once: of either by the other no positions follow.
     coupled = [{robot.joint_names.index(name) for name in (one.joint, one.source)} for one in robot.couplings]
-    pairs = [(i, j) for i, j in permutations(range(robot.n_joints), 2) if abs(i - j) == 1 and {i, j} not in coupled]
+    pairs = [(i, j) for i, j in permutations(robot.own_joints, 2) if abs(i - j) == 1 and {i, j} not in coupled]
     turns = [kind != "prismatic" and name in free for name, kind in zip(robot.joint_names, robot.joint_types, strict=True)]
     for i, j in (pair for pair in pairs if turns[pair[0]] and turns[pair[1]]):
         for factor in (*_ADDED, *(_OF_WRISTS if min(i, j) >= robot.n_joints - _WRIST else ())):
@@ -235,7 +235,7 @@ def delays(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     n, everything = len(table), tuple(range(robot.n_joints))
     for rows in _DELAYS:
         kept = np.arange(max(-rows, 0), n - max(rows, 0))
-        word = f"{abs(rows)} row{'s' * (abs(rows) > 1)} {'late' if rows > 0 else 'early'}"
+        word = f"{counted(abs(rows), 'row')} {'late' if rows > 0 else 'early'}"
         for columns in ((i,) for i in everything) if len(kept) > 1 else ():
             name = f"the column {robot.joint_names[columns[0]]!r} looks"
             yield TableCorrection(f"{name} {word}", robot, _late(table, kept, rows, columns), _TABLE)
