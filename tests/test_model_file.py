@@ -407,10 +407,10 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     """A missing file and a folder are errors of the model file."""
     with pytest.raises(ModelFileError, match=r"absent\.json: can't be read"):
         load_model(tmp_path / "absent.json")
-    with pytest.raises(ModelFileError, match="expected a model.json$"):
+    with pytest.raises(ModelFileError, match=r"expected a model\.json$"):
         load_model(tmp_path)
     (tmp_path / "model.json").touch()
-    with pytest.raises(ModelFileError, match=r"expected a model.json, such as .*model\.json$"):
+    with pytest.raises(ModelFileError, match=r"expected a model\.json, such as .*model\.json$"):
         load_model(tmp_path)
 
 

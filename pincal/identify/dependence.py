@@ -104,8 +104,9 @@ def placed_at_mean(fit: ModelFit) -> ModelFit:
     for (station, places, _), rows in zip(fit.stations, fit.problem.rows, strict=True):
         if station.serial is None:
             continue
-        frame = "base_frame" if station.serial.turns is None else "tool_frame"
-        moved = np.array([p.effect == frame and p.unit == "m" for p in station.parameters]) & fit.solution.free[places]
+        parameters, of_base = station.parameters, station.serial.turns is None
+        moved = np.array([p.is_extrinsic and p.unit == "m" and (p.element == "base") == of_base for p in parameters])
+        moved &= fit.solution.free[places]
         if moved.any():
             weights, parts = station.weights * fit.solution.weights[rows], list(station.linearise(values[places], moved))
             left, J = (np.concatenate([part[i] for part in parts], axis=-1) * weights for i in (1, 2))
