@@ -227,7 +227,7 @@ def test_a_fit_of_independent_rows_has_no_correlated_noise(kuka: Robot) -> None:
 
 @pytest.mark.long
 def test_a_real_arm_read_in_the_order_of_a_grid_is_predicted(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A UR5 whose errors persist along the rows: held out .061 mm by regions and .053 by stretches, when this was written."""
+    """A UR5 whose errors persist along the rows: held out .061 mm by regions, .053 by stretches, when this was written."""
     monkeypatch.setattr("pincal.identify.solve.polish", None)
     robot = Robot.from_urdf("ur5")
     table = read_measurements(shared_data / "ur5_tracker" / "grid.csv", robot.joint_names)
