@@ -227,7 +227,8 @@ def test_a_fit_of_independent_rows_has_no_correlated_noise(kuka: Robot) -> None:
 
 @pytest.mark.long
 def test_a_real_arm_read_in_the_order_of_a_grid_is_predicted(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A UR5 whose errors persist along the rows: held out .061 mm by regions, .053 by stretches, when this was written."""
+    """A UR5 whose errors persist along the rows: held out .0590 mm by regions and .0504 by stretches."""
+    # Some 5 % more than what was measured.
     monkeypatch.setattr("pincal.identify.solve.polish", None)
     robot = Robot.from_urdf("ur5")
     table = read_measurements(shared_data / "ur5_tracker" / "grid.csv", robot.joint_names)
@@ -235,7 +236,7 @@ def test_a_real_arm_read_in_the_order_of_a_grid_is_predicted(shared_data: Path, 
     errors = found.calibration.result.error["calibrated"]
 
     assert found.trail.final.problem.stations[0].serial is not None
-    assert errors["regions"]["mean_mm"] < 0.064 and errors["stretches"]["mean_mm"] < 0.056
+    assert errors["regions"]["mean_mm"] < 0.062 and errors["stretches"]["mean_mm"] < 0.053
 
 
 # What is held out

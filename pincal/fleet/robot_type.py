@@ -114,7 +114,8 @@ class RobotType(Record, frozen=True, kw_only=True):
         super().__post_init__()
         if len(set(self.names)) < len(self.names):
             raise Fault("has a parameter twice", "each once", key=".entries")
-        sound = np.all(self.priors > 0.0) and np.all(self.spread_variance >= 0.0) and self.machines > 0 <= self.hit < 1.0
+        counts = self.machines > 0 and 0.0 <= self.hit < 1.0
+        sound = counts and np.all(self.priors > 0.0) and np.all(self.spread_variance >= 0.0)
         if not sound or np.any(np.abs(self.mean) > _ABSURD * self.priors):
             raise Fault("holds numbers that can't be meant", "standard deviations above 0 and a part below 1")
         for name in ("covariance", "mean_covariance"):

@@ -42,7 +42,7 @@ def headline(found: DiagnosisFile) -> str:
     if not found.changed and found.p_value < found.alpha:
         return (
             f"No change was detected in these {found.rows} poses; they differ from the model beyond chance "
-            f"({_chance(found.p_value)}) by what it lacked when the robot was calibrated."
+            f"({_chance(found.p_value)}), as where it lacked something when the robot was calibrated."
         )
     if not found.changed:
         return (
