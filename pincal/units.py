@@ -6,7 +6,7 @@ The library computes in SI units throughout. Factors enter where a number is rea
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
@@ -166,6 +166,14 @@ def plain_number(text: str) -> float:
     if not text.isascii() or "_" in text:
         raise ValueError(f"{text!r} is not a number in plain digits")
     return float(text)
+
+
+def plain_numbers(words: Iterable[str]) -> list[float]:
+    """Return the numbers that words are, as :func:`plain_number` reads each; none if some word is no number."""
+    try:
+        return [plain_number(word) for word in words]
+    except ValueError:
+        return []
 
 
 def size_in(text: str, unit: str) -> float:

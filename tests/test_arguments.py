@@ -14,7 +14,7 @@ from test_cli import URDF, columns, results, run  # noqa: F401
 from pincal.cli import _COMMANDS, pincal
 from pincal.cli.arguments import NumberType, Verb, argument, group, option, verb
 from pincal.cli.common import GeneralOptions
-from pincal.cli.quantities import ANGLE, LENGTH, Masses, NoiseType, QuantityType
+from pincal.cli.quantities import ANGLE, LENGTH, NoiseType, QuantityType, masses
 from pincal.errors import BadInputError, Exit, OutputError, PincalError
 from pincal.identify.options import Options, StationOptions
 from pincal.measure.table import write_table
@@ -117,7 +117,7 @@ def _numbers(kind: click.ParamType[Any]) -> list[list[str]]:
     if isinstance(kind, QuantityType | NoiseType):
         unit = "rad" if kind is ANGLE else "m"
         return [[number + unit] for number in (*huge, "1e-300")]
-    if isinstance(kind, NumberType | Masses):
+    if isinstance(kind, NumberType) or getattr(kind, "func", None) is masses:
         return [[number] for number in huge]
     return [["-1"], ["1.5"]] if isinstance(kind, click.IntRange) else []
 

@@ -153,14 +153,7 @@ class TableArguments:
     @property
     def options(self) -> TableOptions:
         """The same for the library."""
-        return TableOptions(
-            ignore=self.ignore,
-            columns=self.columns or {},
-            orientation=self.orientation,
-            joints=self.joints,
-            sheet=self.sheet,
-            rows_in_order=self.rows_in_order,
-        )
+        return TableOptions(**vars(self) | {"columns": self.columns or {}})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from pincal.cli.common import (
 )
 from pincal.cli.outputs import print_json
 from pincal.errors import BadInputError, Exit
-from pincal.units import plain_number
+from pincal.units import plain_numbers
 
 if TYPE_CHECKING:
     from pincal.measure.measurements import Measurements
@@ -238,10 +238,7 @@ def _pose(text: str | None, table: Measurements | None) -> np.ndarray | None:
     if text is None:
         return None
     words = text.replace(",", " ").split()
-    try:
-        values = np.array([plain_number(word) for word in words])
-    except ValueError:
-        values = np.zeros(0)
+    values = np.array(plain_numbers(words))
     if not len(values):
         raise BadInputError(f'--pose {text!r}; expected a row of DATA or joint positions such as "0, -1.2, 1.5"')
     if len(words) > 1 or not words[0].isdigit():

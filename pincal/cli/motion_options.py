@@ -12,7 +12,7 @@ import click
 from pincal.cli.arguments import NumberType, option
 from pincal.cli.quantities import ANGLES, QuantityType
 from pincal.measure.fields import TABLE_ENDINGS
-from pincal.units import UNITS, plain_number, size_of
+from pincal.units import UNITS, plain_numbers, size_of
 
 if TYPE_CHECKING:
     from pincal.measure.fields import TableOptions
@@ -84,44 +84,23 @@ def load_sessions(
 _MOST_RATE = 10_000.0
 
 
-class _DensitiesType(click.ParamType[tuple[float, float]]):
-    """Noise densities of an IMU's accelerometer and gyroscope, such as ``1mg,0.01deg/s``."""
-
-    name = "densities"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
-        """Return both in SI units per root of a hertz."""
-        if isinstance(value, tuple):
-            return value
-        found, words = list[float](), str(value).split(",")
-        for word, quantity in zip(words, ("acceleration", "angular rate"), strict=False):
-            units = {unit: size_of(unit, quantity) for unit in UNITS[quantity]}
-            found.append(
-                QuantityType(units, "1mg" if quantity == "acceleration" else "0.01deg/s", zero=True).convert(
-                    word, param, ctx
-                )
-            )
-        if len(words) != 2:
-            self.fail(f"{value!r}; expected the densities of accelerometer and gyroscope, such as 1mg,0.01deg/s", param, ctx)
-        return found[0], found[1]
+def _densities(text: str) -> tuple[float, float]:
+    """Return noise densities of accelerometer and gyroscope, such as ``1mg,0.01deg/s``, in SI units per root of a hertz."""
+    found, words = list[float](), text.split(",")
+    for word, quantity, example in zip(words, ("acceleration", "angular rate"), ("1mg", "0.01deg/s"), strict=False):
+        units = {unit: size_of(unit, quantity) for unit in UNITS[quantity]}
+        found.append(QuantityType(units, example, zero=True)(word))
+    if len(words) != 2:
+        raise click.BadParameter(f"{text!r}; expected the densities of accelerometer and gyroscope, such as 1mg,0.01deg/s")
+    return found[0], found[1]
 
 
-class _RatesType(click.ParamType[tuple[float, float, float]]):
-    """Samples a second of joints, IMU and tracker, such as ``150,100,250``."""
-
-    name = "rates"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float, float]:
-        """Return the rates [Hz]."""
-        if isinstance(value, tuple):
-            return value
-        try:
-            joints, imu, tracker = (plain_number(word) for word in str(value).split(","))
-        except ValueError:
-            joints = imu = tracker = 0.0
-        if not all(1.0 <= rate <= _MOST_RATE for rate in (joints, imu, tracker)):
-            self.fail(f"{value!r}; expected rates of joints, IMU and tracker [Hz], such as 150,100,250", param, ctx)
-        return joints, imu, tracker
+def _rates(text: str) -> tuple[float, ...]:
+    """Return samples a second of joints, IMU and tracker [Hz], such as ``150,100,250``."""
+    rates = plain_numbers(text.split(","))
+    if len(rates) != 3 or not all(1.0 <= rate <= _MOST_RATE for rate in rates):
+        raise click.BadParameter(f"{text!r}; expected rates of joints, IMU and tracker [Hz], such as 150,100,250")
+    return tuple(rates)
 
 
 DURATION = QuantityType({"s": 1.0, "min": 60.0}, "300s")
@@ -144,16 +123,10 @@ class DrivenOptions:
     acceleration: float = option("Largest acceleration of a joint [rad/s^2], of one that slides half as much [m/s^2].", 3.0)
 
 
-class _PathType(click.ParamType[float | Path]):
-    """The duration of a random path, or a table of the poses that it goes through."""
-
-    name = "DURATION|FILE"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | Path:
-        """Return the duration [s] or the file."""
-        if Path(value).suffix.lower() in TABLE_ENDINGS or Path(value).is_file():
-            return Path(value)
-        return DURATION.convert(value, param, ctx)
+def _path(text: str) -> float | Path:
+    """Return the duration of a random path [s], or the file of a table of the poses that it goes through."""
+    is_file = Path(text).suffix.lower() in TABLE_ENDINGS or Path(text).is_file()
+    return Path(text) if is_file else float(DURATION(text))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,13 +137,13 @@ class MotionArguments:
         "Drive a random path of this duration, or from pose to pose of a table by its column time, instead of holding "
         "poses; --out is then a folder of joints.csv, imu.csv and tracker.csv, each on a clock of its own.",
         metavar="DURATION|FILE",
-        type=_PathType(),
+        type=_path,
     )
     imu: bool = option("Log an IMU on the tool; a tracker besides if --sensor is given.", False)
     imu_noise: tuple[float, float] | None = option(
         "Noise densities of accelerometer and gyroscope, per root of a hertz.",
         metavar="ACC,GYRO",
-        type=_DensitiesType(),
+        type=_densities,
         words="1mg,0.01deg/s",
     )
     vibration: float | None = option(
@@ -185,7 +158,7 @@ class MotionArguments:
     log_rates: tuple[float, float, float] | None = option(
         "Samples a second of joints, IMU and tracker.",
         metavar="HZ,HZ,HZ",
-        type=_RatesType(),
+        type=_rates,
         words="150,100,250, cameras 30",
     )
     clock_drift: float | None = option(

@@ -29,7 +29,7 @@ from pincal.cli.common import (
 )
 from pincal.cli.motion_options import DrivenOptions
 from pincal.cli.outputs import print_json, problem_report
-from pincal.cli.quantities import ANGLE, LENGTH, Masses
+from pincal.cli.quantities import ANGLE, LENGTH, masses
 from pincal.errors import Exit
 from pincal.robot.cell import Beside
 
@@ -159,7 +159,7 @@ class InstrumentOptions:
     )
     noise_angle: float = option("Standard deviation of one orientation component.", 0.0001, type=ANGLE, words="0.1mrad")
     payload: Sequence[float] | None = option(
-        "One payload, or several from which the best is chosen for each pose.", metavar="KG[,KG...]", type=Masses()
+        "One payload, or several from which the best is chosen for each pose.", metavar="KG[,KG...]", type=masses
     )
 
 

@@ -10,7 +10,7 @@ import click
 
 from pincal.cli.arguments import pair
 from pincal.robot.cell import Beside
-from pincal.units import LARGEST, SMALLEST, plain_number, unit_sizes
+from pincal.units import LARGEST, SMALLEST, plain_number, plain_numbers, unit_sizes
 
 LENGTH_UNITS = unit_sizes("um", "mm", "cm", "m")
 ANGLES = unit_sizes("urad", "mrad", "rad", "deg")
@@ -69,22 +69,14 @@ class NoiseType(click.ParamType[tuple[float, str]]):
         return number, "px" if is_image else "m"
 
 
-class Masses(click.ParamType[tuple[float, ...]]):
-    """One or several masses in kg, separated by commas."""
-
-    name = "masses"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        """Return the masses [kg]."""
-        try:
-            loads = tuple(plain_number(part.strip().removesuffix("kg")) for part in str(value).split(","))
-        except ValueError:
-            loads = ()
-        if not loads or not all(0.0 <= load <= LARGEST for load in loads):
-            self.fail(
-                f"{value!r}; expected one or several masses in kg, such as 80 or 0,80, of at most {LARGEST:g}", param, ctx
-            )
-        return loads
+def masses(text: str) -> tuple[float, ...]:
+    """Return one or several masses [kg], separated by commas."""
+    loads = plain_numbers(part.strip().removesuffix("kg") for part in text.split(","))
+    if not loads or not all(0.0 <= load <= LARGEST for load in loads):
+        raise click.BadParameter(
+            f"{text!r}; expected one or several masses in kg, such as 80 or 0,80, of at most {LARGEST:g}"
+        )
+    return tuple(loads)
 
 
 def xacro_argument(text: str) -> tuple[str, str]:

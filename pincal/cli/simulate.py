@@ -48,13 +48,23 @@ Then:
 """
 
 
-def _catalogue() -> str:
-    """Return the end of the help text, for which the effects are imported."""
-    heading = "Effects, the joint on which they act, and their keys (default: a random joint and typical values):"
-    return f"{heading}\n{effect_help()}"
+def effect_help() -> str:
+    """Return the end of the help text, for which the effects are imported: a line of keys and units for each."""
+    from pincal.simulate.effect import HIDDEN_EFFECTS, Scope
+
+    lines = ["Effects, the joint on which they act, and their keys (default: a random joint and typical values):"]
+    for name, kind in HIDDEN_EFFECTS.items():
+        keys = ", ".join([f"size [{kind.unit}]", *_keys(kind)[1:]])
+        lines.append(f"  {name}{'' if kind.scope is Scope.ARM else ':JOINT'}: {keys}")
+    return "\n".join(lines)
 
 
-@verb(SimulateArguments, examples=_EXAMPLES, ending=_catalogue)
+def _keys(kind: type[HiddenEffect]) -> list[str]:
+    """Return the keys of an effect, size first."""
+    return ["size", *(field.name for field in fields(kind) if field.name not in ("joint", "size"))]
+
+
+@verb(SimulateArguments, examples=_EXAMPLES, ending=effect_help)
 def simulate(arguments: SimulateArguments) -> Exit:
     """Simulate the measurement of a machine with chosen errors and hidden effects."""
     from pincal.cli.progress import end_progress, log_step
@@ -254,13 +264,7 @@ def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) 
             raise BadInputError(
                 f"{error}; a lower --floor, or --no-floor, gives the arm more room, another --seed another place"
             ) from None
-    wanted = Repetition(
-        cycles=given.cycles,
-        recorded=given.recorded,
-        payload=given.payload,
-        payload_order=given.payload_order,
-        payload_com=given.payload_com,
-    )
+    wanted = Repetition(**{field.name: getattr(given, field.name) for field in fields(Repetition)})
     q, all_conditions = repeat_poses(machine, q, wanted, given=conditions, seed=arguments.pose_seed)
     return Campaign(q=q, conditions=all_conditions, setup=setup, hidden=given.hide)
 
@@ -326,22 +330,6 @@ def _of_arm(verb: str, arguments: SimulateArguments) -> str:
 def _noise(setup: SensorSetup) -> str:
     """Return the noise as the option ``--noise`` takes it."""
     return f"{setup.sigma:g}px" if setup.kind.endswith("pixel") else f"{setup.sigma * 1e3:g}mm"
-
-
-def effect_help() -> str:
-    """Return the effects with their keys and units as lines of help."""
-    from pincal.simulate.effect import HIDDEN_EFFECTS, Scope
-
-    lines = []
-    for name, kind in HIDDEN_EFFECTS.items():
-        keys = ", ".join([f"size [{kind.unit}]", *_keys(kind)[1:]])
-        lines.append(f"  {name}{'' if kind.scope is Scope.ARM else ':JOINT'}: {keys}")
-    return "\n".join(lines)
-
-
-def _keys(kind: type[HiddenEffect]) -> list[str]:
-    """Return the keys of an effect, size first."""
-    return ["size", *(field.name for field in fields(kind) if field.name not in ("joint", "size"))]
 
 
 def parse_effect(text: str, joints: tuple[str, ...]) -> tuple[str, dict[str, Any]]:

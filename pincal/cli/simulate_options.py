@@ -23,7 +23,7 @@ from pincal.cli.common import (
     xacro_option,
 )
 from pincal.cli.motion_options import MotionArguments
-from pincal.cli.quantities import ANGLES, LENGTH, Masses, NoiseType, QuantityType
+from pincal.cli.quantities import ANGLES, LENGTH, NoiseType, QuantityType, masses
 from pincal.errors import BadInputError, MeasurementError, OutputError
 from pincal.measure.fields import TABLE_ENDINGS
 from pincal.robot.cell import Beside
@@ -142,7 +142,7 @@ class CampaignArguments:
     )
     floor: float = option("Height in the base frame above which random poses keep the arm [m].", 0.0, metavar="Z")
     no_floor: bool = option("Random poses anywhere within the joint limits.", False)
-    payload: Sequence[float] | None = option("One payload or several.", metavar="KG[,KG...]", type=Masses())
+    payload: Sequence[float] | None = option("One payload or several.", metavar="KG[,KG...]", type=masses)
     payload_order: Literal["blocks", "alternating"] = option(
         "Several payloads: one block of poses after the other, or in turn.", "blocks"
     )

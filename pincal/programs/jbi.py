@@ -14,6 +14,7 @@ from pincal.programs.draft import Draft
 from pincal.programs.language import LANGUAGES, ControllerLanguage
 from pincal.programs.program import Frame, Left, Motion, Path, Point, Posture, Program, Turn
 from pincal.programs.syntax import Number, Source, Statement, number_at
+from pincal.units import plain_numbers
 
 _GRAMMAR = r"""
 start: (COMMENT? _NL)* JOB _NL (_head? _NL)* INST _NL (_line? _NL)* (_line? _EOT)
@@ -65,13 +66,10 @@ class Jbi(ControllerLanguage):
         Raises:
             BadInputError: for other text.
         """
-        try:
-            found = tuple(float(word) for word in text.replace(",", " ").split())
-        except ValueError:
-            found = ()
+        found = plain_numbers(text.replace(",", " ").split())
         if not found or not all(math.isfinite(number) and number != 0.0 for number in found):
             raise BadInputError(f"pulses {text!r}; expected pulses for a degree, one number an axis, none of them 0")
-        return Jbi(found)
+        return Jbi(tuple(found))
 
     def joint_units(self, turns: np.ndarray) -> np.ndarray:
         """Return a pulse of each axis [rad]."""

@@ -16,7 +16,7 @@ from pincal.plugins import Registry
 from pincal.programs.program import Motion, Point, Posture, Program, Turn, number_text
 from pincal.programs.syntax import Number, Source
 from pincal.robot.se3 import exponentials, rotation_matrices, rotation_of_rpy, transform
-from pincal.units import plain_number
+from pincal.units import plain_numbers
 
 # How far the length of a quaternion may be from 1: what is left of four digits.
 _UNIT = 2e-3
@@ -103,10 +103,7 @@ class ControllerLanguage(ABC):
         Raises:
             BadInputError: for other text.
         """
-        try:
-            values = np.array([plain_number(word) for word in text.replace(";", ",").split(",")])
-        except ValueError:
-            values = np.zeros(0)
+        values = np.array(plain_numbers(text.replace(";", ",").split(",")))
         columns = CONVENTIONS[self.convention].columns
         if len(values) != 3 + len(columns) or not np.isfinite(values).all() or not self.is_pose(values):
             unit = "m" if self.length == 1.0 else "mm"

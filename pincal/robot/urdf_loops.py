@@ -18,7 +18,7 @@ import numpy as np
 from pincal.errors import RobotFileError
 from pincal.robot.se3 import rotation_of_rpy, transform
 from pincal.robot.tree import UrdfClosure, known_links
-from pincal.units import plain_number
+from pincal.units import plain_numbers
 
 ClosureKind = Literal["point", "axis", "pose"]
 KINDS: dict[str, ClosureKind] = {
@@ -88,10 +88,7 @@ def _vector(element: Any, key: str, default: str, source: str) -> np.ndarray:
 
 
 def _numbers(text: str, count: int, element: Any, source: str) -> np.ndarray:
-    try:
-        found = np.array([plain_number(word) for word in text.split()])
-    except ValueError:
-        found = np.empty(0)
+    found = np.array(plain_numbers(text.split()))
     if found.shape != (count,) or not np.isfinite(found).all():
         raise _fault(element, source, f"has {text!r}; expected {count} finite numbers")
     return found

@@ -16,6 +16,7 @@ from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation_of_rpy
 from pincal.robot.urdf_file import parse_xml
+from pincal.units import plain_numbers
 
 # Faces of all meshes of a robot together; finer ones are thinned, since the page has to stay small and quick.
 _FACES = 60_000
@@ -254,10 +255,7 @@ def _moved(T: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _numbers(element: Any, key: str, count: int) -> np.ndarray:
-    try:
-        values = np.array([float(word) for word in element.get(key, "").split()])
-    except ValueError:
-        values = np.zeros(0)
+    values = np.array(plain_numbers(element.get(key, "").split()))
     if values.shape != (count,) or not np.isfinite(values).all():
         raise RobotFileError(f"<{element.tag} {key}={element.get(key)!r}>; expected {count} finite numbers")
     return values
