@@ -21,7 +21,7 @@ from pincal.model.effects import BearingElasticity, JointElasticity, JointOffset
 from pincal.model.model import Model
 from pincal.parameters import estimate_of
 from pincal.programs.arms import ProgramAxes
-from pincal.programs.correct import Corrector, ProgramCell, written_program
+from pincal.programs.correct import Corrector, ProgramCell
 from pincal.programs.language import LANGUAGES as KNOWN
 from pincal.programs.program import Edit, Program, spliced
 from pincal.programs.syntax import Source
@@ -278,7 +278,7 @@ def test_a_program_that_is_not_whole_is_never_made_wrong(
             continue
         changes, left = corrector.changes(program)
         edits = [edit for change in changes.values() for edit in corrector.edits(change)]
-        after = written_program(program, edits)
+        after = [spliced(source, i, edits) for i, source in enumerate(program.sources)]
         again = reader.read([Source(s.name, content) for s, content in zip(sources, after, strict=True)])
         assert all(one.line > 0 and one.reason for one in left)
         for source, content, file in zip(sources, after, range(len(after)), strict=True):

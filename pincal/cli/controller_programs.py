@@ -80,9 +80,10 @@ def correct_file(
         ProgramError: for a file that is cut, of another dialect, or can't be read.
     """
     from pincal.atomic import write_atomic
-    from pincal.programs.correct import Corrector, written_program
+    from pincal.programs.correct import Corrector
     from pincal.programs.language import files_of, read_sources
     from pincal.programs.paths import Follower, legs_of
+    from pincal.programs.program import spliced
 
     if out.suffix.lower() != path.suffix.lower():
         raise click.UsageError(
@@ -112,8 +113,8 @@ def correct_file(
     # A pair keeps its name, hence has to be written into another folder.
     with contextlib.suppress(OSError):
         out.parent.mkdir(parents=True, exist_ok=True)
-    for target, content in zip(outs, written_program(program, edits), strict=False):
-        write_atomic(target, content)
+    for i, target in enumerate(outs):
+        write_atomic(target, spliced(program.sources[i], i, edits))
     result = _result(program, list(changes.values()), left, deviations)
     robot, cell = calibrated.model.chain.robot, corrector.cell
     links = {

@@ -182,22 +182,20 @@ class ArmSearch:
             starts = [self._starts(tips[i], postures[i], near) for i in rows]
             owner = np.repeat(np.arange(len(rows)), [len(part) for part in starts])
             q = np.concatenate(starts)
-            problem = IkProblem.of(
-                self.model,
-                np.zeros(0),
-                conditions=Conditions.at(q),
-                wanted=tips[start : start + len(rows)][owner],
-                with_orientation=True,
-            )
-            own = self.robot.own_joints
-            q, reached = newton(problem, q[:, own], seed=q[:, own])
-            q = self.robot.spread(q)
+            q, reached = self.reach(q, tips[start : start + len(rows)][owner])
             sides = self.sides(q)
             for k, i in enumerate(rows):
                 mine = np.flatnonzero(reached & (owner == k))
                 allowed = [not self.has_sides or postures[i].allows(sides[row]) for row in mine]
                 found.append(self._distinct(q[mine[allowed]]))
         return found
+
+    def reach(self, q: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return joint positions at poses of the tip, shape (N, 3, 4), nearest to others, (N, n), and which are reached."""
+        problem = IkProblem.of(self.model, np.zeros(0), conditions=Conditions.at(q), wanted=tips, with_orientation=True)
+        own = q[:, self.robot.own_joints]
+        found, reached = newton(problem, own, seed=own)
+        return self.robot.spread(found), reached
 
     def _starts(self, tip: np.ndarray, posture: Posture, near: np.ndarray | None) -> np.ndarray:
         q, tips, sides = self._pool

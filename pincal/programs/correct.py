@@ -9,7 +9,7 @@ whole or left as it was, with a reason.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from pincal.compensate.robot_frames import false_targets
 from pincal.model.effects import Conditions
 from pincal.programs.arms import ArmSearch, ProgramAxes
 from pincal.programs.language import ControllerLanguage
-from pincal.programs.program import Edit, Frame, Left, Point, PointKey, Posture, Program, spliced
+from pincal.programs.program import Edit, Frame, Left, Point, PointKey, Posture, Program
 from pincal.robot.se3 import compose, inverse, rotation_vectors, transform
 
 # Of several arms that reach a pose one is meant if it is nearer than this part of the way to the next.
@@ -304,11 +304,6 @@ def _first_uses(program: Program) -> dict[PointKey, _Use]:
             at = key
         at, before = at if stops else None, (motion.source, motion.run)
     return uses
-
-
-def written_program(program: Program, edits: Sequence[Edit]) -> list[bytes]:
-    """Return the files of a program with edits."""
-    return [spliced(source, i, edits) for i, source in enumerate(program.sources)]
 
 
 def _known(

@@ -45,6 +45,14 @@ class Draft:
         """Take note of a point's value in numbers."""
         self._points.setdefault(point.name, []).append(point)
 
+    def take(self, name: str, found: Point | Left) -> None:
+        """Take note of a point, or that a name is left as it was."""
+        if isinstance(found, Left):
+            self.left.append(found)
+            self.write(name, found.reason)
+        else:
+            self.declare(found)
+
     def frame(self, name: str, pose: np.ndarray | str, kinds: Sequence[FrameKind]) -> None:
         """Take note of the pose, shape (4, 4), of a tool or a base, or why it is not known."""
         for kind in kinds:

@@ -84,11 +84,7 @@ class FanucLs(ControllerLanguage):
         place, *groups = block.children
         name, line = _place(str(place)), source.place(place.start_pos)[0]  # type: ignore[union-attr, arg-type]
         point = self._point(i, name, line, groups[0].children)  # type: ignore[union-attr]
-        if isinstance(point, Point):
-            draft.declare(point)
-        else:
-            draft.left.append(Left(name, i, line, point))
-            draft.write(name, point)
+        draft.take(name, Left(name, i, line, point) if isinstance(point, str) else point)
 
     def _point(self, i: int, name: str, line: int, group: Sequence[Any]) -> Point | str:
         """Return the point that a group is, or why it is none."""

@@ -115,11 +115,8 @@ class Jbi(ControllerLanguage):
                 place, *values = part.children
                 name = _name(str(place))
                 point = self._point(i, name, place.line, [number_at(token) for token in values], tags, posture)
-                if isinstance(point, Point):
-                    draft.declare(point)
-                elif point:
-                    draft.left.append(Left(name, i, place.line, point))
-                    draft.write(name, point)
+                if point:
+                    draft.take(name, Left(name, i, place.line, point) if isinstance(point, str) else point)
         if "NPOS" in tags and seen != expected:
             raise source.error(f"{seen} positions; expected the {expected} of ///NPOS", 0)
 

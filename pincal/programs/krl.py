@@ -214,9 +214,7 @@ class _Reader(Reader):
         if first in _RELATIVE:
             self.draft.read(self.words(items[1:]))
             lost = self.left(text_of_items(items)[:40], statement.line, "a relative motion")
-            self.draft.motions.append(
-                Motion("joint", (lost,), statement, self.file, Frame(""), Frame(""), (0, 0), known.run)
-            )
+            self.draft.motions.append(Motion("joint", (lost,), statement, self.file, run=known.run))
             return
         if first not in _MOTIONS or len(items) < 2 or is_token(items[1], "SIGN", "="):
             return

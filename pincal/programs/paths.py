@@ -7,10 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pincal.compensate.ik_problem import IkProblem
-from pincal.compensate.iterations import newton
 from pincal.compensate.robot_frames import in_base_frame
-from pincal.model.effects import Conditions
 from pincal.programs.correct import Change, Corrector
 from pincal.programs.program import Edit, Left, Motion, PointKey, Program
 from pincal.robot.se3 import compose, exponentials, inverse, rotation_vectors, transform
@@ -87,7 +84,7 @@ class Follower:
         worst, follows = np.zeros(len(ends)), np.ones(len(ends), bool)
         for look in range(1, _LOOKS + 1):
             s = look / (_LOOKS + 1)
-            q, reached = self._reach(q, compose(_between(told, s), back))
+            q, reached = self.corrector.arms.reach(q, compose(_between(told, s), back))
             follows &= reached
             here, ahead = (_between(meant, t)[:, :, 3] for t in (s, s + 1e-4))
             off = compose(self._real_tips(q), tools[:, :3])[:, :, 3] - here
@@ -96,14 +93,6 @@ class Follower:
             off -= np.einsum("ni,ni->n", off, along)[:, None] * along
             worst = np.maximum(worst, np.linalg.norm(off, axis=1))
         return np.where(follows, worst, np.nan)
-
-    def _reach(self, q: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nominal arm's joint positions at poses of the tip, nearest to others, and which are reached."""
-        arms = self.corrector.arms
-        problem = IkProblem.of(arms.model, np.zeros(0), conditions=Conditions.at(q), wanted=tips, with_orientation=True)
-        own = q[:, arms.robot.own_joints]
-        found, reached = newton(problem, own, seed=own)
-        return arms.robot.spread(found), reached
 
     def _real_tips(self, q: np.ndarray) -> np.ndarray:
         conditions = self.placed.of_its_day(self.corrector.conditions(q))
@@ -123,7 +112,7 @@ class Follower:
         while parts <= _MOST_PARTS:
             q, meant = start.q[None], []
             for k in range(1, parts):
-                q, reached = self._reach(q, compose(_between(stop, k / parts), back))
+                q, reached = self.corrector.arms.reach(q, compose(_between(stop, k / parts), back))
                 if not reached[0]:
                     return "the arm can't follow it"
                 meant.append(q[0])

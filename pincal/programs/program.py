@@ -171,9 +171,9 @@ class Motion:
     targets: tuple[str | Point | Left, ...]
     statement: Statement
     source: int
-    tool: Frame
-    base: Frame
-    span: tuple[int, int]
+    tool: Frame = field(default_factory=lambda: Frame(""))
+    base: Frame = field(default_factory=lambda: Frame(""))
+    span: tuple[int, int] = (0, 0)
     run: int = 0
     can_insert: bool = False
     takes_posture: bool = True

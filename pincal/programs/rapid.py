@@ -84,7 +84,8 @@ class Rapid(ControllerLanguage):
         start, end = motion.span
         position = ",".join(f"{value:.4f}" for value in values[:3])
         turn = ",".join(f"{value:.9f}" for value in values[3:])
-        conf = ",".join(_configuration(posture))
+        shape = 4 * (not posture.front) + 2 * (not posture.up) + (not posture.down)
+        conf = ",".join([*(str(turn.value) for turn in posture.turns), str(shape)])
         target = f"[[{position}],[{turn}],[{conf}],[9E9,9E9,9E9,9E9,9E9,9E9]]"
         text = source.text[motion.statement.start : motion.statement.end]
         at = motion.statement.start
@@ -170,7 +171,7 @@ class _Reader(Reader):
             stops = [part for part in (split(part, "\\")[0] for part in split(items[1:])) if part]
             self.draft.hand([element_name(part)[0] for part in stops[1:2]], line, first)
             self.draft.read(self.words(items))
-            self.draft.motions.append(Motion("joint", (), statement, self.file, Frame(""), Frame(""), (0, 0), -1))
+            self.draft.motions.append(Motion("joint", (), statement, self.file, run=-1))
         else:
             if first in SWITCHES:
                 self.draft.derive("displacement", self.words(items[1:]))
@@ -208,11 +209,8 @@ class _Reader(Reader):
         target = self.literal(line, name, value)
         if isinstance(target, Point) and (target.kind == "joints") != (kind == "JOINTTARGET"):
             target = self.left(name, line, "it is another kind of target")
-        if isinstance(target, Point):
-            self.draft.declare(target)
-        elif isinstance(target, Left):
-            self.draft.left.append(target)
-            self.draft.write(name, target.reason)
+        if target is not None:
+            self.draft.take(name, target)
         else:
             self.draft.write(name, "a computed value" if value else "it is set while the program runs")
 
@@ -303,11 +301,6 @@ def _posture(conf: Sequence[Number]) -> Posture | None:
     shape = int(conf[3].value)
     turns = tuple(Turn(joint, "quarter", int(conf[k].value), conf[k]) for k, joint in enumerate((0, 3, 5)))
     return Posture(not shape & 4, not shape & 2, not shape & 1, turns)
-
-
-def _configuration(posture: Posture) -> list[str]:
-    shape = 4 * (not posture.front) + 2 * (not posture.up) + (not posture.down)
-    return [*(str(turn.value) for turn in posture.turns), str(shape)]
 
 
 def _in_zone(text: str) -> str:

@@ -75,7 +75,7 @@ def _divided(whole: Statement) -> Iterator[tuple[Statement, Step]]:
     while k < len(items):
         first, end = word(items[k]), len(items)
         opening = word(items[k + 1]) if first == "LOCAL" and k + 1 < end else first
-        is_label = _is_label(items, k)
+        is_label = k + 1 < end and is_token(items[k + 1], "SIGN", ":")
         size = 0
         if first in _ALONE:
             size = 1
@@ -123,10 +123,6 @@ def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, S
 def _part(whole: Statement, items: Sequence[Any]) -> Statement:
     line = whole.line if isinstance(items[0], Brackets) else items[0].line
     return Statement(tuple(items), place_of(items[0])[0], place_of(items[-1])[1], line)
-
-
-def _is_label(items: Sequence[Any], k: int) -> bool:
-    return k + 1 < len(items) and is_token(items[k + 1], "SIGN", ":")
 
 
 def _step(statement: Statement, opening: str, *, is_label: bool) -> Step:

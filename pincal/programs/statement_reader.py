@@ -76,12 +76,8 @@ class Reader:
     def assign(self, line: int, name: str, is_part: bool, value: Sequence[Any]) -> None:
         """Take note of what a name is set to."""
         found = None if is_part or "*" in name else self.literal(line, name, value)
-        if isinstance(found, Point):
-            self.draft.declare(found)
-            return
-        if isinstance(found, Left):
-            self.draft.left.append(found)
-            self.draft.write(name, found.reason)
+        if found is not None:
+            self.draft.take(name, found)
             return
         self.draft.write(name, f"line {line} sets {'a part of it' if is_part else 'it'} while the program runs")
         self.draft.derive(name, self.words(value))

@@ -121,9 +121,7 @@ class _Reader(Reader):
             return
         if call is not None and call[0] in _ENDLESS:
             lost = self.left(f"{call[0]} of line {line}", line, "a motion without an end of its own")
-            self.draft.motions.append(
-                Motion("joint", (lost,), statement, self.file, Frame(""), Frame(""), (0, 0), known.run)
-            )
+            self.draft.motions.append(Motion("joint", (lost,), statement, self.file, run=known.run))
         rest = items[1:] if is_token(items[0], "WORD", "GLOBAL", "LOCAL") else items
         sides = split(rest, "=")
         name, is_part = element_name(sides[0], case=True)
