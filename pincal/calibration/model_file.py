@@ -17,16 +17,7 @@ from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import OutputError
 from pincal.identify.station import are_fingerprints
 from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, Vector, packed_covariance, packed_matrix, shaped
-from pincal.io.entries import (
-    ChainEntry,
-    Effects,
-    ModelEntry,
-    ParameterEntry,
-    SetupEntry,
-    model_of,
-    plain,
-    restoring,
-)
+from pincal.io.entries import ChainEntry, Effects, ModelEntry, ParameterEntry, SetupEntry, model_of, plain, restoring
 from pincal.io.result_folder import not_written_with
 from pincal.io.robot_entry import RobotEntry
 from pincal.io.strict_json import MODEL_FILE, Fault, built, read_bounded, write_json

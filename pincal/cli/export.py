@@ -11,13 +11,7 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import Output, argument, group, option, verb
-from pincal.cli.common import (
-    GeneralOptions,
-    PlaceOptions,
-    TableArguments,
-    model_argument,
-    station_option,
-)
+from pincal.cli.common import GeneralOptions, PlaceOptions, TableArguments, model_argument, station_option
 from pincal.cli.outputs import print_json
 from pincal.errors import BadInputError, Exit
 from pincal.units import plain_numbers

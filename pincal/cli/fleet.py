@@ -10,12 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pincal.cli.arguments import VERBS, Output, argument, group, option, verb
-from pincal.cli.common import (
-    GeneralOptions,
-    base_option,
-    tip_option,
-    verbose_option,
-)
+from pincal.cli.common import GeneralOptions, base_option, tip_option, verbose_option
 from pincal.cli.fleet_store import machine_names, store_argument
 from pincal.cli.outputs import print_json, provenance
 from pincal.cli.quantities import LENGTH

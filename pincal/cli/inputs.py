@@ -15,13 +15,7 @@ from pincal.calibration.calibrated_robot import load_stations
 from pincal.calibration.located import located
 from pincal.calibration.placing import place_station, without_absent
 from pincal.calibration.validation import doubt_of
-from pincal.cli.common import (
-    CalibrationOptions,
-    InputOptions,
-    LinkOptions,
-    PlaceOptions,
-    SetupOptions,
-)
+from pincal.cli.common import CalibrationOptions, InputOptions, LinkOptions, PlaceOptions, SetupOptions
 from pincal.cli.motion_options import MotionOptions, input_files, load_sessions
 from pincal.cli.progress import log_step
 from pincal.errors import BadInputError, ChangedRobotError, nearest_first

@@ -10,13 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pincal.cli.arguments import Output, argument, group, option, verb
-from pincal.cli.common import (
-    GeneralOptions,
-    TableArguments,
-    max_error_option,
-    model_argument,
-    station_option,
-)
+from pincal.cli.common import GeneralOptions, TableArguments, max_error_option, model_argument, station_option
 from pincal.cli.motion_options import MotionOptions
 from pincal.cli.outputs import echo_notes, extrapolation, print_json, provenance, require_accuracy
 from pincal.cli.quantities import LENGTH

@@ -12,16 +12,7 @@ import numpy as np
 # Imported for its classes, which it registers.
 import pincal.model.catalogue  # noqa: F401
 from pincal.errors import nearest_first
-from pincal.io.arrays import (
-    ArrayShape,
-    Numbers,
-    Record,
-    Rotation,
-    Rotations,
-    Vector,
-    array_of,
-    unpacked,
-)
+from pincal.io.arrays import ArrayShape, Numbers, Record, Rotation, Rotations, Vector, array_of, unpacked
 from pincal.io.robot_entry import PathEntry, RobotEntry
 from pincal.io.strict_json import MISSING, MOST_BYTES, Fault, Hook, explained, what_is
 from pincal.measure.lens import Lens

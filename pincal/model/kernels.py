@@ -23,16 +23,7 @@ import numpy as np
 from numba import njit
 
 from pincal.compiled import announce, compiled
-from pincal.model.kernel_inputs import (
-    Compliances,
-    Layout,
-    MassTerms,
-    Payload,
-    Places,
-    Terms,
-    Values,
-    Wanted,
-)
+from pincal.model.kernel_inputs import Compliances, Layout, MassTerms, Payload, Places, Terms, Values, Wanted
 from pincal.model.kernel_walk import (
     INNER,
     LANES,

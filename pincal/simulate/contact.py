@@ -14,15 +14,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm, frames, transform
-from pincal.simulate.planning import (
-    collect_poses,
-    is_clear,
-    newton_step,
-    plan_poses,
-    point_at,
-    position_jacobian,
-    reach,
-)
+from pincal.simulate.planning import collect_poses, is_clear, newton_step, plan_poses, point_at, position_jacobian, reach
 from pincal.simulate.rods import driving
 from pincal.simulate.setup import Machine, Reading, SensorSetup, as_lists, draw_noise, refuse_scale, tips_of, transformed
 from pincal.simulate.state import Poses
