@@ -222,6 +222,8 @@ def _spread(arguments: list[str]) -> list[str]:
 
     ``--socket-distance A B 0.05 C D 0.05`` then means the option given twice, as Click expects it.
     """
+    from pincal.units import plain_numbers
+
     out: list[str] = []
     words = [str(word) for word in arguments]
     while words:
@@ -229,20 +231,12 @@ def _spread(arguments: list[str]) -> list[str]:
         if word != _MANY:
             out.append(word)
             continue
-        while len(words) >= 3 and _is_length(words[2]):
+        while len(words) >= 3 and plain_numbers([words[2].rstrip("ucm")]):
             out += [_MANY, *words[:3]]
             words = words[3:]
             word = ""
         out += [word] if word else []
     return out
-
-
-def _is_length(word: str) -> bool:
-    try:
-        float(word.rstrip("ucm"))
-    except ValueError:
-        return False
-    return True
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:

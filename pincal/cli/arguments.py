@@ -19,7 +19,7 @@ import click
 
 from pincal.cli import show_progress
 from pincal.errors import Exit, OutputError
-from pincal.units import LARGEST, plain_number
+from pincal.units import LARGEST, plain_numbers
 
 A = TypeVar("A")
 _HEADING, _WORDS = "heading", "pincal.words"
@@ -79,11 +79,8 @@ class NumberType(click.ParamType[float]):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number."""
-        try:
-            number = plain_number(str(value))
-        except ValueError:
-            number = math.nan
         # Not a number is in no range.
+        (number,) = plain_numbers([str(value)]) or [math.nan]
         if not self._least <= number <= self._most:
             self.fail(f"{str(value)!r}; expected a number from {self._least:g} to {self._most:g}", param, ctx)
         return number

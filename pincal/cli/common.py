@@ -91,17 +91,13 @@ station_option = partial(option, "Use the placement of instrument and targets of
 
 
 def _load_plugins(context: click.Context, parameter: click.Parameter, names: tuple[str, ...]) -> tuple[str, ...]:
-    load_plugins(names)
-    return names
-
-
-def load_plugins(names: tuple[str, ...]) -> None:
     """Load the modules that the user names, in this process."""
     if names:
         from pincal.plugins import load_plugin
 
         for name in names:
             load_plugin(name)
+    return names
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -134,10 +134,9 @@ def _station(found: Validation) -> dict[str, Any]:
     contents |= {"fitted_rows": found.fitted_rows}
     contents |= {"misfit": {"ratio": found.misfit.ratio, "p_value": found.misfit.p_value}, "doubt": found.doubt or None}
     contents |= {"verdict": found.verdict}
-    contents |= {} if (split := found.by_coverage) is None else {"by_coverage": split}
-    contents |= {} if iso is None else {"iso9283": iso}
-    contents |= {} if (path := found.path_accuracy) is None else {"path": path}
-    return contents | ({} if lack is None else {"lack_of_fit": asdict(lack)})
+    more = {"by_coverage": found.by_coverage, "iso9283": iso, "path": found.path_accuracy}
+    more |= {"lack_of_fit": None if lack is None else asdict(lack)}
+    return contents | {name: value for name, value in more.items() if value is not None}
 
 
 def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note]) -> None:
@@ -154,7 +153,9 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
     if len(found) > 1 and unseen and "mean_mm" in result:
         out.print(hanging("never seen", f"by the model: {', '.join(unseen)}: mean {result['mean_mm']:.4f} mm"))
     for each in found:
-        out.print(hanging(f"{each.name}:", f"{_place_words(each)}; {each.verdict}"))
+        place = f"instrument and target were located again from these rows: {each.moved}"
+        place = "instrument and target are where they were calibrated" if each.placed == "as calibrated" else place
+        out.print(hanging(f"{each.name}:", f"{place}; {each.verdict}"))
     parts = {part["name"]: part["error"] for part in result["stations"]}
     if len(found) == 1 and found[0].fitted_rows:
         parts = {"train" if found[0].fitted_rows == len(found[0].table) else "new and fitted": found[0].error}
@@ -174,12 +175,6 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
         print_replicates(*each.replicate_statistics(), out)
         if (path := each.path_accuracy) is not None:
             out.print(hanging("path:", path_words(path)))
-
-
-def _place_words(found: Validation) -> str:
-    if found.placed == "as calibrated":
-        return "instrument and target are where they were calibrated"
-    return f"instrument and target were located again from these rows: {found.moved}"
 
 
 @dataclass(frozen=True, kw_only=True)

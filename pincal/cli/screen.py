@@ -44,8 +44,8 @@ from pincal.validate.lack_of_fit import LackOfFit
 
 # Observability indices that are worth a line; the others are in --json.
 _SHOWN = ("O1", "O2")
-# Effects, and notes, that are named one by one.
-_EFFECTS, _NOTES = 3, 1
+# Effects that are named one by one.
+_EFFECTS = 3
 # Mean distance that independent errors of standard deviation 1 make in so many directions (chi distribution).
 _MEAN_DISTANCE = {1: np.sqrt(2.0 / np.pi), 2: np.sqrt(np.pi / 2.0), 3: np.sqrt(8.0 / np.pi)}
 
@@ -102,10 +102,9 @@ def _nominal(found: DataReport, form: str = ".4f") -> str:
 def print_first_notes(told: Sequence[Note | str], out: Console) -> None:
     """Print the first of what is good to know, and how much more there is; doubts stand before the result, in full."""
     notes = [note for note in doubts_first(told) if not note.is_doubt]
-    more = len(notes) - _NOTES
-    for i, note in enumerate(notes[:_NOTES], 1):
-        rest = f" ({counted(more, 'more note')} with --verbose)" if more > 0 and i == _NOTES else ""
-        out.print(hanging("note:   ", f"{note}{rest}"), style="yellow")
+    if notes:
+        rest = f" ({counted(len(notes) - 1, 'more note')} with --verbose)" if len(notes) > 1 else ""
+        out.print(hanging("note:   ", f"{notes[0]}{rest}"), style="yellow")
 
 
 def _noise_of(noise: Mapping[str, Any], kind: str) -> str:

@@ -121,7 +121,7 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
     session = draw_session(
         machine.nominal,
         arguments.session_options(path if course is None else float(course.time[-1])),  # type: ignore[arg-type]
-        tracker=tracker if arguments.has_tracker else None,
+        tracker=None if arguments.motion.imu and arguments.sensor.sensor is None else tracker,
         path=course or Stream.POSES.generator(arguments.pose_seed),
         setup=rng,
     )

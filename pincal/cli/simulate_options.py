@@ -27,6 +27,7 @@ from pincal.cli.quantities import ANGLES, LENGTH, NoiseType, QuantityType, masse
 from pincal.errors import BadInputError, MeasurementError, OutputError
 from pincal.measure.fields import TABLE_ENDINGS
 from pincal.robot.cell import Beside
+from pincal.units import plain_numbers
 
 if TYPE_CHECKING:
     from pincal.robot.robot import Robot
@@ -73,10 +74,7 @@ class _LensType(click.ParamType[dict[str, float]]):
             if key not in known:
                 raise BadInputError(f"lens {value!r}: no key {key!r}; expected of {', '.join(known)}, as key=value")
             least = 1.0 if key in ("fx", "fy", "width", "height") else -math.inf
-            try:
-                found[key] = float(word)
-            except ValueError:
-                found[key] = math.nan
+            (found[key],) = plain_numbers([word]) or [math.nan]
             if not math.isfinite(found[key]) or found[key] < least:
                 wanted = "finite number" if least < 1.0 else "number of at least 1"
                 raise BadInputError(f"lens {value!r}: {key}={word}; expected a {wanted}")
@@ -306,11 +304,6 @@ class SimulateArguments:
             raise click.UsageError("--payload: one load is carried along a path; give one")
         if self.out.suffix:
             raise OutputError(f"--out {self.out}: with --path a folder is written; give the name of a folder")
-
-    @property
-    def has_tracker(self) -> bool:
-        """Whether an instrument beside the robot logs a path."""
-        return not self.motion.imu or self.sensor.sensor is not None
 
     def session_options(self, duration: float) -> SessionOptions:
         """Return what is asked of the logs of a path of this duration [s]."""

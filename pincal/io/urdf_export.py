@@ -237,8 +237,7 @@ def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
 def _check(text: bytes, tip: str, model: Model, values: np.ndarray, *, lost: Collection[str]) -> float:
     """Return how far the text's tips are from the calibrated geometry at most; refuse what is more than rounding."""
     robot, error = model.chain.robot, 0.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PincalWarning)
+    with warnings.catch_warnings(action="ignore", category=PincalWarning):
         written = Robot.from_tree(parse_urdf(text, source=robot.source), replace(robot.request, tip=tip))
     q = robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0))
     for start, last in ((robot.path.start, robot.tip), *robot.links):

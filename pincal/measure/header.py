@@ -29,7 +29,7 @@ from pincal.measure.labels import (
 )
 from pincal.measure.orientation import CONVENTIONS, Convention, find_orientation, looks_like_orientation, looks_like_place
 from pincal.measure.sheet import Sheet, SheetColumn
-from pincal.units import SIZES
+from pincal.units import SIZES, plain_numbers
 
 # Unknown columns that are looked at, and those that a message lists.
 _LOOKED_AT, _LISTED = 500, 20
@@ -173,11 +173,8 @@ def _timed_stream(labels: list[Label], sheet: Sheet, quantities: dict[str, str])
 
 def _unit_since_1970(cells: Sequence[str]) -> str:
     """Return the unit in which a number is a time of this century, if it is smaller than a second; empty otherwise."""
-    try:
-        size = float((cells or [""])[0])
-    except ValueError:
-        return ""
-    return next((unit for unit in ("ms", "us", "ns") if _EPOCH[0] < size * SIZES[unit] < _EPOCH[1]), "")
+    pairs = ((unit, size) for size in plain_numbers(cells[:1]) for unit in ("ms", "us", "ns"))
+    return next((unit for unit, size in pairs if _EPOCH[0] < size * SIZES[unit] < _EPOCH[1]), "")
 
 
 def _with_vectors(labels: list[Label], sheet: Sheet, quantities: Mapping[str, str], schema: Schema) -> list[Label]:

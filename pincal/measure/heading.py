@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from pincal.units import SIZES
+from pincal.units import SIZES, plain_numbers
 
 NUMBERED = re.compile(
     r"(j|joint(?:[ _]?angle|[ _]?pos(?:ition)?)?|a|axis(?:[ _]?angle)?|achse|gelenk|angle|q|actual_q|actualq|theta|rax)"
@@ -99,11 +99,7 @@ class TableHead:
 
 def is_number(cell: str) -> bool:
     """Return whether a cell is a number, with a decimal point or comma."""
-    try:
-        float(cell.replace(",", ".", 1))
-    except ValueError:
-        return False
-    return True
+    return bool(plain_numbers([cell.strip().replace(",", ".", 1)]))
 
 
 def find_heading(rows: Sequence[Sequence[str]], joints: Collection[str] = ()) -> TableHead | None:

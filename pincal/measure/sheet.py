@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from pincal.errors import MeasurementError, few, warn
-from pincal.units import expected_number, in_si, is_possible
+from pincal.units import expected_number, in_si, is_possible, plain_numbers
 
 if TYPE_CHECKING:
     import polars as pl
@@ -79,20 +79,13 @@ class Sheet(ABC):
     @final
     def has_words(self, index: int) -> bool:
         """Return whether a column holds text: none of its first cells is a number, and some are not empty."""
-        cells = [cell for cell in (text.strip() for text in self.first_cells(index, _SHOWN)) if cell]
-        return bool(cells) and not any(map(self._is_number, cells))
+        cells = list(filter(None, map(str.strip, self.first_cells(index, _SHOWN))))
+        return bool(cells) and not any(plain_numbers([c.replace(",", ".") if self.decimal_comma else c]) for c in cells)
 
     @final
     def is_blank(self, index: int) -> bool:
         """Return whether neither the header nor the first cells of a column hold anything."""
         return not self.labels[index] and not any(text.strip() for text in self.first_cells(index, _SHOWN))
-
-    def _is_number(self, cell: str) -> bool:
-        try:
-            float(cell.replace(",", ".") if self.decimal_comma else cell)
-        except ValueError:
-            return False
-        return True
 
 
 @dataclass(frozen=True, eq=False)

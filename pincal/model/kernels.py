@@ -362,8 +362,8 @@ def evaluate(layout, values, rigid, places, payload, wanted):
 
 
 _NONE = np.empty(0, np.int64)
-_NOWHERE, _NO_LOAD = Places(_NONE, _NONE), Payload(np.empty(0), np.zeros(3))
-_NOTHING = Wanted(
+_NOWHERE, NO_LOAD = Places(_NONE, _NONE), Payload(np.empty(0), np.zeros(3))
+NOTHING = Wanted(
     Terms(_NONE, _NONE, _NONE, np.empty(0, bool), np.empty((0, 0))),
     Compliances(_NONE, _NONE, np.empty((0, 1))),
     MassTerms(_NONE, _NONE, np.empty(0), np.empty((0, 3))),
@@ -380,9 +380,9 @@ def static_moments(layout: Layout, values: Values, payload: Payload, *, bending:
     """
     if not bending:
         layout = layout._replace(acting=np.arange(len(layout.masses)), bears=np.ones(len(layout.masses), bool))
-    return evaluate(layout, values, values, _NOWHERE, payload, _NOTHING)[1]  # type: ignore[no-any-return]
+    return evaluate(layout, values, values, _NOWHERE, payload, NOTHING)[1]  # type: ignore[no-any-return]
 
 
 def tip_poses(layout: Layout, values: Values, places: Places) -> np.ndarray:
     """Return the target's pose in the instrument's frame, shape (3, 4, N): rotation and translation."""
-    return evaluate(layout, values, values, places, _NO_LOAD, _NOTHING)[0]  # type: ignore[no-any-return]
+    return evaluate(layout, values, values, places, NO_LOAD, NOTHING)[0]  # type: ignore[no-any-return]

@@ -23,7 +23,7 @@ import numpy as np
 
 from pincal.model import kernels
 from pincal.model.chain import Chain
-from pincal.model.kernel_inputs import FRAME, Compliances, Layout, MassTerms, Payload, Places, Terms, Values, Wanted
+from pincal.model.kernel_inputs import FRAME, Compliances, Layout, Payload, Places, Terms, Values
 from pincal.robot.closure import CLOSED, Closure, least_step
 
 # From where the nominal arm closes, errors of millimetres need three steps; the last is one that begins nearer than this.
@@ -34,10 +34,6 @@ _NEAR = 0.1
 _STILL = 1e-3
 # Poses in which it is looked at.
 _SAMPLES = 8
-_NONE = np.empty(0, np.int64)
-_NO_LOAD = Payload(np.empty(0), np.zeros(3))
-_NO_COMPLIANCE = Compliances(_NONE, _NONE, np.empty((0, 1)))
-_NO_MASSES = MassTerms(_NONE, _NONE, np.empty(0), np.empty((0, 3)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +114,11 @@ class Loops:
             constant[outside], slot[outside] = 0.0, -1
         values = Values(constant, slot, values.varying)
         terms = Terms(np.array(coordinates, np.int64), np.arange(M), np.full(M, -1), np.zeros(M, bool), np.empty((0, N)))
-        wanted = Wanted(terms, _NO_COMPLIANCE, _NO_MASSES, n_columns=M, rows=6, sweeps=0)
+        wanted = kernels.NOTHING._replace(terms=terms, n_columns=M, rows=6)
         here = np.zeros(N, np.int64)
         missing, derivatives, ends = [], [], []
         for walk in self.walks:
-            T, _, J = kernels.evaluate(walk.layout, values, values, Places(here, here), _NO_LOAD, wanted)
+            T, _, J = kernels.evaluate(walk.layout, values, values, Places(here, here), kernels.NO_LOAD, wanted)
             T, rows = np.moveaxis(T, -1, 0), list(walk.closure.rows)
             missing.append(walk.closure.residuals(T)[:, rows])
             derivatives.append(walk.closure.derivatives(T, J.transpose(2, 1, 0))[:, rows])

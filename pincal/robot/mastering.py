@@ -61,9 +61,8 @@ def remastered(robot: Robot, *, shifts: Mapping[str, float] | None = None, turne
                 lower, upper = (np.array(_numbers(limit, end, "0")) for end in ("lower", "upper"))
                 limit.set("lower", _text(-upper))
                 limit.set("upper", _text(-lower))
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(action="ignore", category=PincalWarning):
         # It was warned of when the robot was read.
-        warnings.simplefilter("ignore", PincalWarning)
         tree = parse_urdf(etree.tostring(root), source=robot.source)
         found = Robot.from_tree(tree, robot.request)
     flipped = np.isin(robot.joint_names, list(turned))

@@ -17,7 +17,7 @@ from pincal.errors import RobotFileError, nearest_first, needed, warn
 from pincal.robot.packages import neighbouring_packages
 from pincal.robot.tree import MOVING_TYPES, Mimic, UrdfJoint, UrdfTree, in_tree_order, known_links
 from pincal.robot.urdf_loops import cut_loops, take_loops
-from pincal.units import LARGEST, plain_number
+from pincal.units import LARGEST, plain_numbers
 
 _UNSUPPORTED_TYPES = ("planar", "floating")
 # Lengths of an axis that can be meant; others lose all digits when they are normalised.
@@ -172,10 +172,10 @@ def _read_joint(element: Any, source: str) -> UrdfJoint:
 
 
 def _read_mimic(element: Any, name: str, source: str) -> Mimic:
-    numbers = [_number(element.get(key, default)) for key, default in (("multiplier", "1"), ("offset", "0"))]
-    if not all(number is not None and np.isfinite(number) for number in numbers):
+    numbers = plain_numbers(element.get(key, default) for key, default in (("multiplier", "1"), ("offset", "0")))
+    if not numbers or not np.isfinite(numbers).all():
         raise _fault(element, source, f"joint {name!r} mimics with {dict(element.items())}; expected finite numbers")
-    return Mimic(name, element.get("joint", ""), *(float(number or 0.0) for number in numbers))
+    return Mimic(name, element.get("joint", ""), *numbers)
 
 
 def _check_limit(element: Any, name: str, kind: str, source: str) -> None:
@@ -185,7 +185,7 @@ def _check_limit(element: Any, name: str, kind: str, source: str) -> None:
         hint = "add <limit lower upper effort velocity>, or make it continuous"
         raise _fault(element, source, f"joint {name!r} is {kind} and has no <limit>; {hint}")
     for key, text in () if limit is None else limit.items():
-        if _number(text) is None:
+        if not plain_numbers([text]):
             raise _fault(limit, source, f"joint {name!r} has <limit {key}={text!r}>; expected a number")
 
 
@@ -196,18 +196,11 @@ def _attribute(element: Any, key: str, source: str) -> str:
     return str(value)
 
 
-def _number(text: str) -> float | None:
-    try:
-        return plain_number(text)
-    except ValueError:
-        return None
-
-
 def _numbers(element: Any, key: str, source: str) -> np.ndarray:
     text = element.get(key)
     if text is None:
         return np.array([1.0, 0.0, 0.0]) if element.tag == "axis" else np.zeros(3)
-    values = np.array([_number(word) for word in text.split()], float)
+    values = np.array(plain_numbers(text.split()))
     if values.shape != (3,) or not np.isfinite(values).all():
         raise _fault(element, source, f"<{element.tag} {key}={text!r}>; expected three finite numbers")
     return values
@@ -216,8 +209,7 @@ def _numbers(element: Any, key: str, source: str) -> np.ndarray:
 def _check_masses(root: Any, source: str) -> None:
     for element in root.iterfind("link/inertial/mass"):
         link, text = element.getparent().getparent().get("name"), element.get("value")
-        mass = _number(text or "")
-        if mass is None or not 0.0 <= mass < np.inf:
+        if not any(0.0 <= mass < np.inf for mass in plain_numbers([text or ""])):
             raise _fault(element, source, f"link {link!r} has mass {text!r}; expected a number of kg that is not negative")
         if element.getparent().find("inertia") is None:
             hint = "so URDF readers drop the mass; add one, of zeros if it is not known"

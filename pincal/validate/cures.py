@@ -308,8 +308,7 @@ def _robots_alike(robot: Robot) -> Iterator[tuple[str, Robot]]:
             text = path.read_bytes()
             if not all(mark in text for mark in marks):
                 continue
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", PincalWarning)
+            with warnings.catch_warnings(action="ignore", category=PincalWarning):
                 other = Robot.from_urdf(path, joints=robot.joint_names)
         except (BadInputError, OSError):
             continue
@@ -322,8 +321,7 @@ def _robots_alike(robot: Robot) -> Iterator[tuple[str, Robot]]:
 def _robot_files(names: Iterable[str]) -> list[tuple[str, Path]]:
     """Return the files of robots, those first whose own name the file bears: some loaders share one."""
     found = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PincalWarning)
+    with warnings.catch_warnings(action="ignore", category=PincalWarning):
         for name in names:
             with suppress(BadInputError):
                 found.append((name, find_file(name)))
