@@ -45,7 +45,6 @@ from pincal.errors import BadInputError
 from pincal.measure.table import read_measurements
 from pincal.model.chain import Chain
 from pincal.model.effects import Conditions
-from pincal.robot.kinematics import Kinematics
 from pincal.simulate import Instrument, TrueMachine
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors
 
@@ -187,7 +186,7 @@ def test_frames_at_many_poses_equal_pinocchio(name, rng):
     """The tip that follows from the frames of all bodies is Pinocchio's."""
     robot = Robot.from_urdf(name)
     q = robot.random_configurations(10, rng)
-    tips = Kinematics.of(robot).frames(q)[:, -1] @ robot.frames.T_last_tip
+    tips = robot.kinematics.frames(q)[:, -1] @ robot.frames.T_last_tip
 
     np.testing.assert_allclose(tips, robot.forward_kinematics(q), rtol=0, atol=1e-12)
 
@@ -210,7 +209,7 @@ def test_boxes_hold_the_bodies(ur10, rng):
     """The lowest corner of the boxes is not above any vertex of the collision meshes."""
     bodies = Bodies.of(ur10)
     q = ur10.random_configurations(4, rng)
-    frames = Kinematics.of(ur10).frames(q)
+    frames = ur10.kinematics.frames(q)
     items = bodies.collisions.geometry.geometryObjects
     for row, lowest in zip(frames, bodies.boxes.lowest(frames, 2), strict=True):
         heights = []
@@ -228,7 +227,7 @@ def test_designed_poses_keep_to_all_constraints(ur10):
     limits = Limits(span=0.5, floor=0.1, box=(-0.9, -0.9, 0.2, 0.9, 0.9, 1.2))
     found = chosen_poses(ur10, 6, Options(effects=GEOMETRIC), rig=rig, limits=limits, candidates=30, curve=False)
     q, bodies = found.q, Bodies.of(ur10, clearance=limits.clearance)
-    frames, tips = Kinematics.of(ur10).frames(q), ur10.forward_kinematics(q)
+    frames, tips = ur10.kinematics.frames(q), ur10.forward_kinematics(q)
     targets = tips[:, :3, :3] @ rig.tool + tips[:, :3, 3]
     sight = np.array(rig.instrument) - targets
 
@@ -274,7 +273,7 @@ def test_an_arm_without_collision_geometry_says_so():
     """Its self-collision is not checked, and lines of sight meet bars from joint to joint."""
     robot = Robot.from_urdf(planar_arm().encode())
     bodies = Bodies.of(robot)
-    stretched = Kinematics.of(robot).frames(np.zeros((1, 2)))
+    stretched = robot.kinematics.frames(np.zeros((1, 2)))
 
     assert bodies.collisions is None and "no collision geometry" in bodies.notes[0]
     assert bodies.boxes.hide(stretched, np.array([0.7, 0.0, 2.0]), np.array([[0.7, 0.0, -2.0]])).all()

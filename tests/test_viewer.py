@@ -26,7 +26,6 @@ from pincal.model.chain import Chain
 from pincal.model.effects import GEOMETRIC, BaseFrame, Conditions, Effect, ToolFrame
 from pincal.model.model import Model
 from pincal.parameters import estimate_of
-from pincal.robot.kinematics import Kinematics
 from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
 from pincal.viewer import build_scene, deviation_fields, held_out_rows, page, show, write_html
@@ -168,7 +167,7 @@ def test_link_frames_are_the_robot_s_own(rng: np.random.Generator) -> None:
     for name in ("ur10", "panda", "kinova"):
         robot = Robot.from_urdf(name)
         q = robot.random_configurations(1, rng)
-        tip = Kinematics.of(robot).frames(q[:1])[0, -1] @ robot.frames.T_last_tip
+        tip = robot.kinematics.frames(q[:1])[0, -1] @ robot.frames.T_last_tip
 
         assert np.allclose(tip, robot.forward_kinematics(q)[0], atol=1e-9)
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from pincal.design.collisions import Bodies
 from pincal.errors import BadInputError
-from pincal.robot.kinematics import Kinematics, joint_axis
 from pincal.robot.robot import Robot
 
 # Half angle of the cone in which a corner-cube reflector is seen [rad]: 30 degrees by the makers' sheets.
@@ -76,7 +75,7 @@ def default_target(robot: Robot) -> np.ndarray:
     last = robot.path.tip_joint
     T_tip_joint = np.linalg.inv(robot.path.T_joint_tip) @ robot.T_link_joint[last]
     slides = robot.joint_types[last] == "prismatic"
-    axis = (robot.frames.T_base_link[last] @ robot.path.T_joint_tip)[:3, :3].T @ joint_axis(robot, last)
+    axis = (robot.frames.T_base_link[last] @ robot.path.T_joint_tip)[:3, :3].T @ robot.frames.axis(last, robot.parents[last])
     # Away from the arm: along the axis in the sense that leads from the last joint to the tip.
     axis = axis if axis @ T_tip_joint[:3, 3] <= 0.0 or slides else -axis
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
@@ -171,10 +170,6 @@ class Reach:
         return Bodies.of(self.robot, clearance=self.limits.clearance)
 
     @cached_property
-    def _kinematics(self) -> Kinematics:
-        return Kinematics.of(self.robot)
-
-    @cached_property
     def target(self) -> np.ndarray:
         """Where the target sits in the tip frame, shape (3,) [m]."""
         return self.rig.target(self.robot)
@@ -240,8 +235,8 @@ class Reach:
             placed = self._place(q)
             goals = placed.places[np.arange(len(q)), choice]
             carriers = placed.frames[:, np.array(self.robot.parents) + 1]
-            carriers[:, 0] = self._kinematics.first
-            joints = carriers @ self._kinematics.before
+            carriers[:, 0] = self.robot.kinematics.first
+            joints = carriers @ self.robot.kinematics.before
             moved = np.where((carries > 0)[:, None], placed.targets[:, None], goals[:, None]) - joints[..., :3, 3]
             axes = joints[..., :3, 2] * carries[:, None]
             J = self.robot.gathered(np.where(turns[:, None], np.cross(axes, moved), axes).transpose(0, 2, 1), q)
@@ -253,7 +248,7 @@ class Reach:
         return self.robot.following(q - np.where(turns, 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), 0.0))
 
     def _place(self, q: np.ndarray) -> _Placed:
-        frames = self._kinematics.frames(q)
+        frames = self.robot.kinematics.frames(q)
         (_, start, T_start), (_, last, T_tip) = self.robot.path.ends
         starts, tips = frames[:, start + 1] @ T_start, frames[:, last + 1] @ T_tip
         places = self.rig.places @ starts[:, :3, :3].transpose(0, 2, 1) + starts[:, None, :3, 3]

@@ -22,7 +22,6 @@ from pincal.measure.heading import NUMBERED
 from pincal.programs.arms import rigid_pose
 from pincal.programs.language import LANGUAGES
 from pincal.programs.syntax import parser_of
-from pincal.robot.kinematics import Kinematics
 from pincal.robot.robot import Robot
 from pincal.units import UNITS, size_of
 
@@ -138,7 +137,7 @@ def _about(calibrated: CalibratedModel, formulas: Formulas, frame: str) -> dict[
     robot, days = chain.robot, calibrated.covered.days
     bases = base_in_instrument(calibrated, at)
     stands = bool(np.ptp(bases, axis=0).max() <= _STILL) and not np.allclose(bases[0], np.eye(4)[:3], rtol=0.0, atol=_STILL)
-    shown, combination = Kinematics.of(robot), robot.combination[np.ix_(own, own)]
+    shown, combination = robot.kinematics, robot.combination[np.ix_(own, own)]
     return {
         "robot": robot.name,
         "types": [robot.joint_types[i] for i in own],

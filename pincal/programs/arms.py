@@ -18,7 +18,6 @@ from pincal.model.chain import Chain
 from pincal.model.effects import Conditions
 from pincal.model.model import Model
 from pincal.programs.program import Posture, Turn
-from pincal.robot.kinematics import Kinematics
 from pincal.robot.robot import Robot
 from pincal.units import plain_number
 
@@ -105,10 +104,6 @@ class ArmSearch:
         return Model(Chain.of(self.robot), ())
 
     @cached_property
-    def _kinematics(self) -> Kinematics:
-        return Kinematics.of(self.robot)
-
-    @cached_property
     def _pool(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         q = self.robot.random_configurations(_POOL, np.random.default_rng(0))
         return q, self.tips(q), self.sides(q)
@@ -143,9 +138,9 @@ class ArmSearch:
 
     def _axes(self, q: np.ndarray) -> np.ndarray:
         """Return the frames whose z axes are those of the joints, shape (N, 6, 4, 4)."""
-        frames = self._kinematics.frames(q)
-        frames[:, 0] = self._kinematics.first
-        return np.asarray(np.einsum("nijk,ikl->nijl", frames[:, :-1], self._kinematics.before))
+        frames = self.robot.kinematics.frames(q)
+        frames[:, 0] = self.robot.kinematics.first
+        return np.asarray(np.einsum("nijk,ikl->nijl", frames[:, :-1], self.robot.kinematics.before))
 
     def _shape(self, q: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return where the arm looks, and its wrist and its elbow, shape (N, 3) each."""

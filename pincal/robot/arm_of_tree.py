@@ -221,7 +221,7 @@ def _attributes(
     types = tuple("prismatic" if joint.kind == "prismatic" else "revolute" for joint in path)
     linkage, notes = None, tree.notes
     if pins:
-        closures, kinematics = [pin.placed(frames.T_base_link) for pin in pins], Kinematics.of_frames(frames, types, parents)
+        closures, kinematics = [pin.placed(frames.T_base_link) for pin in pins], Kinematics.of(frames, types, parents)
         on_path, mimicked = [names[i] for i, _ in way.steps(parents)], [mimic.source for mimic in mimics]
         choice = Choice(tree.source, names, recorded, on_path, mimicked)
         linkage = linkage_of(kinematics, closures, limits, choice)

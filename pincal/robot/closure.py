@@ -60,9 +60,8 @@ class Closure:
 
         At the end of a rod, a link that carries no other, it is where the link ends.
         """
-        path = self.path
-        ends = ((path.tip_joint, path.T_joint_tip, 1), (path.start_joint, path.T_joint_start, -1))
-        return next((side for i, T, side in ends if i < 0 or i in parents or np.abs(T[:2, 3]).max() > _AT_END), 0)
+        ends = zip(reversed(self.path.ends), (1, -1), strict=True)
+        return next((side for (_, i, T), side in ends if i < 0 or i in parents or np.abs(T[:2, 3]).max() > _AT_END), 0)
 
     def residuals(self, T: np.ndarray) -> np.ndarray:
         """Return what it is open by, shape (N, R) [m, rad], where one frame stands at T in the other, (N, 3 or 4, 4)."""
@@ -119,9 +118,7 @@ class Linkage:
 
     def _of_closure(self, closure: Closure, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         path, kinematics = closure.path, self.kinematics
-        start, end = (
-            frames[:, i + 1] @ T for i, T in ((path.start_joint, path.T_joint_start), (path.tip_joint, path.T_joint_tip))
-        )
+        start, end = (frames[:, i + 1] @ T for _, i, T in path.ends)
         to_start = start[:, :3, :3].swapaxes(1, 2)
         J = np.zeros((len(frames), 6, len(kinematics.types)))
         for joint, sign in path.steps(kinematics.parents):

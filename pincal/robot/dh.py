@@ -61,6 +61,12 @@ class DhFrames:
             return np.asarray(self.T_branch_first[self.branches.index(i)])
         return self.T_base_first if i == 0 else np.eye(4)
 
+    def axis(self, i: int, parent: int) -> np.ndarray:
+        """Return the direction of joint i's axis in the base frame at q = 0, (3,); it is on ``parent``, -1 the base."""
+        before = (self.T_base_link[parent] if parent >= 0 else np.eye(4)) @ self.before(i)
+        s_x, s_y = self.parameters[i, :2]
+        return np.asarray(before[:3, :3] @ [np.sin(s_y), -np.sin(s_x) * np.cos(s_y), np.cos(s_x) * np.cos(s_y)])
+
 
 def dh_frames(
     origins: np.ndarray,

@@ -3,28 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from pincal.robot.dh import DhFrames
 from pincal.robot.se3 import rotation, translation
-
-
-class Joints(Protocol):
-    """What is needed of a :class:`pincal.robot.robot.Robot`."""
-
-    @property
-    def frames(self) -> DhFrames:
-        """Denavit-Hartenberg frames at q = 0."""
-
-    @property
-    def joint_types(self) -> tuple[str, ...]:
-        """Types of the joints, "revolute" or "prismatic"."""
-
-    @property
-    def parents(self) -> tuple[int, ...]:
-        """The joint that carries each joint, -1 for the base."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +23,7 @@ class Kinematics:
     Example:
         >>> from pincal.robot.robot import Robot
         >>> robot, q = Robot.from_urdf("ur10"), np.full((1, 6), 0.3)
-        >>> tip = Kinematics.of(robot).frames(q)[0, -1] @ robot.frames.T_last_tip
+        >>> tip = robot.kinematics.frames(q)[0, -1] @ robot.frames.T_last_tip
         >>> bool(np.allclose(tip, robot.forward_kinematics(q)[0]))
         True
     """
@@ -52,12 +35,7 @@ class Kinematics:
     parents: tuple[int, ...]
 
     @classmethod
-    def of(cls, robot: Joints) -> Kinematics:
-        """Return the kinematics of a robot."""
-        return cls.of_frames(robot.frames, robot.joint_types, robot.parents)
-
-    @classmethod
-    def of_frames(cls, frames: DhFrames, types: tuple[str, ...], parents: tuple[int, ...]) -> Kinematics:
+    def of(cls, frames: DhFrames, types: tuple[str, ...], parents: tuple[int, ...]) -> Kinematics:
         """Return the kinematics of nominal frames and types of joints."""
         rows = frames.parameters
         before = [rotation("x", s_x) @ rotation("y", s_y) @ rotation("z", theta) for s_x, s_y, theta, *_ in rows]
@@ -90,11 +68,3 @@ def _moves(q: np.ndarray, kind: str) -> np.ndarray:
     moves[:, 1, 0] = np.sin(q)
     moves[:, 0, 1] = -moves[:, 1, 0]
     return moves
-
-
-def joint_axis(robot: Joints, i: int) -> np.ndarray:
-    """Return the direction of joint i's axis (from 0) in the base frame at q = 0, shape (3,)."""
-    parent = robot.parents[i]
-    before = (robot.frames.T_base_link[parent] if parent >= 0 else np.eye(4)) @ robot.frames.before(i)
-    s_x, s_y = robot.frames.parameters[i, :2]
-    return np.asarray(before[:3, :3] @ [np.sin(s_y), -np.sin(s_x) * np.cos(s_y), np.cos(s_x) * np.cos(s_y)])

@@ -34,11 +34,8 @@ class LinkPath:
 
     def on_links(self, T_link_joint: np.ndarray) -> LinkPath:
         """Return the path with links placed in link frames instead of the URDF's joint frames, (n, 4, 4) in these."""
-        placed = [
-            T if i < 0 else T_link_joint[i] @ T
-            for i, T in ((self.start_joint, self.T_joint_start), (self.tip_joint, self.T_joint_tip))
-        ]
-        return replace(self, T_joint_start=placed[0], T_joint_tip=placed[1])
+        start, tip = (T if i < 0 else T_link_joint[i] @ T for _, i, T in self.ends)
+        return replace(self, T_joint_start=start, T_joint_tip=tip)
 
     def is_whole(self, n_joints: int) -> bool:
         """Whether it leads from the base itself to a link on the last of so many joints."""

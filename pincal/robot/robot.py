@@ -142,8 +142,7 @@ class Robot:
             ('shoulder_pan_joint', 'shoulder_lift_joint')
         """
         tree = parse_urdf(source) if isinstance(source, bytes) else read_urdf(find_file(source), xacro_args=xacro_args)
-        wanted = TreeRequest(tip, start, base, joints, tuple(paths), tuple(others))
-        return cls.from_tree(tree, wanted, mass=mass)
+        return cls.from_tree(tree, TreeRequest(tip, start, base, joints, tuple(paths), tuple(others)), mass=mass)
 
     @classmethod
     def from_tree(cls, tree: UrdfTree, wanted: TreeRequest, *, mass: float | None = None) -> Robot:
@@ -231,12 +230,17 @@ class Robot:
         return np.array([self.joint_names.index(name) for name in (numbered(own) if self.passive else own)])
 
     @cached_property
+    def kinematics(self) -> Kinematics:
+        """How its nominal frames move with the joints."""
+        return Kinematics.of(self.frames, self.joint_types, self.parents)
+
+    @cached_property
     def linkage(self) -> Linkage | None:
         """Its loops; None if it has none."""
         if not self.closures:
             return None
         passive = np.array([self.joint_names.index(name) for name in self.passive])
-        return Linkage(Kinematics.of(self), self.closures, passive, self.lower, self.upper)
+        return Linkage(self.kinematics, self.closures, passive, self.lower, self.upper)
 
     def following(self, q: np.ndarray) -> np.ndarray:
         """Return joint positions, shape (N, n), with each dependent joint where the others put it.
@@ -265,10 +269,9 @@ class Robot:
         """
         if not self.dependent:
             return J
-        moves = np.eye(self.n_joints)
+        moves, index = np.eye(self.n_joints), self.joint_names.index
         for mimic in self.mimics:
-            i, k = self.joint_names.index(mimic.joint), self.joint_names.index(mimic.source)
-            moves[i] = mimic.multiplier * moves[k]
+            moves[index(mimic.joint)] = mimic.multiplier * moves[index(mimic.source)]
         if q is None or self.linkage is None:
             return np.asarray(J @ moves[:, self.own_joints])
         linkage, whole = self.linkage, np.tile(moves, (len(q), 1, 1))
@@ -327,8 +330,7 @@ class Robot:
         """Names of the joints that move the links without a mass that is known."""
         if not self.massless:
             return ()
-        joints = parse_urdf(self.urdf).joints
-        moves = {joint.name for joint in joints if joint.child in self.massless}
+        moves = {joint.name for joint in parse_urdf(self.urdf).joints if joint.child in self.massless}
         return tuple(name for name in self.joint_names if name in moves)
 
     @property
@@ -349,8 +351,7 @@ class Robot:
         """
         import pinocchio as pin
 
-        path = path or self.path
-        model = self.pinocchio_model()
+        model, path = self.pinocchio_model(), path or self.path
         data = model.createData()
         base, frame = (model.getFrameId(link, pin.BODY) for link in (path.start, path.tip))
         out = np.empty((len(q), 4, 4))
@@ -394,6 +395,5 @@ class Robot:
         """
         found = self.following(np.asarray(rng.uniform(*self.joint_range(), (n, self.n_joints))))
         while self.linkage is not None and not (is_there := self.linkage.can_take(found)).all():
-            again = rng.uniform(*self.joint_range(), (int(np.sum(~is_there)), self.n_joints))
-            found[~is_there] = self.following(again)
+            found[~is_there] = self.following(rng.uniform(*self.joint_range(), (int(np.sum(~is_there)), self.n_joints)))
         return found

@@ -57,7 +57,7 @@ def axes_of(calibrated: CalibratedModel, factor: float | None = None) -> tuple[t
     chain = calibrated.model.chain
     coordinates = calibrated.model.rigid_coordinates(calibrated.model_values)
     # Where along its own axis the URDF has each joint, from the foot of its Denavit-Hartenberg frame [m].
-    after = Kinematics.of(chain.robot).after
+    after = chain.robot.kinematics.after
     heights = [float((B @ T)[2, 3]) for B, T in zip(after, chain.robot.T_link_joint, strict=True)]
     found = [_distortion(chain, coordinates, i, height) for i, height in enumerate(heights)]
     reach = chain.robot.reach
@@ -105,7 +105,7 @@ def _distortion(chain: Chain, coordinates: np.ndarray, i: int, height: float) ->
     nominal = mounted(chain.nominal)
     change = np.linalg.inv(nominal) @ mounted(coordinates)
     # The nominal step from the frame before the link's to the link's own is in both.
-    link = np.eye(4) if i == 0 else Kinematics.of(chain.robot).after[i - 1]
+    link = np.eye(4) if i == 0 else chain.robot.kinematics.after[i - 1]
     return np.linalg.inv(link) @ nominal, change[:2, 2], change[:2, 3] + change[:2, 2] * height
 
 
@@ -234,7 +234,7 @@ def build_scene(
         upper=upper,
         q=np.asarray(fields.poses[0].q[0], float),
         T_scene_base=upright,
-        kinematics=Kinematics.of(chain.robot),
+        kinematics=chain.robot.kinematics,
         shapes=shapes,
         axes=axes,
         axis_scale=axis_scale,

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError, RobotFileError, needed
-from pincal.robot.kinematics import joint_axis
 from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation_of_rpy
@@ -225,7 +224,7 @@ def _simple(robot: Robot, bodies: Sequence[int]) -> Iterator[DrawnShape]:
         here, there = points[body], points[body + 1]
         parts = [_cylinder(here, there, 0.7 * radius)] if np.linalg.norm(there - here) > 1e-6 else []
         if body:
-            axis = joint_axis(robot, body - 1)
+            axis = robot.frames.axis(body - 1, robot.parents[body - 1])
             parts.append(_cylinder(here - 1.3 * radius * axis, here + 1.3 * radius * axis, 1.25 * radius))
         else:
             parts.append(_cylinder(np.zeros(3), np.array([0.0, 0.0, 0.4 * radius]), 2.0 * radius))
