@@ -19,7 +19,8 @@ from pincal import CalibratedModel, Fit, Model, Options, Robot, calibrate, expla
 from pincal.builtin import kuka_urdf_path
 from pincal.identify.options import Stages
 from pincal.measure.measurements import Measurements
-from pincal.model.effects import GEOMETRIC, BearingElasticity, Effect, JointElasticity
+from pincal.model.effect import Effect
+from pincal.model.effects import GEOMETRIC, BearingElasticity, JointElasticity
 from pincal.report.plots.found import deviation_figure
 from pincal.simulate import paper_positions, plan_poses, read_arm
 from pincal.simulate.paper_machine import ELASTICITY, NOMINAL, PAYLOAD_COM, PAYLOAD_MASS, REAL

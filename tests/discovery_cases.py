@@ -31,7 +31,8 @@ from pincal.measure.approach import moves_by_order, sides_of
 from pincal.measure.measurements import Measurements
 from pincal.model import catalogue
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
-from pincal.model.effects import ELASTIC, BearingElasticity, Effect, JointElasticity
+from pincal.model.effect import Effect
+from pincal.model.effects import ELASTIC, BearingElasticity, JointElasticity
 from pincal.model.model import Model
 from pincal.simulate.effect import DeformingEffect, HiddenEffect
 from pincal.simulate.state import Deformation, Loads, Poses

@@ -63,10 +63,10 @@ from pincal.model.catalogue import (
 )
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.chain import Chain, MomentFrame
-from pincal.model.conditions import PoseSet
-from pincal.model.effect import Discoverable, Harmonic, Reducible
+from pincal.model.conditions import Conditions, PoseSet
+from pincal.model.effect import Discoverable, Effect, Harmonic, Reducible
 from pincal.model.effect_registry import meaning_of
-from pincal.model.effects import ELASTIC, BaseFrame, Conditions, Effect, JointElasticity, JointOffset, ToolFrame
+from pincal.model.effects import ELASTIC, BaseFrame, JointElasticity, JointOffset, ToolFrame
 from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.parameters import FRAME_SYMBOLS

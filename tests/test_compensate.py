@@ -30,14 +30,14 @@ from pincal.measure.table import write_table
 from pincal.model.augmented import pinocchio_model
 from pincal.model.catalogue import Backlash, BaseDrift, GearEccentricity, GearRatio, TransmissionError
 from pincal.model.chain import Chain
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect
 from pincal.model.effects import (
     ELASTIC,
     FRAME_SYMBOLS,
     GEOMETRIC,
     BaseFrame,
     BearingElasticity,
-    Conditions,
-    Effect,
     JointElasticity,
     JointOffset,
     ToolFrame,

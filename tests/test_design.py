@@ -44,7 +44,7 @@ from pincal.design.study import find_rival
 from pincal.errors import BadInputError
 from pincal.measure.table import read_measurements
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions
+from pincal.model.conditions import Conditions
 from pincal.simulate import Instrument, TrueMachine
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors
 

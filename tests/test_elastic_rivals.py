@@ -19,7 +19,8 @@ from pincal.identify.calibrate import Tolerance, refit
 from pincal.identify.choices import deviance
 from pincal.identify.fit import ModelFit
 from pincal.model.catalogue import BaseElasticity, LinkBending
-from pincal.model.effects import BearingElasticity, Effect, JointElasticity
+from pincal.model.effect import Effect
+from pincal.model.effects import BearingElasticity, JointElasticity
 from pincal.parameters import Estimate
 
 

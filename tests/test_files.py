@@ -14,7 +14,7 @@ from pincal.calibration.calibrated_robot import load_model
 from pincal.errors import ModelFileError
 from pincal.io.arrays import ArrayShape, Matrix, Numbers, Record, Rotation, array_of
 from pincal.io.strict_json import MODEL_FILE, MOST_BYTES, MOST_DEPTH, MOST_DIGITS, bounded, built
-from pincal.model.effects import Conditions
+from pincal.model.conditions import Conditions
 
 
 class Pair(Record, frozen=True, kw_only=True):

@@ -25,7 +25,7 @@ from pincal.fleet.store import open_store
 from pincal.fleet.summary import at_tool
 from pincal.io.strict_json import write_json
 from pincal.measure.table import write_table
-from pincal.model.effects import Conditions
+from pincal.model.conditions import Conditions
 
 GEOMETRIC = ("--model", "geometric", "--noise", "0.05mm")
 

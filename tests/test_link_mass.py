@@ -29,7 +29,7 @@ from pincal.identify.choices import along_gauge, found_moments, weight_of
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.model.catalogue.masses import LinkMass, with_masses
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions
+from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.report.sections import moments as moments_section
 from pincal.report.subject import Subject

@@ -26,7 +26,8 @@ from pincal import measurements_from_arrays
 from pincal.errors import PincalWarning, RobotFileError
 from pincal.model.catalogue.transmission import TransmissionError
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
-from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions
+from pincal.model.conditions import Conditions
+from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.model.model import Model
 from pincal.model.sparse_basis import dense_rows
 from pincal.robot.robot import Robot

@@ -22,7 +22,9 @@ from pincal.model import kernels, sizes
 from pincal.model.augmented import augmented_model, joint_placements, pinocchio_model
 from pincal.model.catalogue.bearing_features import ObliqueBearing
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
-from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Conditions, Effect, JointOffset, LinkGeometry, ToolFrame
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect
+from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, JointOffset, LinkGeometry, ToolFrame
 from pincal.model.kernel_inputs import BLOCK, FRAME, MOUNT
 from pincal.model.model import Model
 from pincal.model.sizes import largest_bases, largest_basis

@@ -28,9 +28,10 @@ from pincal.io.strict_json import Fault
 from pincal.io.urdf_export import calibrated_urdf
 from pincal.measure.table import measurements_from_arrays
 from pincal.model.chain import Chain
-from pincal.model.effect import Locus
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect, Locus, Term
 from pincal.model.effect_registry import register_effect
-from pincal.model.effects import ELASTIC, GEOMETRIC, Conditions, Effect, Term
+from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.parameters import Parameter, estimate_of
 from pincal.robot.robot import Robot
 from pincal.simulate import Instrument, TrueMachine, plan_poses
@@ -185,7 +186,7 @@ def test_a_model_predicts_where_no_urdf_and_no_pinocchio_is(tmp_path: Path) -> N
     code = (
         "import sys, numpy as np\n"
         "from pincal.calibration.calibrated_robot import load_model\n"
-        "from pincal.model.effects import Conditions\n"
+        "from pincal.model.conditions import Conditions\n"
         "model = load_model('model.json')\n"
         "np.save('poses.npy', model.predict(Conditions.at(np.load('q.npy'))))\n"
         "print('pinocchio' in sys.modules)\n"

@@ -18,7 +18,7 @@ from pincal.measure.measurements import measurements_from_arrays
 from pincal.measure.poses import replicate_groups
 from pincal.measure.sensor import Block
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions
+from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.report.judgement import judged
 from pincal.robot.se3 import quaternions

@@ -39,7 +39,8 @@ from pincal.measure.setup import Setup
 from pincal.measure.table import stations_of
 from pincal.model.at_station import AtStation
 from pincal.model.catalogue import Backlash, BaseDrift, GearEccentricity, ThermalExpansion
-from pincal.model.effects import GEOMETRIC, Effect, JointElasticity
+from pincal.model.effect import Effect
+from pincal.model.effects import GEOMETRIC, JointElasticity
 from pincal.robot.robot import Robot
 
 NOISE = 5e-5

@@ -15,7 +15,8 @@ from pincal.model.catalogue import GearEccentricity, GearRatio, TransmissionErro
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
-from pincal.model.effects import BaseFrame, Effect, ToolFrame
+from pincal.model.effect import Effect
+from pincal.model.effects import BaseFrame, ToolFrame
 from pincal.model.model import Model
 from pincal.parameters import estimate_of
 from pincal.robot.robot import Robot

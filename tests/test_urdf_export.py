@@ -16,7 +16,8 @@ from pincal.errors import RobotFileError
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.io.urdf_text import rpy_of
 from pincal.model.chain import Chain
-from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, Conditions, ToolFrame
+from pincal.model.conditions import Conditions
+from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, ToolFrame
 from pincal.model.model import Model
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation_of_rpy

@@ -10,7 +10,8 @@ import pytest
 import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibrated import Calibrated
-from pincal.model.effects import GEOMETRIC, Conditions
+from pincal.model.conditions import Conditions
+from pincal.model.effects import GEOMETRIC
 from pincal.simulate import Instrument, TrueMachine, plan_poses
 
 

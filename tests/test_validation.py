@@ -18,7 +18,8 @@ from pincal.errors import BadInputError
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements
-from pincal.model.effects import ELASTIC, GEOMETRIC, Effect
+from pincal.model.effect import Effect
+from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot
 from pincal.simulate.paper_machine import PaperMachine
 from pincal.validate.agreement import belongs_to_other_robot

@@ -23,7 +23,9 @@ from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.table import write_table
 from pincal.model.catalogue import AxisWobble, GearEccentricity, ThermalOffset
 from pincal.model.chain import Chain
-from pincal.model.effects import GEOMETRIC, BaseFrame, Conditions, Effect, ToolFrame
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect
+from pincal.model.effects import GEOMETRIC, BaseFrame, ToolFrame
 from pincal.model.model import Model
 from pincal.parameters import estimate_of
 from pincal.robot.packages import Meshes

@@ -22,7 +22,7 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.station import fingerprints, together
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.model.augmented import pinocchio_model
-from pincal.model.effects import Conditions
+from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.parameters import Estimate
 from pincal.result_table import Table

@@ -18,7 +18,8 @@ from pincal.identify.options import Options
 from pincal.identify.station import Station, conditions_of, station_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.setup import Setup
-from pincal.model.effects import Conditions, Effect
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect
 from pincal.model.model import Model
 from pincal.parameters import Estimate
 from pincal.robot.se3 import placed

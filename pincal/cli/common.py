@@ -31,7 +31,7 @@ from pincal.units import GRAVITIES, is_gravity
 
 if TYPE_CHECKING:
     from pincal.identify.options import Options
-    from pincal.model.effects import Effect
+    from pincal.model.effect import Effect
 
 Triple = tuple[float, float, float]
 

@@ -136,7 +136,7 @@ def _compensate(
     from pincal.calibration.calibrated_robot import load_model
     from pincal.compensate.compensation import compensate_poses
     from pincal.measure.table import write_table
-    from pincal.model.effects import Conditions
+    from pincal.model.conditions import Conditions
     from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS
 
     # The program was made with the nominal robot, its base and tool measured in.

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from pincal.calibration.calibrated import CalibratedModel
-    from pincal.model.effects import Conditions
+    from pincal.model.conditions import Conditions
     from pincal.notes import Note
 
 # Packages whose versions a report of a problem names.

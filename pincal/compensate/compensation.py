@@ -17,7 +17,7 @@ from pincal.compensate.ik_problem import Bounds, IkProblem
 from pincal.compensate.robot_frames import PoseFrame, base_in_instrument, in_base_frame, program_poses
 from pincal.compensate.solve_ik import solve_ik
 from pincal.errors import BadInputError
-from pincal.model.effects import Conditions
+from pincal.model.conditions import Conditions
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import compose
 

@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.model.effects import Conditions, JointOffset
+from pincal.model.conditions import Conditions
+from pincal.model.effects import JointOffset
 from pincal.model.model import Model
 from pincal.robot.se3 import rotation_vectors
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions, Effect
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect
 from pincal.model.model import Model
 from pincal.robot.se3 import compose, inverse
 

@@ -18,7 +18,7 @@ from pincal.measure.fields import CONDITIONS, Schema, TableOptions
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.reader import Cells, read_table
 from pincal.measure.registry import known_fields
-from pincal.model.effects import Conditions
+from pincal.model.conditions import Conditions
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import compose, inverse, rotation_matrices
 

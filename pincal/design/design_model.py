@@ -27,7 +27,9 @@ from pincal.identify.station import Station
 from pincal.measure.point_sensor import PointSensor
 from pincal.measure.registry import simulatable
 from pincal.model.chain import Chain
-from pincal.model.effects import BaseFrame, Conditions, Effect, ToolFrame
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect
+from pincal.model.effects import BaseFrame, ToolFrame
 from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.robot.robot import Robot

@@ -32,7 +32,7 @@ from pincal.identify.options import Options
 from pincal.identify.quadratic import NULL
 from pincal.measure.admit import noted
 from pincal.model.catalogue.masses import notes_on_masses
-from pincal.model.effects import Conditions
+from pincal.model.conditions import Conditions
 from pincal.robot.robot import Robot
 
 SOURCES = {

@@ -16,7 +16,9 @@ from pincal.fleet.history import FleetChange, FleetHistory
 from pincal.fleet.robot_type import Learned, Membership, RobotType
 from pincal.identify.options import Options
 from pincal.model.catalogue.masses import with_masses
-from pincal.model.effects import GEOMETRIC, Conditions, Effect
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect
+from pincal.model.effects import GEOMETRIC
 from pincal.parameters import root_of
 from pincal.result_table import Cell, Column, Kind, Table
 from pincal.robot.robot import Robot

@@ -36,7 +36,7 @@ from pincal.model.catalogue.bearing_features import without_idle_features
 from pincal.model.catalogue.masses import with_masses
 from pincal.model.catalogue.motion import with_drives
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
-from pincal.model.effects import Effect
+from pincal.model.effect import Effect
 from pincal.parameters import is_on_link
 from pincal.recorded import RECORDED
 from pincal.robot.robot import Robot

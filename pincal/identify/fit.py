@@ -18,7 +18,7 @@ from pincal.identify.problem import Problem
 from pincal.identify.station import Station, station_of
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import MomentFrame
-from pincal.model.effects import Effect
+from pincal.model.effect import Effect
 from pincal.model.model import Model
 from pincal.parameters import Estimate
 

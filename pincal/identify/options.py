@@ -13,7 +13,8 @@ from pincal.identify.noise import Loss
 from pincal.measure.instruments import InstrumentNoise
 from pincal.measure.setup import Setup
 from pincal.model.chain import MomentFrame
-from pincal.model.effects import ELASTIC, Effect
+from pincal.model.effect import Effect
+from pincal.model.effects import ELASTIC
 from pincal.parameters import FRAME_SYMBOLS, Estimate
 from pincal.units import GRAVITIES, LARGEST, SMALLEST, is_gravity
 

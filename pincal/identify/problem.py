@@ -24,8 +24,7 @@ from pincal.measure.extrinsics import sample_rows
 from pincal.measure.sensor import Block
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions, joined_conditions, part_of
-from pincal.model.effect import Family
-from pincal.model.effects import Effect
+from pincal.model.effect import Effect, Family
 from pincal.model.sizes import largest_bases
 from pincal.parameters import Parameter, carried_over
 

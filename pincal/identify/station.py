@@ -19,8 +19,7 @@ from pincal.measure.instruments import InstrumentNoise, seen_by
 from pincal.measure.measurements import Measurements, sensor_of
 from pincal.measure.sensor import Sensor
 from pincal.measure.setup import Setup
-from pincal.model.conditions import part_of
-from pincal.model.effects import Conditions
+from pincal.model.conditions import Conditions, part_of
 from pincal.model.model import Model, Shared
 from pincal.parameters import Parameter, is_on_link
 

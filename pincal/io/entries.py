@@ -18,8 +18,8 @@ from pincal.io.strict_json import MISSING, MOST_BYTES, Fault, Hook, explained, w
 from pincal.measure.lens import Lens
 from pincal.measure.setup import KnownDistance, Setup
 from pincal.model.chain import Chain, MomentFrame
+from pincal.model.effect import Effect
 from pincal.model.effect_registry import EFFECTS
-from pincal.model.effects import Effect
 from pincal.model.model import Model
 from pincal.parameters import Parameter
 from pincal.robot.robot import Robot

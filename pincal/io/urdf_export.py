@@ -13,8 +13,9 @@ from pincal.errors import PincalWarning, RobotFileError
 from pincal.io.urdf_text import Origin, append_frame, read_origins, rpy_of, write_origins
 from pincal.model.augmented import closure_frames, link_placements
 from pincal.model.chain import Chain
+from pincal.model.conditions import Conditions
 from pincal.model.effect import Family
-from pincal.model.effects import GEOMETRIC, Conditions
+from pincal.model.effects import GEOMETRIC
 from pincal.model.model import Model
 from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot

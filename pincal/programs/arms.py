@@ -15,7 +15,7 @@ from pincal.compensate.ik_problem import IkProblem
 from pincal.compensate.iterations import newton
 from pincal.errors import BadInputError
 from pincal.model.chain import Chain
-from pincal.model.effects import Conditions
+from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.programs.program import Posture, Turn
 from pincal.robot.robot import Robot

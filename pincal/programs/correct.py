@@ -17,7 +17,7 @@ import numpy as np
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.compensate.compensation import compensate_poses
 from pincal.compensate.robot_frames import false_targets
-from pincal.model.effects import Conditions
+from pincal.model.conditions import Conditions
 from pincal.programs.arms import ArmSearch, ProgramAxes
 from pincal.programs.language import ControllerLanguage
 from pincal.programs.program import Edit, Frame, Left, Point, PointKey, Posture, Program

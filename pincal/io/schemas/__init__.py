@@ -19,7 +19,7 @@ from pincal.io.camera_file import CameraFile
 from pincal.io.diagnosis_file import DiagnosisFile
 from pincal.io.discovery_file import Findings
 from pincal.io.entries import EFFECT_SCHEMA
-from pincal.model.effects import Effect
+from pincal.model.effect import Effect
 
 FILES: dict[str, type] = {
     "model": ModelFile,

@@ -9,10 +9,10 @@ from typing import ClassVar
 import numpy as np
 
 from pincal.model.chain import Chain, MomentFrame
-from pincal.model.compliances import BENDING_SIZE, BearingElasticity
 from pincal.model.conditions import MOMENT, Conditions
 from pincal.model.effect import Effect, Family, Locus, Term
 from pincal.model.effect_bases import joint_index, parameters_of
+from pincal.model.effects import BENDING_SIZE, BearingElasticity
 from pincal.parameters import Parameter
 
 

@@ -17,7 +17,6 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.model.chain import Chain
-from pincal.model.compliances import BENDING_SIZE
 from pincal.model.conditions import MOMENT, Conditions, PoseSet, nominal_moments
 from pincal.model.effect import Candidate, Discoverable, Family, Locus, Reducible, Term
 from pincal.model.effect_bases import (
@@ -30,6 +29,7 @@ from pincal.model.effect_bases import (
     moment_terms,
     parameters_of,
 )
+from pincal.model.effects import BENDING_SIZE
 from pincal.parameters import Parameter
 
 # Part of the largest moment of an axis that friction holds before its play goes to one side.

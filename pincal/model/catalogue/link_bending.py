@@ -10,10 +10,10 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.model.chain import Chain
-from pincal.model.compliances import BENDING_SIZE
 from pincal.model.conditions import Conditions, PoseSet, nominal_moments
 from pincal.model.effect import Candidate, Discoverable, Family, Locus, Term
 from pincal.model.effect_bases import joint_index, moment_axes, parameters_of
+from pincal.model.effects import BENDING_SIZE
 from pincal.parameters import Parameter
 from pincal.robot.link_path import above
 

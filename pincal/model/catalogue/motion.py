@@ -15,10 +15,10 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.model.catalogue.drives import ORDERS, GearEccentricity
 from pincal.model.chain import Chain
-from pincal.model.compliances import JointElasticity
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family, Locus, Term
 from pincal.model.effect_bases import PLAY, DriveInMotion, recorded
+from pincal.model.effects import JointElasticity
 from pincal.parameters import ANYWHERE, Parameter, Scope
 from pincal.robot.robot import Robot
 
