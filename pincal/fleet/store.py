@@ -217,10 +217,7 @@ class Store:
         """
         if role not in ROLES:
             raise BadInputError(f"role {role!r}; expected {' or '.join(ROLES)}")
-        frame = table_frame(table, role, labels or {})
-        key = Key(TABLES, named_machine(machine), iso_day(day), _digest(parquet_bytes(frame)))
-        self.add(key, frame)
-        return key
+        return self._added(TABLES, machine, day, table_frame(table, role, labels or {}))
 
     def table(self, key: Key) -> Measurements:
         """Return rows of a machine."""
@@ -237,14 +234,16 @@ class Store:
             raise BadInputError(f"role {role!r}; expected {' or '.join(ROLES)}")
         frame = information_frame(machine, role)
         frame = frame.with_columns(pl.lit("").alias(name) for name in ("job", "table", "failure"))
-        key = Key(INFORMATION, named_machine(machine.name), iso_day(day), _digest(parquet_bytes(frame)))
-        self.add(key, frame)
-        return key
+        return self._added(INFORMATION, machine.name, day, frame)
 
     def add_text(self, kind: str, machine: str, day: str, content: str, **facts: Any) -> Key:
         """Add a model.json or a diagnosis.json, as its text, with further columns."""
-        frame = text_frame(content, **facts)
-        key = Key(kind, named_machine(machine), iso_day(day), _digest(parquet_bytes(frame)))
+        return self._added(kind, machine, day, text_frame(content, **facts))
+
+    def _added(self, kind: str, machine: str, day: str, frame: pl.DataFrame) -> Key:
+        """Write a file that is known by its content."""
+        digest = hashlib.sha256(parquet_bytes(frame)).hexdigest()[:20]
+        key = Key(kind, named_machine(machine), iso_day(day), digest)
         self.add(key, frame)
         return key
 
@@ -369,7 +368,3 @@ def iso_day(day: str) -> str:
         return datetime.fromisoformat(day).date().isoformat()
     except ValueError:
         raise BadInputError(f"day {day!r}; expected an ISO date such as 2026-11-03") from None
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:20]

@@ -254,7 +254,7 @@ class Station:
         return self._along(residuals[None], piece)[0], Jacobian(jacobian.size, places, self._along(columns, piece))
 
     def _pieces(self) -> Iterator[slice]:
-        is_whole = self.sensor.is_whole or (self.serial is not None and not self.serial.is_in_order)
+        is_whole = self.sensor.is_whole or (self.serial is not None and np.any(np.diff(self.serial.position) < 0.0))
         around = self.conditions.around
         moments = 1 if around is None or around.q is None else around.q.shape[1]
         size = max(len(self), 1) if is_whole else max(PIECE // moments, 1)

@@ -66,11 +66,12 @@ def recursion(phi, share, gaps, counted):
 
 
 @compiled(nogil=True)
-def filtered(columns, order, decay, gain, scale):
+def filtered(columns, order, decay, gain, scale, back):
     """Return the innovations of columns, shape (D, m, N), along rows in an order, each times its scale.
 
     What is known of a row from those before it is ``decay`` times what was known after the last one, and is put right by
-    ``gain`` times what the row itself shows beyond it; order has shape (N,), the others (m, N), in this order.
+    ``gain`` times what the row itself shows beyond it; order has shape (N,), the others (m, N), in this order. With ``back``
+    the innovations are given, and the columns that have them returned.
     """
     n_columns, m, n = columns.shape
     out = np.empty_like(columns)
@@ -80,25 +81,9 @@ def filtered(columns, order, decay, gain, scale):
             for k in range(n):
                 row = order[k]
                 known *= decay[i, k]
-                beyond = columns[d, i, row] - known
-                out[d, i, row] = beyond * scale[i, k]
-                known += gain[i, k] * beyond
-    return out
-
-
-@compiled(nogil=True)
-def unfiltered(columns, order, decay, gain, scale):
-    """Return columns whose innovations these are; arguments as of :func:`filtered`."""
-    n_columns, m, n = columns.shape
-    out = np.empty_like(columns)
-    for d in range(n_columns):
-        for i in range(m):
-            known = 0.0
-            for k in range(n):
-                row = order[k]
-                known *= decay[i, k]
-                beyond = columns[d, i, row] / scale[i, k]
-                out[d, i, row] = known + beyond
+                here = columns[d, i, row]
+                beyond = here / scale[i, k] if back else here - known
+                out[d, i, row] = known + beyond if back else beyond * scale[i, k]
                 known += gain[i, k] * beyond
     return out
 
@@ -127,11 +112,6 @@ class Serial:
         turns = None if self.turns is None else self.turns[rows]
         return replace(self, position=self.position[rows], counted=self.counted[rows], turns=turns)
 
-    @property
-    def is_in_order(self) -> bool:
-        """Whether the rows stand in the order."""
-        return bool(np.all(np.diff(self.position) >= 0.0))
-
     @cached_property
     def _recursion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The order of the rows, shape (N,), and decay, gain and scale of each, shape (m, N)."""
@@ -158,11 +138,11 @@ class Serial:
         """Return columns of all rows, shape (D, m, N), as independent and even as those of white noise of the same size."""
         if self.turns is not None:
             columns = turned_into(self.turns, columns)
-        return np.asarray(filtered(np.ascontiguousarray(columns), *self._recursion))
+        return np.asarray(filtered(np.ascontiguousarray(columns), *self._recursion, False))
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
         """Return independent and even noise, shape (m, N), as readings have it."""
-        found = np.asarray(unfiltered(np.ascontiguousarray(noise[None]), *self._recursion)[0])
+        found = np.asarray(filtered(np.ascontiguousarray(noise[None]), *self._recursion, True)[0])
         return found if self.turns is None else turned_into(self.turns.swapaxes(1, 2), found)
 
 

@@ -146,9 +146,7 @@ def pinocchio_model(model: Model, values: np.ndarray) -> pin.Model:
     placed, tip = joint_placements(model, values)
     robot = model.chain.robot
     out = robot.pinocchio_model()
-    data = out.createData()
-    pin.framesForwardKinematics(out, data, pin.neutral(out))
-    base = data.oMf[out.getFrameId(robot.base, pin.BODY)].copy()
+    base = out.frames[out.getFrameId(robot.base, pin.BODY)].placement.copy()
     for i, name in enumerate(robot.joint_names):
         joint = out.getJointId(name)
         out.jointPlacements[joint] = (base if robot.parents[i] < 0 else pin.SE3.Identity()) * pin.SE3(placed[i])

@@ -344,6 +344,4 @@ def _root_of(robot: Robot) -> np.ndarray:
     if not robot.urdf:
         return np.eye(4)
     model = robot.pinocchio_model()
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, pin.neutral(model))
-    return np.asarray(data.oMf[model.getFrameId(robot.base, pin.BODY)].homogeneous)
+    return np.asarray(model.frames[model.getFrameId(robot.base, pin.BODY)].placement.homogeneous)

@@ -112,9 +112,7 @@ def _link_places(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
     import pinocchio as pin
 
     model = robot.pinocchio_model()
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, pin.neutral(model))
-    base = data.oMf[model.getFrameId(robot.base, pin.BODY)]
+    base = model.frames[model.getFrameId(robot.base, pin.BODY)].placement
     bodies = {model.getJointId(name): i + 1 for i, name in enumerate(robot.joint_names)}
     before = {0: (0, base.inverse().homogeneous)} | {joint: (i, robot.T_link_joint[i - 1]) for joint, i in bodies.items()}
     return {
