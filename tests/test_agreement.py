@@ -155,9 +155,9 @@ def test_a_strange_table_costs_a_fixed_number_of_fits(
 ) -> None:
     """All cures are looked at where they would stand, the likeliest are fitted: as many for any number of joints."""
     looked, fits = list[int](), list[int]()
-    starts, placed = agreement.starts_of, agreement._nominal_placement
-    monkeypatch.setattr(agreement, "starts_of", lambda *given: looked.append(1) or starts(*given))
-    monkeypatch.setattr(agreement, "_nominal_placement", lambda *given: fits.append(1) or placed(*given))
+    left, placed = agreement.least_left, agreement.roughly_placed
+    monkeypatch.setattr(agreement, "least_left", lambda *given: looked.append(1) or left(*given))
+    monkeypatch.setattr(agreement, "roughly_placed", lambda *given: fits.append(1) or placed(*given))
     monkeypatch.setattr(agreement, "minimize_scalar", lambda *_, **__: SimpleNamespace(x=0.1))
     order = np.random.default_rng(0).permutation(len(table))
     with pytest.raises(MeasurementError, match="base and tool alone leave"):

@@ -221,9 +221,8 @@ def _boxes(robot: Robot, collisions: Collisions) -> Boxes:
     """Return the boxes along the axes of each collision body's own frame."""
     import pinocchio as pin
 
-    model, data = collisions.model, collisions.model.createData()
-    pin.framesForwardKinematics(model, data, pin.neutral(model))
-    T_base_world = data.oMf[model.getFrameId(robot.base, pin.BODY)].inverse().homogeneous
+    model = collisions.model
+    T_base_world = model.frames[model.getFrameId(robot.base, pin.BODY)].placement.inverse().homogeneous
     joints = {model.getJointId(name): i + 1 for i, name in enumerate(robot.joint_names)}
     bodies, placements, halves = [], [], []
     for item in collisions.geometry.geometryObjects:

@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from pincal.errors import BadInputError, IdentificationError, MeasurementError
-from pincal.identify.beliefs import bounds_of, is_frame, released_of
+from pincal.errors import MeasurementError
 from pincal.identify.calibrate import fit_tables
-from pincal.identify.fit import ModelFit, Priors
-from pincal.identify.initial import place, starts_of
-from pincal.identify.noise import Noise
+from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
-from pincal.identify.problem import Problem
-from pincal.identify.solve import Course, likeliest_values
 from pincal.identify.station import Station
 from pincal.measure.extrinsics import sample_rows
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC, JointOffset
 from pincal.robot.robot import Robot
-from pincal.validate.cures import Correction, TableCorrection, cures, scaled, shift_words, shifts_found, typical_left
+from pincal.validate.cures import (
+    UNFIT,
+    Correction,
+    TableCorrection,
+    cures,
+    least_left,
+    roughly_placed,
+    scaled,
+    shift_words,
+    shifts_found,
+    typical_left,
+)
 
 # Nominal error, relative to the reach, from which a mix-up is looked for; errors of real robots are a fifth of it and less.
 _SUSPICIOUS = 0.01
@@ -247,22 +254,15 @@ def _cured(
     def of_few(cure: TableCorrection) -> TableCorrection:
         return replace(cure, table=cure.table.select(rows[rows < len(cure.table)]))
 
-    def at_start(cure: TableCorrection) -> float:
-        try:
-            starts = starts_of(cure.robot, cure.table, options)
-            return min(limits.exceeded(typical_left(station, values)) for station, values in starts)
-        except (BadInputError, IdentificationError, np.linalg.LinAlgError):
-            return np.inf
-
     def tried(few: TableCorrection) -> tuple[TableCorrection, tuple[float, float]]:
-        try:
-            return few, typical_left(*_nominal_placement(few.robot, few.table, options))
-        except (BadInputError, IdentificationError, np.linalg.LinAlgError):
-            return few, (np.inf, np.inf)
+        with suppress(*UNFIT):
+            return few, typical_left(*roughly_placed(few.robot, few.table, options))
+        return few, (np.inf, np.inf)
 
     possible = list(map(of_few, cures(robot, table)))
     # In their own order: of cures that do the same, the first is meant.
-    likely = sorted(np.argsort([at_start(few) for few in possible], kind="stable")[:_PLACED])
+    sizes = [least_left(few.robot, few.table, options, limits.exceeded) for few in possible]
+    likely = sorted(np.argsort(sizes, kind="stable")[:_PLACED])
     found = [tried(possible[k]) for k in likely]
     if scaled(robot, table, 1.0) is not None:
 
@@ -286,11 +286,10 @@ def _few(table: Measurements) -> np.ndarray:
 
 def _calibrated(cure: TableCorrection, options: Options) -> tuple[ModelFit | None, tuple[float, float]]:
     """Return a calibration of the geometry with a mistake undone, and what it leaves; None if there is none."""
-    try:
+    with suppress(*UNFIT):
         fit = fit_tables(cure.robot, cure.table, replace(options, effects=GEOMETRIC, earlier=None, moment_frame="paper"))
-    except (BadInputError, IdentificationError, np.linalg.LinAlgError):
-        return None, (np.inf, np.inf)
-    return fit, typical_left(fit.station, fit.values)
+        return fit, typical_left(fit.station, fit.values)
+    return None, (np.inf, np.inf)
 
 
 def belongs_to_other_robot(left: np.ndarray, nominal: np.ndarray, *, allowed: float) -> bool:
@@ -310,14 +309,5 @@ def belongs_to_other_robot(left: np.ndarray, nominal: np.ndarray, *, allowed: fl
 
 def nominal_displacements(robot: Robot, measurements: Measurements, options: Options) -> np.ndarray:
     """Return which way and how far rows are off the nominal robot, instrument and targets placed, shape (N, 3) [m]."""
-    station, values = _nominal_placement(robot, measurements, options)
+    station, values = roughly_placed(robot, measurements, options)
     return station.displacements(values)
-
-
-def _nominal_placement(robot: Robot, measurements: Measurements, options: Options) -> tuple[Station, np.ndarray]:
-    ((station, values),) = place(robot, {"": measurements}, options)
-    problem = Problem((station,))
-    frames = is_frame(problem) & released_of(problem, options)
-    priors = Priors(np.full(len(values), np.inf), bounds_of(problem, options))
-    noise = Noise((None,) * len(problem.blocks))
-    return station, likeliest_values(problem, values, frames, priors, noise, Course("huber", rough=True))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain, combinations, permutations
@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from pincal.errors import BadInputError, IdentificationError, PincalWarning, counted
-from pincal.identify.beliefs import is_frame, priors_of, released_of
+from pincal.identify.beliefs import bounds_of, is_frame, priors_of, released_of
+from pincal.identify.fit import Priors
 from pincal.identify.initial import place, starts_of
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options
@@ -36,6 +37,8 @@ _STEP, _TRIED = np.deg2rad(15.0), 4
 _ALIKE = 1.2
 # Frames that are closer than this [m, rad] make no other robot.
 _SAME = 1e-5
+UNFIT = (BadInputError, IdentificationError, np.linalg.LinAlgError)
+"""What fits to a table end with that is not of the robot."""
 
 
 def typical_left(station: Station, values: np.ndarray) -> tuple[float, float]:
@@ -72,16 +75,18 @@ def shifts_found(robot: Robot, table: Measurements, options: Options) -> dict[st
         for i in turning:
             angles = np.arange(_STEP, 2.0 * np.pi - 0.5 * _STEP, _STEP)
             shifts = [np.eye(robot.n_joints)[i] * (angle - 2.0 * np.pi * (angle > np.pi)) for angle in angles]
-            yield min(((_at_start(robot, shifted(shift), options), shift) for shift in shifts), key=lambda one: one[0])
+            sizes = (least_left(robot, shifted(shift), options, lambda left: left[0]) for shift in shifts)
+            yield min(zip(sizes, shifts, strict=True), key=lambda one: one[0])
 
     likely = sorted(starts(), key=lambda one: one[0])[:_TRIED]
     found = []
     for shift in (np.zeros(robot.n_joints), *(shift for _, shift in likely)):
-        try:
-            rest, offsets = _fitted(robot, shifted(shift), options)
-        except (BadInputError, IdentificationError, np.linalg.LinAlgError):
-            continue
-        found.append((rest, shift + [offsets.get(name, 0.0) for name in robot.joint_names]))
+        with suppress(*UNFIT):
+            station, values = roughly_placed(robot, shifted(shift), options, offsets=True)
+            pairs = zip(station.parameters, values.tolist(), strict=True)
+            offsets = {p.name.split(".")[0]: value for p, value in pairs if p.effect == JointOffset.name}
+            rest = typical_left(station, values)[0]
+            found.append((rest, shift + [offsets.get(name, 0.0) for name in robot.joint_names]))
     if not found:
         return {}
     least = min(rest for rest, _ in found)
@@ -90,27 +95,25 @@ def shifts_found(robot: Robot, table: Measurements, options: Options) -> dict[st
     return {robot.joint_names[i]: float(best[i]) for i in turning}
 
 
-def _at_start(robot: Robot, table: Measurements, options: Options) -> float:
-    try:
-        return min(typical_left(*start)[0] for start in starts_of(robot, table, options))
-    except (BadInputError, IdentificationError, np.linalg.LinAlgError):
-        return np.inf
+def least_left(robot: Robot, table: Measurements, options: Options, size: Callable[[tuple[float, float]], float]) -> float:
+    """Return the size of what the best of some first placements leaves, inf if there is none."""
+    with suppress(*UNFIT):
+        return min(size(typical_left(*start)) for start in starts_of(robot, table, options))
+    return np.inf
 
 
-def _fitted(robot: Robot, table: Measurements, options: Options) -> tuple[float, dict[str, float]]:
-    """Return what base, tool and offsets of joints leave together, and these offsets [rad] by name."""
-    starts = [*place(robot, {"": table}, options)]
-    ((station, values),) = starts
+def roughly_placed(
+    robot: Robot, table: Measurements, options: Options, *, offsets: bool = False
+) -> tuple[Station, np.ndarray]:
+    """Return a station and its values, of which base and tool are fitted, and offsets of joints that turn if asked for."""
+    ((station, values),) = place(robot, {"": table}, options)
     problem = Problem((station,))
-    offsets = np.array([p.effect == JointOffset.name and p.unit == "rad" for p in problem.parameters])
-    free, noise = (is_frame(problem) | offsets) & released_of(problem, options), Noise((None,) * len(problem.blocks))
-    values = likeliest_values(problem, values, free, priors_of(problem, options), noise, Course("huber", rough=True))
-    found = {
-        p.name.split(".")[0]: float(value)
-        for p, value in zip(problem.parameters, values, strict=True)
-        if p.effect == JointOffset.name
-    }
-    return typical_left(station, values)[0], found
+    free, priors = is_frame(problem), Priors(np.full(len(values), np.inf), bounds_of(problem, options))
+    if offsets:
+        free = free | np.array([p.effect == JointOffset.name and p.unit == "rad" for p in problem.parameters])
+        priors = priors_of(problem, options)
+    free, noise = free & released_of(problem, options), Noise((None,) * len(problem.blocks))
+    return station, likeliest_values(problem, values, free, priors, noise, Course("huber", rough=True))
 
 
 HEADER = "correct the header of the table and run again"

@@ -172,12 +172,11 @@ def _explained(
     folder: str, poses: str, model: Model, values: np.ndarray, conditions: Conditions, whole: np.ndarray
 ) -> Iterator[Layer]:
     """Yield what each effect explains: from the prediction without it to that with it."""
-    start, used = 0, set()
-    for effect in model.effects:
-        stop = start + len(effect.parameters(model.chain))
-        if effect.family is not Family.EXTRINSICS and np.any(values[start:stop]):
+    used = set()
+    for effect, span in zip(model.effects, model.spans, strict=True):
+        if effect.family is not Family.EXTRINSICS and np.any(values[span]):
             without = values.copy()
-            without[start:stop] = 0.0
+            without[span] = 0.0
             name = effect_name(effect)
             while name in used:
                 name += " again"
@@ -185,7 +184,6 @@ def _explained(
             tails = _positions(model, without, conditions)
             words = f"from the prediction without to that with {name}, all else unchanged"
             yield Layer(f"{folder}/explained by {name}", poses, tails, whole - tails, words)
-        start = stop
 
 
 def effect_name(effect: Effect) -> str:
