@@ -122,12 +122,7 @@ class Calibrated(ABC):
     ) -> tuple[np.ndarray, np.ndarray]: ...
 
     def predict(
-        self,
-        at: Conditions | ArrayLike,
-        *,
-        payload: float = 0.0,
-        target: str | None = None,
-        return_sigma: bool = False,
+        self, at: Conditions | ArrayLike, *, payload: float = 0.0, target: str | None = None, return_sigma: bool = False
     ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
         """Return the target's poses in the instrument's frame (of contacts: in the robot's base frame).
 

@@ -128,12 +128,7 @@ class Validation:
     def replicate_statistics(self) -> tuple[dict[str, Any] | None, LackOfFit | None]:
         """Return accuracy and repeatability, and lack of fit; None where the rows hold no replicates."""
         return replicate_statistics(
-            self.station,
-            self.values,
-            self.table,
-            sigma=self.model.sigma,
-            covariance=self.model.covariance,
-            found=self.found,
+            self.station, self.values, self.table, sigma=self.model.sigma, covariance=self.model.covariance, found=self.found
         )
 
 

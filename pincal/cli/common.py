@@ -54,10 +54,7 @@ def _check_gravity(context: click.Context, parameter: click.Parameter, given: Tr
 
 
 gravity_option = partial(
-    option,
-    "Gravity in the robot's base frame [m/s^2].",
-    words="standard gravity along -z",
-    callback=_check_gravity,
+    option, "Gravity in the robot's base frame [m/s^2].", words="standard gravity along -z", callback=_check_gravity
 )
 mass_option = partial(
     option,

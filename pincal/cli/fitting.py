@@ -225,12 +225,7 @@ def _of_type(path: Path | None, prepared: Prepared) -> tuple[Options, tuple[str,
 
 
 def write_results(
-    folder: Path,
-    calibration: Calibration,
-    origin: dict[str, Any],
-    discovery: Discovery | None = None,
-    *,
-    view: bool = False,
+    folder: Path, calibration: Calibration, origin: dict[str, Any], discovery: Discovery | None = None, *, view: bool = False
 ) -> tuple[str, ...]:
     """Write all files of a calibration, or of a discovery, to a folder; return what the URDF could not carry, in words."""
     from pincal.io.strict_json import write_json

@@ -156,16 +156,10 @@ class MotionArguments:
         words="0.001deg",
     )
     log_rates: tuple[float, float, float] | None = option(
-        "Samples a second of joints, IMU and tracker.",
-        metavar="HZ,HZ,HZ",
-        type=_rates,
-        words="150,100,250, cameras 30",
+        "Samples a second of joints, IMU and tracker.", metavar="HZ,HZ,HZ", type=_rates, words="150,100,250, cameras 30"
     )
     clock_drift: float | None = option(
-        "Drift of the clocks of IMU and tracker.",
-        metavar="PPM",
-        type=NumberType(-1e5, 1e5),
-        words="random within 100",
+        "Drift of the clocks of IMU and tracker.", metavar="PPM", type=NumberType(-1e5, 1e5), words="random within 100"
     )
     dropped: float | None = option("Rows that loggers lose.", metavar="PERCENT", type=NumberType(0.0, 20.0), words="0.5")
 

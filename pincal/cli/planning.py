@@ -71,8 +71,7 @@ class CheckArguments:
     chosen: CalibrationOptions = group("Model")
     verbose: bool = verbose_option()
     report: bool = option(
-        "Print what a bug report needs, without the data: versions, command, files, and the complete check.",
-        False,
+        "Print what a bug report needs, without the data: versions, command, files, and the complete check.", False
     )
     general: GeneralOptions = group("General")
 

@@ -133,10 +133,7 @@ class CampaignArguments:
     poses: int | None = option("Number of random poses.", metavar="N", type=click.IntRange(1, _MOST_POSES))
     at: Path | None = option("Take joint positions (and payload, temperature, ...) from this table instead.")
     cycles: int = option(
-        "Number of measurements of each pose, in rounds; ISO 9283 requires 30.",
-        1,
-        metavar="N",
-        type=click.IntRange(1, 1000),
+        "Number of measurements of each pose, in rounds; ISO 9283 requires 30.", 1, metavar="N", type=click.IntRange(1, 1000)
     )
     floor: float = option("Height in the base frame above which random poses keep the arm [m].", 0.0, metavar="Z")
     no_floor: bool = option("Random poses anywhere within the joint limits.", False)

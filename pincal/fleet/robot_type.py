@@ -315,12 +315,7 @@ def learn_type(machines: Iterable[Machine]) -> Learned:
     for k, machine in enumerate(given):
         first.setdefault(machine.name or id(machine), k)
     places = np.argsort([first[machine.name or id(machine)] for machine in found.machines])
-    return Learned(
-        learned,
-        tuple(members[k] for k in places),
-        values[places] * found.priors,
-        sigma[places] * found.priors,
-    )
+    return Learned(learned, tuple(members[k] for k in places), values[places] * found.priors, sigma[places] * found.priors)
 
 
 def _memberships(found: Gathered, forms: Forms, mean: np.ndarray, root: np.ndarray, of: RobotType) -> list[Membership]:

@@ -46,16 +46,8 @@ register_sensor = SENSORS.register
 
 _DISTANCES = (DistanceSensor, AnchoredDistanceSensor, LinkDistanceSensor, LinkContactSensor)
 _CAMERAS = (CameraPointSensor, CameraPixelSensor, FixedCameraSensor)
-for _sensor in (
-    PositionSensor,
-    PoseSensor,
-    *_DISTANCES,
-    ContactSensor,
-    *_CAMERAS,
-    PlaneContactSensor,
-    GaugeSensor,
-    ImuSensor,
-):
+_PLANES = (PlaneContactSensor, GaugeSensor)
+for _sensor in (PositionSensor, PoseSensor, *_DISTANCES, ContactSensor, *_CAMERAS, *_PLANES, ImuSensor):
     register_sensor(_sensor)
 
 

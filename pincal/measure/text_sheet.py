@@ -10,6 +10,7 @@ import csv
 import io
 import re
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -126,12 +127,7 @@ def _heading(head: bytes, joints: Collection[str]) -> tuple[TableHead, list[int]
 
 def _below(path: Path, content: bytes | None, found: TableHead, numbers: Sequence[int]) -> TextSheet:
     """Return the table below what stands above it; lines left out become comments, so that all keep their numbers."""
-    text = path.read_bytes().removeprefix(codecs.BOM_UTF8) if content is None else content
-    try:
-        text.decode("utf-8")
-    except UnicodeDecodeError:
-        text = _utf8(text, path)
-    lines = text.splitlines()
+    lines = _utf8(path.read_bytes().removeprefix(codecs.BOM_UTF8) if content is None else content, path).splitlines()
     header = numbers[found.header]
     for number in numbers[: found.body]:
         if number != header:
@@ -173,7 +169,10 @@ def _sheet_of_header(path: Path, line: bytes, number: int, *, content: bytes | N
 
 
 def _utf8(text: bytes, path: Path) -> bytes:
-    """Return text that is not UTF-8 as if it were, with a `PincalWarning`."""
+    """Return text as UTF-8; what is none as if it were, with a `PincalWarning`."""
+    with suppress(UnicodeDecodeError):
+        text.decode("utf-8")
+        return text
     try:
         decoded = text.decode("cp1252")
     except UnicodeDecodeError as error:
@@ -255,12 +254,7 @@ def _read_lines(sheet: TextSheet, columns: Sequence[SheetColumn]) -> tuple[pl.Da
     import polars as pl
 
     with sheet.open() as file:
-        text = file.read()
-    try:
-        text.decode("utf-8")
-    except UnicodeDecodeError:
-        text = _utf8(text, sheet.path)
-    lines = text.splitlines()
+        lines = _utf8(file.read(), sheet.path).splitlines()
     rows = np.array([i for i, line in enumerate(lines, start=1) if i > sheet.header_line and _has_cells(line)], int)
     kept = [lines[row - 1] for row in rows]
     if not kept:

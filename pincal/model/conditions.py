@@ -192,12 +192,7 @@ def into_range(angles: np.ndarray, lower: ArrayLike, upper: ArrayLike) -> np.nda
 
 
 def recorded_variable(
-    chain: Chain,
-    conditions: Conditions,
-    name: str,
-    *,
-    joint: str | None = None,
-    span: tuple[float, float] | None = None,
+    chain: Chain, conditions: Conditions, name: str, *, joint: str | None = None, span: tuple[float, float] | None = None
 ) -> np.ndarray:
     """Return a variable that an effect may follow, shape (N,).
 

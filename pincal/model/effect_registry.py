@@ -4,15 +4,7 @@ from __future__ import annotations
 
 from pincal.model.at_station import AtStation
 from pincal.model.effect import Effect
-from pincal.model.effects import (
-    AxisDistortion,
-    BaseFrame,
-    BearingElasticity,
-    JointElasticity,
-    JointOffset,
-    LinkGeometry,
-    ToolFrame,
-)
+from pincal.model.effects import ELASTIC, BaseFrame, ToolFrame
 from pincal.plugins import Registry
 
 
@@ -45,14 +37,5 @@ def meaning_of(name: str) -> str:
     return known[name].meaning if name in known else ""
 
 
-for _effect in (
-    JointOffset,
-    LinkGeometry,
-    AxisDistortion,
-    JointElasticity,
-    BearingElasticity,
-    BaseFrame,
-    ToolFrame,
-    AtStation,
-):
+for _effect in (*map(type, ELASTIC), BaseFrame, ToolFrame, AtStation):
     EFFECTS.register(_effect)

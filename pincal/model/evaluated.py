@@ -185,11 +185,7 @@ def coordinates_of(
 
 
 def moved_by(
-    at: Values,
-    by_row: RowValues,
-    terms: list[tuple[int, Term]],
-    curves: Sequence[Thin] = (),
-    by: np.ndarray | None = None,
+    at: Values, by_row: RowValues, terms: list[tuple[int, Term]], curves: Sequence[Thin] = (), by: np.ndarray | None = None
 ) -> Values:
     """Return coordinates moved by terms, which come with the places of their parameters among all, by curves and numbers."""
     values, varied = by_row

@@ -96,8 +96,7 @@ def _card(entry: FoundEffect) -> Markup:
     values = entry.parameters
     shown = merged((rich('{} = <span class="nw">{}</span>', code(name), _measured(p)) for name, p in values.items()), "<br>")
     explained = rich(
-        'mean held-out error {}; p-value: <span class="nw">{}</span>',
-        *(gain_words(entry), show_chance(entry.p_value)),
+        'mean held-out error {}; p-value: <span class="nw">{}</span>', *(gain_words(entry), show_chance(entry.p_value))
     )
     often = f" The search names it {entry.stability} subsamples." if entry.stability else ""
     blocks = [

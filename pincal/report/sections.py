@@ -200,11 +200,7 @@ def accuracy(subject: Subject) -> Section:
         blocks.append(paragraph(text, "note"))
     if result.clocks is not UNSET:
         blocks += [heading("Clocks", "clocks"), paragraph(_CLOCKS), clock_table(result.clocks)]
-    blocks += [
-        error_table(result.error),
-        figures("accuracy", error_drawings(subject.readings)),
-        *_replicates(result),
-    ]
+    blocks += [error_table(result.error), figures("accuracy", error_drawings(subject.readings)), *_replicates(result)]
     return Section("accuracy", "Before and after", tuple(blocks), "Accuracy")
 
 

@@ -234,12 +234,7 @@ def tells(degrees: float, of_noise: float = np.inf) -> bool:
 
 
 def judge(
-    beside: NoiseTest | None,
-    doubts: Sequence[Note] = (),
-    *,
-    unusable: bool = False,
-    left: bool = False,
-    few: bool = False,
+    beside: NoiseTest | None, doubts: Sequence[Note] = (), *, unusable: bool = False, left: bool = False, few: bool = False
 ) -> Verdict:
     """Return what is to be said of a model.
 
