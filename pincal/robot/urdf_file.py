@@ -6,7 +6,7 @@ import contextlib
 import io
 import os
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -82,8 +82,8 @@ def read_urdf(path: str | os.PathLike[str], *, xacro_args: Mapping[str, str] | N
         text = Path(path).read_bytes()
     except OSError as error:
         raise RobotFileError(f"{source}: can't be read ({error.strerror}); expected a URDF file") from None
-    if _is_xacro(text):
-        text = _expand_xacro(Path(path), text, xacro_args or {})
+    if elements := _xacro_elements(text):
+        text = _expand_xacro(Path(path), elements, xacro_args or {})
     elif xacro_args:
         raise RobotFileError(f"{source}: is no xacro file, so it takes no xacro arguments; leave them out")
     return parse_urdf(text, source=source)
@@ -232,27 +232,28 @@ def _find_root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: st
     return roots[0]
 
 
-def _is_xacro(text: bytes) -> bool:
-    """Return whether a file has something that xacro has to expand; a declared namespace alone is none."""
+def _xacro_elements(text: bytes) -> list[Any]:
+    """Return the elements of a file that xacro has to expand; a declared namespace alone is none."""
     try:
         root = etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False))
     except etree.XMLSyntaxError:
-        return False
-    return any(_NAMESPACE in (etree.QName(element).namespace or "") for element in root.iter(etree.Element))
+        return []
+    return [element for element in root.iter(etree.Element) if _NAMESPACE in (etree.QName(element).namespace or "")]
 
 
-def _expand_xacro(path: Path, text: bytes, arguments: Mapping[str, str]) -> bytes:
+def _expand_xacro(path: Path, elements: Sequence[Any], arguments: Mapping[str, str]) -> bytes:
     """Return the URDF that a xacro file expands to; ``$(find NAME)`` and includes are found in the packages around it.
 
     Args:
         path: the file.
-        text: what it holds.
+        elements: those for xacro that it holds.
         arguments: values of its arguments, as ``xacro FILE name:=value`` takes them.
 
     Raises:
         RobotFileError: if xacrodoc is not installed, or the file can't be expanded or describes no robot.
     """
-    known = _arguments_of(text)
+    declared = [element for element in elements if etree.QName(element).localname == "arg"]
+    known = {element.get("name", ""): element.get("default") for element in declared}
     unknown = [name for name in arguments if name not in known]
     if unknown:
         takes = f"those that it has: {', '.join(nearest_first(unknown, known))}" if known else "it has none of its own"
@@ -291,13 +292,6 @@ def _expanded_by_xacro(path: Path, values: Mapping[str, str], known: Mapping[str
         takes = f"; its arguments, to be set by --xacro-arg NAME:=VALUE: {listed}" if known else ""
         raise RobotFileError(f"{path}: xacro can't expand it ({reason}){takes}") from None
     return document.dom
-
-
-def _arguments_of(text: bytes) -> dict[str, str | None]:
-    """Return the arguments that a file declares, with their defaults."""
-    root = etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False))
-    declared = [element for element in root.iter("{*}arg") if _NAMESPACE in (etree.QName(element).namespace or "")]
-    return {element.get("name", ""): element.get("default") for element in declared}
 
 
 def find_file(source: str | os.PathLike[str]) -> Path:
