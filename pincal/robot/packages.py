@@ -96,11 +96,8 @@ def _in_packages(path: Path, source: str, folders: Sequence[Path]) -> Iterator[P
     beside = Path(source).resolve().parent
     homes, inside = [beside, *beside.parents], Path(*path.parts[1:]) if len(path.parts) > 1 else path
     yield from (home / inside for home in homes if path.parts[:1] == (home.name,))
-    yield from (home / path for home in (*homes, *folders, *_ros_folders()))
+    ros = (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share"))
+    of_ros = (Path(entry, end) for name, end in ros for entry in os.environ.get(name, "").split(os.pathsep) if entry)
+    yield from (home / path for home in (*homes, *folders, *of_ros))
     yield from (folder / inside for folder in folders)
     yield from (home / inside for name, home in neighbouring_packages(source).items() if path.parts[:1] == (name,))
-
-
-def _ros_folders() -> Iterator[Path]:
-    for variable, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
-        yield from (Path(entry, below) for entry in os.environ.get(variable, "").split(os.pathsep) if entry)

@@ -48,10 +48,6 @@ class FourierPath:
             found[start : start + _PIECE] = waves.sum(axis=2)
         return found + self.centre if order == 0 else found
 
-    def truth(self) -> dict[str, Any]:
-        """Return all of it, as for JSON."""
-        return {name: value.tolist() for name, value in vars(self).items()}
-
     def scaled(self, factor: np.ndarray | float) -> FourierPath:
         """Return the path with waves by some factor, shape (n,) or a number, about the same centre."""
         grown = np.broadcast_to(factor, self.centre.shape)[:, None]
@@ -94,10 +90,6 @@ class ViaPath:
         lasts = np.maximum(np.maximum(1.875 * far / speed, np.sqrt(5.774 * far / acceleration)), 1e-3)
         return cls(np.append(0.0, np.cumsum(lasts)) * max(duration / float(lasts.sum()), 1.0), q[order])
 
-    def truth(self) -> dict[str, Any]:
-        """Return all of it, as for JSON."""
-        return {name: value.tolist() for name, value in vars(self).items()}
-
 
 Motion = FourierPath | ViaPath
 """What the joints of an arm do."""
@@ -135,18 +127,15 @@ def draw_path(
         shape = FourierPath(np.zeros(n), rates, *amplitudes)
         largest = [np.abs(shape.at(time, order)).max(axis=0) for order in range(3)]
         factor = np.minimum(half / largest[0], least * np.minimum(speed / largest[1], acceleration / largest[2]))
-        path = _following(arm, shape.scaled(size * factor), middle + (half - size * factor * largest[0]) * _about(rng, n))
+        # Centres lie amid what the waves leave of the joints' ranges.
+        centre = middle + (half - size * factor * largest[0]) * rng.uniform(-0.5, 0.5, n)
+        path = _following(arm, shape.scaled(size * factor), centre)
         if is_clear(arm, path.at(time), min_height).all():
             return path
         size *= _SMALLER
     raise BadInputError(
         f"{_TRIES} paths, and the arm goes below {min_height} m on each; give a lower --floor, or --no-floor"
     )
-
-
-def _about(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Return where centres lie in what the waves leave of the joints' ranges, from -1 to 1, mostly amid them."""
-    return np.asarray(rng.uniform(-0.5, 0.5, n))
 
 
 def _following(arm: Arm, path: FourierPath, centre: np.ndarray) -> FourierPath:

@@ -283,10 +283,11 @@ class MovingSession:
 
     def truth(self, arm: Arm) -> dict[str, Any]:
         """Return path, clocks, IMU and instrument, as for JSON."""
+        path, logged = vars(self.path), [name for name in ("imu", "tracker") if getattr(self, name) is not None]
         found: dict[str, Any] = {
-            "path": {"joints": list(arm.names), "duration_s": self.duration} | self.path.truth(),
+            "path": {"joints": list(arm.names), "duration_s": self.duration, **{k: v.tolist() for k, v in path.items()}},
             "rates_hz": dict(self.rates),
-            "clocks": {name: asdict(self.clocks[name]) for name in ("imu", "tracker") if getattr(self, name) is not None},
+            "clocks": {name: asdict(self.clocks[name]) for name in logged},
             "resolution": self.resolution,
             "dropped": self.dropped,
         }

@@ -177,7 +177,9 @@ def find_effect(text: str, chain: Chain, conditions: Conditions) -> Effect:
     name, pairs = effect_parts(text)
     joint, keys = dict(reversed(pairs)).get("joint"), {key: value for key, value in pairs if key != "joint"}
     situation = PoseSet(chain, conditions)
-    judged = [*((effect, "") for effect in _compliances(situation)), *_judged(situation)]
+    kinds = [type(effect) for effect in elasticity(situation) if isinstance(effect, Compliance)]
+    # Compliances of single joints, too.
+    judged = [*((kind(joints=(joint,)), "") for joint in situation.revolute for kind in kinds), *_judged(situation)]
     if "order" in keys:
         judged = [_tuned(text, pair, keys["order"], situation) for pair in judged]
     # Those that can be shown first.
@@ -201,12 +203,6 @@ def needs_column(text: str, column: str, robot: Robot) -> bool:
     name = text.split(":")[0].strip()
     anywhere = PoseSet(Chain.of(robot), Conditions.at(np.zeros((2, robot.n_joints))))
     return any(column in candidate.effect.needs for candidate in _all(anywhere) if candidate.effect.name == name)
-
-
-def _compliances(situation: PoseSet) -> list[Effect]:
-    """Return the compliances of single joints."""
-    kinds = [effect for effect in elasticity(situation) if isinstance(effect, Compliance)]
-    return [type(kind)(joints=(joint,)) for joint in situation.revolute for kind in kinds]
 
 
 def _says(effect: Effect, key: str, value: str) -> bool:
