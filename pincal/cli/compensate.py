@@ -15,7 +15,7 @@ from pincal.cli.common import TABLE, GeneralOptions, PlaceOptions, TableArgument
 from pincal.cli.controller_programs import Allowed, ProgramOptions, correct_file, summary_of_program
 from pincal.cli.outputs import columns_of_poses, echo_notes, extrapolation, print_json
 from pincal.cli.quantities import ANGLE
-from pincal.errors import Exit
+from pincal.errors import Exit, counted, few
 from pincal.recorded import RECORDABLE
 from pincal.units import plain_number
 
@@ -335,10 +335,9 @@ def _summary(result: dict[str, Any]) -> Iterator[str]:
 def _failures(result: dict[str, Any]) -> Iterator[str]:
     """Yield notes on the rows that are not reached, and on those that take large motions."""
     if large := result["large_changes"]:
-        named = ", ".join(map(str, large[:_SHOWN])) + (", ..." if len(large) > _SHOWN else "")
-        rows = "1 row" if len(large) == 1 else f"{len(large)} rows"
+        rows = f"{counted(len(large), 'row')} (line {few(large, _SHOWN)})"
         yield (
-            f"{rows} (line {named}): a joint moves more than {np.rad2deg(result['max_change']):.3g} deg from its start; "
+            f"{rows}: a joint moves more than {np.rad2deg(result['max_change']):.3g} deg from its start; "
             "marked in the column large_change, check them before the robot moves (--max-change)"
         )
     turn = result["turn"]

@@ -136,7 +136,10 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
         for name, table in tables.items()
     }
     origin = {"made_by": provenance(robot_files(robot.source, arguments.machine.beside))}
-    _make_folder(arguments.out)
+    try:
+        arguments.out.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{arguments.out}: can't be made ({error.strerror}); choose another --out") from None
     write_all(files | _beside(arguments, seen.setup, found | origin))
     end_progress()
     rows = {name: len(table["time"]) for name, table in tables.items()}
@@ -178,13 +181,6 @@ def _origin(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) ->
     weighed = zip(machine.names, machine.arm.masses.tolist(), strict=True)
     masses = {joint: mass for joint, mass in weighed if joint in robot.unweighed}
     return names | seeds | ({"drawn_masses_kg": masses} if masses else {})
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: can't be made ({error.strerror}); choose another --out") from None
 
 
 def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:

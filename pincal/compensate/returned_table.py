@@ -17,7 +17,7 @@ from pincal.measure.reader import Cells
 from pincal.measure.sheet import FrameSheet, SheetColumn
 from pincal.measure.table import write_table
 from pincal.measure.text_sheet import TextSheet
-from pincal.units import SIZES, in_unit
+from pincal.units import SIZES, in_unit, plain_numbers
 
 DECIMALS = {"m": 11, "cm": 9, "mm": 8, "um": 5, "µm": 5, "in": 10, "rad": 11, "mrad": 8, "urad": 5, "deg": 9, "°": 9}
 """Digits behind the point that a written number has at least, by its unit."""
@@ -123,11 +123,8 @@ def number_like(value: float, least: int, old: str) -> str:
         >>> number_like(1.25, 3, "1,2"), number_like(1.2, 3, "+1.2"), number_like(2.5, 1, "+1.2")
         ('1,250', '+1.2', '+2.5')
     """
-    try:
-        if abs(value - float(old.replace(",", "."))) < 0.5 * 10.0**-least:
-            return old
-    except ValueError:
-        pass
+    if any(abs(value - number) < 0.5 * 10.0**-least for number in plain_numbers([old.replace(",", ".")])):
+        return old
     decimals = re.search(r"[.,](\d*)", old)
     text = f"{value:.{max(len(decimals[1]) if decimals else 0, least)}f}"
     text = text.replace(".", ",") if "," in old else text

@@ -20,7 +20,7 @@ from pincal.model.conditions import Conditions
 from pincal.model.cubic import Cubic
 from pincal.model.effect import Effect
 from pincal.model.model import Model
-from pincal.model.symbols import Expression, Symbol, either_way, multiply, symbols
+from pincal.model.symbols import Expression, Symbol, either_way, multiply, scalar, symbols
 from pincal.recorded import RECORDABLE
 from pincal.robot.robot import Robot
 
@@ -138,7 +138,7 @@ def _changes(
         for term in effect.terms(chain, conditions, moments if effect.uses_moments else None):
             change = float(values[term.parameter])
             basis = 1.0 if term.basis is None else np.asarray(term.basis)[0]
-            found[term.coordinate] = found.get(term.coordinate, 0.0) + multiply(change, _plain(basis))
+            found[term.coordinate] = found.get(term.coordinate, 0.0) + multiply(change, scalar(basis))
         return found
 
     try:
@@ -147,10 +147,6 @@ def _changes(
         raise BadInputError(
             f"{effect.name}: can't be exported as a formula ({error}); export without it or take its value from predict"
         ) from error
-
-
-def _plain(value: Any) -> Expression:
-    return value if isinstance(value, Symbol) else float(value)
 
 
 def _by_target(rotations: np.ndarray, target: Any) -> np.ndarray:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import lru_cache
 from itertools import chain
 from typing import Annotated, Any, Self, get_args, get_type_hints
@@ -161,11 +162,9 @@ def array_of(value: Any) -> np.ndarray:
             raise Fault("has rows of unequal length", "an array of numbers")
         level = list(chain.from_iterable(level))
         kinds = set(map(type, level))
-    try:
+    with suppress(OverflowError):
         if kinds <= _NUMBERS:
             return np.array(value, float)
-    except OverflowError:
-        pass
     raise Fault("has entries that are no finite numbers", "an array of numbers")
 
 

@@ -12,7 +12,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pincal.atomic import drafted, exchanged, one_at_a_time
@@ -92,10 +92,8 @@ def _publish(draft: Path, goal: Path) -> None:
     """Put the files of a draft where they belong."""
     if not goal.exists():
         # Fails if another run has been faster and left files there.
-        try:
+        with suppress(OSError):
             return os.rename(draft, goal)
-        except OSError:
-            pass
     if draft.parent == goal.parent and _has_joined(draft, goal) and exchanged(draft, goal):
         return
     with one_at_a_time(goal):

@@ -136,11 +136,11 @@ class Symbol:
 
     def hypot(self, other: Any) -> Any:
         """Return the length of the hypotenuse."""
-        return Symbol("hypot", self, _scalar(other))
+        return Symbol("hypot", self, scalar(other))
 
     def arctan2(self, other: Any) -> Any:
         """Return the angle of the point (other, self)."""
-        return Symbol("arctan2", self, _scalar(other))
+        return Symbol("arctan2", self, scalar(other))
 
 
 Expression = float | Symbol
@@ -166,12 +166,13 @@ def _outcome(comparison: Symbol) -> bool | None:
     return None
 
 
-def _scalar(value: Any) -> Expression:
+def scalar(value: Any) -> Expression:
+    """Return a number or symbol as it is calculated with."""
     return value if isinstance(value, Symbol) else float(value)
 
 
 def _with(other: Any, operation: Callable[[Expression], Any]) -> Any:
-    return NotImplemented if isinstance(other, np.ndarray) else operation(_scalar(other))
+    return NotImplemented if isinstance(other, np.ndarray) else operation(scalar(other))
 
 
 def apply(function: str, x: Expression) -> Expression:
