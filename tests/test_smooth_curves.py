@@ -19,6 +19,7 @@ from pincal.calibration.calibrated_robot import Fit as CalibratedFit
 from pincal.calibration.calibrated_robot import load_model
 from pincal.discover.drive_curves import CurveSquares, resolved, smoothed
 from pincal.discover.levers import situation_of
+from pincal.discover.policy import POLICY
 from pincal.identify.calibrate import fit_tables, refit
 from pincal.identify.fit import ModelFit
 from pincal.identify.quadratic import Form
@@ -185,14 +186,40 @@ def test_a_smooth_curve_is_closer_to_the_true_one(fits: tuple[ModelFit, ModelFit
     assert errors[1] < 0.8 * errors[0]
 
 
+def test_intervals_hold_a_curve_as_rough_as_it_is_believed() -> None:
+    """The variance that is stated of it over the true one, in closed form, for pieces of the end and of the search.
+
+    The curve has 400 pieces, far more than the rows tell.
+    """
+    w, sigma, x, at = 0.5, 1e-3, np.linspace(0.0, 2.0, 150), np.linspace(0.3, 1.7, 120)
+    waves = 2.0 / np.pi * (75.0 / sigma**2 * w**2) ** 0.25
+
+    def believed(pieces: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        precision = spline_roughness(0.0, 2.0, pieces) / w**2 + 1e-4 * np.eye(pieces)
+        return spline_basis(x, 0.0, 2.0, pieces), spline_basis(at, 0.0, 2.0, pieces), precision
+
+    B, there, prior = believed(400)
+    P = np.linalg.inv(prior)
+    shares = []
+    for finer in (1.0, POLICY.finer):
+        coarse, drawn, precision = believed(int(np.ceil(finer * waves)))
+        known = np.linalg.inv(coarse @ coarse.T / sigma**2 + precision)
+        told = drawn.T @ known @ coarse / sigma**2
+        missed = there.T - told @ B.T
+        true = np.einsum("ij,jk,ik->i", missed, P, missed) + sigma**2 * np.sum(told**2, axis=1)
+        shares.append(np.sum((drawn.T @ known) * drawn.T) / np.sum(true))
+
+    assert shares[0] < 0.7 and 0.93 < shares[1] < 1.01
+
+
 def test_a_smooth_curve_has_no_more_pieces_than_rows_carry_and_no_fewer_than_usual(fits: tuple[ModelFit, ModelFit]) -> None:
-    """Asked for any number; a piece of a degree is fine, and two thirds of one the finest."""
+    """Asked for any number; a piece of a degree is fine, and two thirds of one the finest; smoothness carries fewer rows."""
     situation = situation_of(fits[0])
     curve = next(e for e in fits[0].options.effects if isinstance(e, TransmissionError))
-    most = len(fits[0].problem) // 6
+    most, fine = len(fits[0].problem) // 3, int(1.5 * np.ceil(np.degrees(np.ptp(situation.positions("joint_2")))))
 
-    assert [curve.smooth(situation, 0.1, size).size for size in (5, 30, 999)] == [24, 30, most]
-    assert curve.smooth(situation, None).size == most < np.degrees(curve.upper - curve.lower)
+    assert [curve.smooth(situation, 0.1, size).size for size in (5, 30, 999)] == [24, 30, min(most, fine)]
+    assert curve.smooth(situation, None).size == most // 2 < np.degrees(curve.upper - curve.lower)
     assert curve.smooth(situation, None).smoothness() is None
 
 

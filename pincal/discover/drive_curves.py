@@ -33,25 +33,32 @@ from pincal.model.effect import Curve, Effect, Resolvable
 from pincal.robot.robot import Robot
 
 
-def smoothed(fit: ModelFit, curves: Sequence[Curve]) -> tuple[dict[Curve, tuple[Curve, np.ndarray]], ModelFit]:
-    """Return curves, of a fit or new to it, as fine as the poses carry them and as rough as the data say, with heights.
+def smoothed(
+    fit: ModelFit, curves: Sequence[Curve], finer: float = 1.0
+) -> tuple[dict[Curve, tuple[Curve, np.ndarray]], ModelFit]:
+    """Return curves, of a fit or new to it, as fine as the rows tell and as rough as the data say, with heights.
 
     The other parameters move with them; the fit is returned with these where they are to first order.
+
+    Args:
+        fit: the fit.
+        curves: the curves.
+        finer: how many times as fine as their shortest wave of which rows say as much as roughness does.
     """
     situation, sigma = situation_of(fit), fit.solution.estimated
-    finer, smooth = ({curve: curve.smooth(situation, w) for curve in curves} for w in (None, 1.0))
+    fine, smooth = ({curve: curve.smooth(situation, w) for curve in curves} for w in (None, 1.0))
     present = fit.options.effects
     every = [*present, *(curve for curve in curves if curve not in present)]
     problem, alike = (
-        fit.problem.with_effects([by.get(e, e) if isinstance(e, Curve) else e for e in every]) for by in (finer, smooth)
+        fit.problem.with_effects([by.get(e, e) if isinstance(e, Curve) else e for e in every]) for by in (fine, smooth)
     )
     start = carried(fit.solution, fit.problem, problem)
-    places = [problem.places_at(curve) for curve in finer.values()]
+    places = [problem.places_at(curve) for curve in fine.values()]
     sizes = priors_of(alike, fit.options).sizes
     for curve, at in zip(curves, places, strict=True):
         # One that the fit does not have begins at nothing.
         heights = fit.values[fit.problem.places_at(curve)] if curve in present else np.zeros(curve.resolution)
-        start.values[at] = _drawn_again(curve, heights, finer[curve])
+        start.values[at] = _drawn_again(curve, heights, fine[curve])
         start.free[at] = True
     here = Linearised(problem, start.values, start.free, start.weights, sizes)
     found = here.posterior(sigma)
@@ -70,15 +77,15 @@ def smoothed(fit: ModelFit, curves: Sequence[Curve]) -> tuple[dict[Curve, tuple[
     roughness, step, noise = quadratic.likeliest(columns, bends)
     chosen = {}
     for curve, w, at, own in zip(curves, roughness, places, columns, strict=True):
-        pieces = _pieces(finer[curve], found.form.H[np.ix_(own, own)] / noise, float(w))
-        smooth[curve] = curve.smooth(situation, float(w), pieces)
-        chosen[curve] = smooth[curve], _drawn_again(finer[curve], start.values[at] + step[own], smooth[curve])
+        waves = _pieces(fine[curve], found.form.H[np.ix_(own, own)] / noise, float(w))
+        smooth[curve] = curve.smooth(situation, float(w), int(np.ceil(finer * waves)))
+        chosen[curve] = smooth[curve], _drawn_again(fine[curve], start.values[at] + step[own], smooth[curve])
     start.values[kept] += step
     others = problem.carried_over(start.values, fit.problem)
     return chosen, replace(fit, solution=replace(fit.solution, values=others))
 
 
-def _pieces(curve: Curve, information: np.ndarray, roughness: float) -> int:
+def _pieces(curve: Curve, information: np.ndarray, roughness: float) -> float:
     """Return how many pieces are half as long as the shortest waves of which the rows say as much as the roughness does.
 
     Of k radians a unit the prior says k^4 / w^2 and rows of levers l the sum of l^2 over their range, whatever k.
@@ -92,7 +99,7 @@ def _pieces(curve: Curve, information: np.ndarray, roughness: float) -> int:
     wave = 0.25 * np.pi * curve.resolution / span * q
     heights = _heights(curve, np.stack([np.sin(wave), np.cos(wave)]))
     density = float(np.sum(heights * (heights @ information))) / span
-    return int(np.ceil(span / np.pi * (density * roughness**2) ** 0.25))
+    return float(span / np.pi * (density * roughness**2) ** 0.25)
 
 
 def _drawn_again(curve: Curve, heights: np.ndarray, other: Curve) -> np.ndarray:

@@ -347,7 +347,7 @@ def fit_all_rows(state: SearchState, search: Search) -> SearchState:
         return state.fitted_again(refit(fit, fit.options.effects, start={})) if state.changes else state
     chosen: dict[Curve, tuple[Curve, np.ndarray]] = {}
     if curves and fit.solution.exit is not Ending.EXACT:
-        chosen, fit = smoothed(fit, curves)
+        chosen, fit = smoothed(fit, curves, search.policy.finer)
     for curve, (finer, _) in chosen.items():
         log.info("%s: %d pieces, smooth %d", curve.locus.joint, curve.resolution, finer.resolution)
     by: dict[Effect, Effect] = {curve: finer for curve, (finer, _) in chosen.items()}

@@ -33,6 +33,7 @@ _JOINT_NOISE = "test_joint_noise.py::test_noise_of_the_joints_is_found_with_its_
 _STAGE = "test_tones.py::test_a_stage_is_found_at_its_order"
 _QUIET = "test_tones.py::test_sound_residuals_show_no_wave"
 _LINE = "test_tones.py::test_what_the_span_does_not_tell_apart_is_one_line"
+_FINER = "test_smooth_curves.py::test_intervals_hold_a_curve_as_rough_as_it_is_believed"
 _SMOOTH = "test_smooth_curves.py::test_a_smooth_curve_is_closer_to_the_true_one"
 _LIKELIEST = "test_smooth_curves.py::test_roughness_is_where_the_readings_are_likeliest"
 _REPEATS = "test_repeats.py::"
@@ -105,6 +106,9 @@ class Policy:
         "named effects that take part when unnamed ones are tested", "chosen: it bounds the size of the second table")
     most_steps: int = _number(14, "steps", _EXAMPLES,
         "effects that are added at most", "chosen: a bound on the time")
+    finer: float = _number(2.0, "ratio", _FINER,
+        "how much finer curves end than the shortest waves of which the rows say as much as the roughness does",
+        "a curve cut off there states 65 % of its variance, cut off at half of them 95 %; 1 in subsamples")
     most_rivals: int = _number(6, "effects", _DECISIONS + "test_each_heading_is_listed_once",
         "equivalent effects that are listed", "what a reader can act on")
     enough_readings: int = _number(12000, "readings", "benchmark.py",

@@ -296,7 +296,8 @@ def begin_subsamples(
     parts = [np.unique(joined[span]) for span in few.problem.rows]
     found = [effect for step in trail.steps for effect in (*step.effects, *step.equivalent)]
     nameless = frozenset(effect.identity for effect in found if effect.is_nameless)
-    run = partial(_names_in_half, few, joined, trail.extra, trail.policy, nameless)
+    # Names do not hang on how fine curves end.
+    run = partial(_names_in_half, few, joined, trail.extra, replace(trail.policy, finer=1.0), nameless)
     halves = list(_subsamples(parts, joined, count))
     poses = round(float(np.mean([np.count_nonzero(np.isin(joined, half)) for half in halves])))
     named = spread(run, halves, label="subsample", executor=executor)

@@ -136,7 +136,9 @@ class TransmissionError(DriveEffect, Curve):
         """Return the curve in so many pieces, as far as the poses carry them, or as gear teeth call for."""
         q = situation.positions(self.joint)
         fine = int(np.ceil(np.ptp(q) / _PIECE)) if self.joint in situation.revolute else _MOST_PIECES
-        most = min(most_pieces(q), int(_FINEST * fine))
+        # Neighbours hold a smooth curve up where it has few poses of its own.
+        most = most_pieces(q) if resolution is None else min(len(q) // 3, distinct_values(q))
+        most = min(most, int(_FINEST * fine))
         # Fewer pieces than usual would bend a smooth curve and save no time worth having.
         size = fine if resolution is None else max(resolution, min(fine, _SIZE))
         size = max(min(size, most), _SIZES[0])
