@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import bdtrc, stdtr
@@ -105,11 +106,11 @@ _FEWEST, _MOST = 3, 200
 # that the widest may be: others have to tell what windows are like.
 _IN_BUMP, _WIDER, _PART = 5, 1.4, 1 / 8
 # A row counts as no more than so many times the typical one, and not at all from so many on, where it is an outlier: a few
-# wrong rows make no bump. Of 12000 draws of normal noise with 5 or 10 % of gross errors to one side, 9 then have one by the
-# chance below, and of 4500 without errors none.
-_CLIPPED, _OUTLIER = 3.0, 8.0
-# Chance of a bump in a table without one as Bonferroni counts it, as if windows had no rows in common.
-_CHANCE_OF_BUMP = 0.05
+# wrong rows make no bump.
+_CLIPPED, _OUTLIER = 4.0, 8.0
+# Chance of a bump in a table without one; orders of the errors that tell it, and the chance counted as if windows had no
+# rows in common up to which these are drawn: it is 5 to 50 times the other.
+_CHANCE_OF_BUMP, _ORDERS, _LIKELY = 0.005, 200, 0.25
 # Standard deviation over the median of what is off, for normal noise.
 _NORMAL = 1.4826
 # Part of the squares that a joint read wrong has to explain to be named.
@@ -181,33 +182,79 @@ def bump_in(station: Station, values: np.ndarray) -> Gathering | None:
     if is_moving or not station.sensor.reads_pose or station.serial is not None or len(station) * _PART < _IN_BUMP:
         return None
     off, fields = station.displacements(values), list(fields_of_joints(station, values))
-    bumps = [_highest(field, station, off) for field in fields]
-    best = min(bumps, key=lambda bump: bump.p_value, default=None)
-    if best is None or (p_value := best.p_value * len(fields)) > _CHANCE_OF_BUMP:
+    every = [_Windows.along(field, station, off) for field in fields]
+    if not every:
         return None
-    return replace(best, p_value=p_value)
+    surprises = [float(windows.surprises(windows.off).max()) for windows in every]
+    best, most = every[int(np.argmax(surprises))], max(surprises)
+    if np.exp(-most) * len(station) * len(best.widths) > _LIKELY:
+        return None
+    p_value = best.chance(most) * len(fields)
+    return None if p_value > _CHANCE_OF_BUMP else best.gathering(p_value)
 
 
-def _highest(field: MotionField, station: Station, off: np.ndarray) -> Gathering:
-    """Return the most surprising window of a joint: targets are off by ``off``, shape (N, 3) [m]."""
-    q = station.conditions.q[:, station.model.chain.robot.joint_names.index(field.name)]
-    order, lever = np.argsort(q, kind="stable"), field.directions[:, :, 0]
-    length = np.maximum(np.linalg.norm(lever, axis=1), 1e-300)[order]
-    along = np.einsum("na,na->n", lever, off)[order] / length
-    typical = max(_NORMAL * float(np.median(np.abs(along))), 1e-300)
-    clipped = np.where(np.abs(along) < _OUTLIER * typical, np.clip(along, -_CLIPPED * typical, _CLIPPED * typical), 0.0)
-    sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (length * clipped, length**2))
-    count = 1 + int(np.log(_PART * len(q) / _IN_BUMP) / np.log(_WIDER))
-    widths = (_IN_BUMP * _WIDER ** np.arange(count)).astype(int)
-    found = []
-    for m in map(int, widths):
-        means = (sums[m:] - sums[:-m]) / (typical * np.sqrt(squares[m:] - squares[:-m]))
-        first = int(np.argmax(np.abs(means)))
-        surprise = np.abs(means[first]) / max(1.0, _NORMAL * float(np.median(np.abs(means))))
-        found.append((2.0 * float(stdtr(len(q) / m, -surprise)) * len(q) * len(widths), first, m))
-    p_value, first, m = min(found)
-    rows, size = order[first : first + m], (sums[first + m] - sums[first]) / (squares[first + m] - squares[first])
-    return Gathering(np.sort(rows), m, field.name, float(q[rows[0]]), float(q[rows[-1]]), p_value, float(size))
+@dataclass(frozen=True, eq=False)
+class _Windows:
+    """Windows of a joint's positions, for N rows in the order of these.
+
+    Attributes:
+        joint: its name.
+        order: shape (N,), which row is where.
+        q: shape (N,), positions [rad or m].
+        lever: shape (N,), how far the target moves with the joint [m/rad or m/m].
+        off: shape (N,), how far the target is off in that direction [m].
+    """
+
+    joint: str
+    order: np.ndarray
+    q: np.ndarray
+    lever: np.ndarray
+    off: np.ndarray
+
+    @classmethod
+    def along(cls, field: MotionField, station: Station, off: np.ndarray) -> _Windows:
+        """Return those of a joint; targets are off by ``off``, shape (N, 3) [m]."""
+        q = station.conditions.q[:, station.model.chain.robot.joint_names.index(field.name)]
+        order, motion = np.argsort(q, kind="stable"), field.directions[:, :, 0]
+        lever = np.maximum(np.linalg.norm(motion, axis=1), 1e-300)
+        return cls(field.name, order, q[order], lever[order], (np.einsum("na,na->n", motion, off) / lever)[order])
+
+    @cached_property
+    def widths(self) -> list[int]:
+        """Return the numbers of rows in windows."""
+        count = 1 + int(np.log(_PART * len(self.q) / _IN_BUMP) / np.log(_WIDER))
+        return [int(_IN_BUMP * _WIDER**k) for k in range(count)]
+
+    def _means(self, off: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield for each width the means of all windows in standard deviations, of errors of shape (N,)."""
+        typical = max(_NORMAL * float(np.median(np.abs(off))), 1e-300)
+        clipped = np.where(np.abs(off) < _OUTLIER * typical, np.clip(off / typical, -_CLIPPED, _CLIPPED), 0.0)
+        sums, squares = (np.append(0.0, np.cumsum(x)) for x in (self.lever * clipped, self.lever**2))
+        for m in self.widths:
+            means = np.abs(sums[m:] - sums[:-m]) / np.sqrt(squares[m:] - squares[:-m])
+            yield means / max(1.0, _NORMAL * float(np.median(means)))
+
+    def surprises(self, off: np.ndarray) -> np.ndarray:
+        """Return minus the logarithm of the chance of the most surprising window of each width, shape (widths,)."""
+        largest = np.array([means.max() for means in self._means(off)])
+        # There are as many windows to compare with as do not overlap.
+        return -np.log(2.0 * stdtr(len(self.q) / np.array(self.widths), -largest))
+
+    def chance(self, surprise: float) -> float:
+        """Return the chance of a window as surprising if the errors stood at positions of others."""
+        rng = np.random.default_rng(0)
+        drawn = np.array([self.surprises(rng.permutation(self.off)).max() for _ in range(_ORDERS)])
+        scale = np.sqrt(6.0) / np.pi * float(drawn.std())
+        return -float(np.expm1(-np.exp((float(drawn.mean()) - surprise) / scale - np.euler_gamma)))
+
+    def gathering(self, p_value: float) -> Gathering:
+        """Return the most surprising window."""
+        k = int(np.argmax(self.surprises(self.off)))
+        first, m = int(np.argmax(list(self._means(self.off))[k])), self.widths[k]
+        inside = slice(first, first + m)
+        size = float(self.lever[inside] @ self.off[inside] / (self.lever[inside] @ self.lever[inside]))
+        low, high = self.q[first], self.q[first + m - 1]
+        return Gathering(np.sort(self.order[inside]), m, self.joint, float(low), float(high), p_value, size)
 
 
 def _thickest(x: np.ndarray, rejected: np.ndarray) -> Iterator[tuple[float, float, float]]:
