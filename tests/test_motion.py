@@ -14,7 +14,7 @@ import pytest
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import MeasurementError
-from pincal.measure.sensors.imu import ImuErrors, Inertial, Window, imu_parameters, inertial_columns
+from pincal.measure.sensors.imu import ImuErrors, Inertial, Window, imu_parameters
 from pincal.model.catalogue import FrictionWindup, InstrumentClock, JointLag
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
@@ -235,7 +235,7 @@ def test_columns_of_an_imu_are_exact(robot: Robot, width: float, rng: np.random.
 
     poses, motion = model.linearise(values[:P], conditions, rows=6)
     errors = ImuErrors.of(values[P:])
-    columns = errors.columns(*inertial_columns(poses, motion.transpose(2, 1, 0), window))
+    columns = errors.columns(poses, motion.transpose(2, 1, 0), window)
     whole = np.concatenate([columns, errors.own_columns(Inertial.of(poses, window))])
     # In sums of all columns, whose signs are drawn, a wrong one would show.
     for _ in range(6):

@@ -94,6 +94,8 @@ def fit_tables(
     fit = _in_best_frame(fit)
     if options.prior_scale is None and options.earlier is None and not sees_places(fit):
         fit = _cautious(fit)
+    if any(station.serial is not None for station in fit.problem.stations):
+        return with_blocks(placed_at_mean(fit))
     return with_blocks(reweighted_by_order(fit) if options.serial and is_dependent(fit) else fit)
 
 
@@ -183,6 +185,9 @@ def _by_all(fit: ModelFit, problem: Problem, executor: Executor | None) -> Model
         return fit
     log.info("all %d rows, from the fit to %d of them", len(problem), len(fit.problem))
     whole = over_all(fit, problem, executor)
+    if whole.options.serial and is_dependent(whole):
+        # What some rows leave of all tells how noise lasts, which saves a fit without it.
+        whole = with_serial(whole, serial_noise(whole))
     found = with_bearings(_solved(whole, whole.solution, until=Tolerance.NEAR, executor=executor))
     return replace(found, nominal=_without_outliers(found, executor), stages=(*fit.stages, *found.stages))
 

@@ -19,8 +19,9 @@ _RATE, _OVERLAP = 50.0, 0.3
 # Correlation of speeds below which they are of different motions; and by which the best offset has to beat one that is
 # farther from it than this [s].
 _SAME_MOTION, _CLEAR, _APART = 0.6, 0.03, 1.0
-# First stretch that is aligned [s], rows of it at most, steps at most, and the change that is none [s].
-_FIRST, _ROWS, _STEPS, _SETTLED = 60.0, 6_000, 20, 1e-6
+# First stretch that is aligned [s], rows of it and of those that follow at most, of the whole, steps at most, and the change
+# that is none [s].
+_FIRST, _SOME, _ROWS, _STEPS, _SETTLED = 60.0, 1_500, 6_000, 20, 1e-6
 # Part of what the block tells of a clock that tells most, from which on one is looked at.
 _MOVES = 0.05
 # Rows of a block in which a clock is looked at by itself, blocks at most, and those on either side of a jump at least.
@@ -152,20 +153,21 @@ def aligned(
         readings: shape (N, m).
         features: of times of the joints, shape (M,) [s], and of which readings they are, shape (M,): shape (M, k).
         covers: at which of such times they are known, shape (N,).
-        start: the clock, to some tenths of a second.
+        start: the clock, to some tenths of a second; where its drift is known, the whole is aligned at once.
     """
     clock, known = start, covers(start.to_joints(time))
     begin, end = time[known].min(), time[known].max()
-    middle, half = 0.5 * (begin + end), 0.5 * min(_FIRST, end - begin)
-    clock = Clock(float(clock.to_joints(np.array(middle)) - middle), clock.drift, float(middle))
+    middle, first = 0.5 * (begin + end), _FIRST if np.isinf(start.sigma[1]) else np.inf
+    clock, half = Clock(float(clock.to_joints(np.array(middle)) - middle), clock.drift, float(middle)), 0.5 * first
     while True:
+        is_whole, half = half >= 0.5 * (end - begin), min(half, 0.5 * (end - begin))
         inside = np.flatnonzero(np.abs(time - middle) <= half + 1e-9)
-        rows = inside[np.linspace(0, len(inside) - 1, min(_ROWS, len(inside))).astype(int)]
+        rows = inside[np.linspace(0, len(inside) - 1, min(_ROWS if is_whole else _SOME, len(inside))).astype(int)]
         found = _aligned(time, readings, rows, features, covers, clock)
         clock = found.clock
-        if half >= 0.5 * (end - begin):
+        if is_whole:
             return found
-        half = min(2.0 * half, 0.5 * (end - begin))
+        half *= 2.0
 
 
 def _aligned(

@@ -49,7 +49,8 @@ class ImuRows:
             delay: by which the rate's stamps are too early [s].
         """
         middles = np.arange(time[0] + _REACH * window.width, time[-1] - _REACH * window.width, APART * window.width)
-        (of_force, found), (of_rate, _) = (_filters(time + s, middles, window) for s in (0.0, delay))
+        of_force, found = _filters(time, middles, window)
+        of_rate = _filters(time + delay, middles, window)[0] if delay else of_force
         rows = np.concatenate([of_force @ force, of_rate @ rate], axis=1)
         noise = [_noise(F, time, middles, values, window.width) for F, values in ((of_force, force), (of_rate, rate))]
         return cls(middles[found], rows[found].T, np.array(noise)[:, found], window)

@@ -105,28 +105,6 @@ class Inertial:
         return cls(*((weights * part).sum(axis=1) for part in _ideal(whole, gravity)))
 
 
-def inertial_columns(
-    poses: np.ndarray, motion: np.ndarray, window: Window, gravity: float = STANDARD_GRAVITY
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the derivatives of :class:`Inertial` by P parameters, shape (P, 3, N) each.
-
-    Args:
-        poses: shape (N O, 3, 4), as in :meth:`Inertial.of`.
-        motion: shape (P, 6, N O), motion and turning of the poses by parameter, in the level frame's axes.
-        window: the window.
-        gravity: size of gravity [m/s^2].
-    """
-    whole, n, P = _triples(poses, window), len(poses) // len(window.offsets), len(motion)
-    # One linear map a row from all motions of its poses to force, rate and turning.
-    maps = _maps(whole, gravity) * window.weights[None, :, None, None, None]
-    maps = np.ascontiguousarray(maps.transpose(0, 2, 4, 1, 3)).reshape(n, 9, -1)
-    moves = np.ascontiguousarray(motion.reshape(P, 6, n, len(window.offsets)).transpose(2, 1, 3, 0)).reshape(
-        n, maps.shape[2], P
-    )
-    columns = np.matmul(maps, moves).transpose(2, 1, 0)
-    return columns[:, :3], columns[:, 3:6], columns[:, 6:]
-
-
 def _triples(poses: np.ndarray, window: Window) -> np.ndarray:
     """Return the poses of N rows, K moments, before, at and after, shape (N, K, 3, 3, 4)."""
     return poses.reshape(-1, len(window.weights), 3, 3, 4)
@@ -226,9 +204,27 @@ class ImuErrors:
         rate = self.gyro @ (ideal.rate + self.delay * ideal.turning).T + self.gyro_bias[:, None]
         return np.concatenate([force, rate])
 
-    def columns(self, force: np.ndarray, rate: np.ndarray, turning: np.ndarray) -> np.ndarray:
-        """Return derivatives of the readings, shape (P, 6, N), from those of the ideal ones, shape (P, 3, N) each."""
-        return np.concatenate([self.acc @ force, self.gyro @ (rate + self.delay * turning)], axis=1)
+    def columns(
+        self, poses: np.ndarray, motion: np.ndarray, window: Window, gravity: float = STANDARD_GRAVITY
+    ) -> np.ndarray:
+        """Return the derivatives of the readings by P parameters that move the IMU, shape (P, 6, N).
+
+        Args:
+            poses: shape (N O, 3, 4), as in :meth:`Inertial.of`.
+            motion: shape (P, 6, N O), motion and turning of the poses by parameter, in the level frame's axes.
+            window: the window.
+            gravity: size of gravity [m/s^2].
+        """
+        maps = _maps(_triples(poses, window), gravity) * window.weights[None, :, None, None, None]
+        later = maps[:, :, 3:6] + self.delay * maps[:, :, 6:]
+        read = [np.einsum("ab,nkbqm->mnkqa", M, of) for M, of in ((self.acc, maps[:, :, :3]), (self.gyro, later))]
+        shape = len(motion), len(maps), len(window.offsets)
+        # One linear map a row from each component of all motions of its poses, which are not put into another order for it.
+        by_pose = np.concatenate(read, axis=-1).reshape(6, *shape[1:], 6)
+        moves, columns = motion.reshape(shape[0], 6, *shape[1:]), np.zeros((shape[1], shape[0], 6))
+        for component, by_component in enumerate(by_pose):
+            columns += moves[:, component].swapaxes(0, 1) @ by_component
+        return np.ascontiguousarray(columns.transpose(1, 2, 0))
 
     def own_columns(self, ideal: Inertial) -> np.ndarray:
         """Return derivatives of the readings by the errors, shape (22, 6, N)."""
@@ -293,8 +289,7 @@ class ImuSensor(Sensor, OwnParameters):
 
     def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
         errors, window = ImuErrors.of(own), self._window(poses)
-        by_motion = errors.columns(*inertial_columns(poses, motion, window))
-        return np.concatenate([by_motion, errors.own_columns(Inertial.of(poses, window))])
+        return np.concatenate([errors.columns(poses, motion, window), errors.own_columns(Inertial.of(poses, window))])
 
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return nothing: acceleration and rate tell no place."""
