@@ -20,7 +20,7 @@ from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
 from pincal.model.effects import ELASTIC, BaseFrame, ToolFrame
 from pincal.model.model import Model
-from pincal.motion.clocks import Clock, aligned, correlate
+from pincal.motion.clocks import Clock, aligned, correlate, likeliest_jump
 from pincal.motion.imu_rows import ImuRows
 from pincal.motion.joint_path import JointPath
 from pincal.motion.moving_arm import MovingArm, inertial_loads, level_chain
@@ -330,6 +330,23 @@ def test_a_clock_that_runs_at_another_rate_is_caught(session: tuple[MovingArm, d
     found = aligned(stamps, position, poses, arm.path.covers, Clock(-0.75 + 0.1))
     assert found.clock.drift == pytest.approx(1062e-6, abs=60e-6)
     assert np.abs(found.clock.to_joints(stamps) - TRUE["tracker"].to_joints(stamps)).max() < 2e-3
+
+
+def test_a_jump_of_a_clock_is_found_to_the_row(rng: np.random.Generator) -> None:
+    """Beside an offset and a drift, in whatever order the rows stand; without one none is sure."""
+    time, rate = rng.permutation(np.arange(3000) * 0.02), rng.standard_normal((3000, 2))
+    noise = 1e-3 * rng.standard_normal((3000, 2))
+    Q = np.linalg.qr((rate[:, :, None] * np.stack([np.ones(3000), time], axis=1)[:, None]).reshape(6000, 2))[0]
+
+    def beside(columns: np.ndarray) -> np.ndarray:
+        flat = columns.reshape(6000, -1)
+        return (flat - Q @ (Q.T @ flat)).reshape(columns.shape)
+
+    for size in (5e-3, 0.0):
+        left = (2e-3 + 1e-4 * time + size * (time > 29.99))[:, None] * rate + noise
+        found = likeliest_jump(time, left, rate, beside)
+        assert found.size == pytest.approx(size, abs=4.0 * found.sigma) and found.sigma < 1e-4
+        assert found.is_sure(1e-3) == (size > 0.0) and (not size or found.time == pytest.approx(30.0, abs=0.05))
 
 
 def test_speeds_of_another_motion_are_not_taken_for_this_one() -> None:

@@ -88,6 +88,18 @@ def test_a_clock_is_found_by_images(hand: tuple[Path, Session], arm: MovingArm) 
     assert offset == pytest.approx(true["offset"], abs=5e-3) and drift == pytest.approx(1e-3, abs=4e-4)
 
 
+@pytest.mark.long
+def test_a_frame_that_is_not_counted_is_found(hand: tuple[Path, Session], arm: MovingArm) -> None:
+    """Before any fit, with the row of the first image after it."""
+    stream = seen_of(hand[1])
+    late = stream.time >= 30.0
+    slipped = replace(stream, time=stream.time - 0.1 * late).select(np.abs(stream.time - 30.0) > 0.05)
+    with pytest.raises(MeasurementError, match=r"about line (\d+): its clock.* jumps by") as caught:
+        started(arm, slipped)
+    line = int(str(caught.value).split("line ")[1].split(":")[0])
+    assert abs(float(np.interp(line, slipped.lines, slipped.time)) - 30.0) < 1.0
+
+
 Corrupt = Callable[[Stream], dict[str, np.ndarray]]
 BAD: dict[str, tuple[Corrupt, str]] = {
     "axes swapped": (

@@ -150,6 +150,18 @@ def test_what_is_off_for_a_moment_is_no_place_of_a_joint(fit: pincal.Fit) -> Non
     assert gathering_of(held, rejected) is not None and bump_in(held, values) is not None
 
 
+def test_a_clock_that_slips_is_refused_with_the_row(day: Path) -> None:
+    """By less than the nominal arm could tell; a count of frames of which one is lost slips by a step."""
+    session = pincal.read_session(ROBOT, day)
+    assert session.tracker is not None
+    slipped = session.tracker.time - 4e-3 * (np.arange(len(session.tracker)) >= 600)
+    tables = pincal.session_tables(ROBOT, [replace(session, imu=None, tracker=replace(session.tracker, time=slipped))])
+    with pytest.raises(
+        MeasurementError, match=r"tracker.csv, about line 60\d: its clock.* jumps by about (3.\d|4(.\d)?) ms"
+    ):
+        pincal.run_calibration(ROBOT, tables, GEOMETRY, test_fraction=0.0)
+
+
 def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:
     """Lengths stay as in the URDF unless a prior is given; errors are of accelerations; a saved model is the same."""
     table = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]

@@ -22,10 +22,13 @@ _SAME_MOTION, _CLEAR, _APART = 0.6, 0.03, 1.0
 # First stretch that is aligned [s], rows of it and of those that follow at most, of the whole, steps at most, and the change
 # that is none [s].
 _FIRST, _SOME, _ROWS, _STEPS, _SETTLED = 60.0, 1_500, 6_000, 20, 1e-6
+CLEARLY = 6.0
+"""How many times its own scatter something has to be before it is taken for what it seems."""
 # Part of what the block tells of a clock that tells most, from which on one is looked at.
 _MOVES = 0.05
-# Rows of a block in which a clock is looked at by itself, blocks at most, and those on either side of a jump at least.
-_BLOCK, _BLOCKS, _BESIDE = 40, 40, 3
+# Rows of a block in which a clock is looked at by itself, blocks at most, those on either side of a jump at least, and turns
+# to find its row.
+_BLOCK, _BLOCKS, _BESIDE, _TURNS = 40, 40, 3, 5
 # Step by which what the arm does is differentiated [s].
 _STEP = 1e-3
 
@@ -121,6 +124,31 @@ def _resampled(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
+class Jump:
+    """By how much a clock jumps where that explains best what is left.
+
+    Attributes:
+        size: what is to be added to later stamps beside earlier ones [s].
+        sigma: standard deviation of the size, by how readings of shorter stretches differ [s].
+        time: stamp of the first reading after it [s].
+    """
+
+    size: float
+    sigma: float
+    time: float
+
+    def __str__(self) -> str:
+        return (
+            f"its clock, or that of the joints, jumps by about {1e3 * abs(self.size):.2g} ms at {self.time:.6g} s of its "
+            "stamps, as where frames are counted and one is lost; give the parts before and after as sessions of their own"
+        )
+
+    def is_sure(self, least: float) -> bool:
+        """Return whether the clock surely jumps, and by more than so much [s]."""
+        return abs(self.size) > max(least, CLEARLY * self.sigma)
+
+
+@dataclass(frozen=True)
 class Alignment:
     """A clock, and how readings then follow from what the arm does.
 
@@ -129,14 +157,14 @@ class Alignment:
         matrix: shape (m, k), readings by features.
         constant: shape (m,).
         scatter: shape (m,), standard deviation of what is left.
-        jump: by how much the clock jumps where that fits best [s], the standard deviation of this, and the stamp [s].
+        jump: of the clock, if it does.
     """
 
     clock: Clock
     matrix: np.ndarray
     constant: np.ndarray
     scatter: np.ndarray
-    jump: tuple[float, float, float]
+    jump: Jump
 
 
 def aligned(
@@ -196,27 +224,47 @@ def _aligned(
         clock = replace(clock.moved(*step.tolist()), sigma=(float(sigma[0]), float(sigma[1])))
         if abs(step[0]) < _SETTLED and abs(step[1]) * np.ptp(since) < _SETTLED:
             break
-    jump = _jump(since + clock.middle, left * weights, rate * weights)
+    clocks = np.linalg.qr(J)[0]
+
+    def beside(steps: np.ndarray) -> np.ndarray:
+        flat = (steps - np.tensordot(Q, np.tensordot(Q.T, steps, axes=1), axes=1)).reshape(J.shape[0], -1)
+        return np.asarray((flat - clocks @ (clocks.T @ flat)).reshape(steps.shape))
+
+    jump = likeliest_jump(since + clock.middle, left * weights, rate * weights, beside)
     return Alignment(clock, solution[:-1].T, solution[-1], scatter, jump)
 
 
-def _jump(time: np.ndarray, left: np.ndarray, rate: np.ndarray) -> tuple[float, float, float]:
-    """Return the jump of a clock that explains best what is left, shape (N, m), by rates of change; see `Alignment`."""
-    parts = np.array_split(np.arange(len(time)), min(max(len(time) // _BLOCK, 1), _BLOCKS))
+def likeliest_jump(time: np.ndarray, left: np.ndarray, rate: np.ndarray, beside: Callable[[np.ndarray], np.ndarray]) -> Jump:
+    """Return the jump of a clock that explains best what is left of readings beside all that else was fitted to them.
+
+    Args:
+        time: stamps, shape (N,) [s].
+        left: of the readings, shape (N, m), in units of their noise.
+        rate: how fast they change, shape (N, m), in the same units [1/s].
+        beside: what of columns, shape (N, m, K), nothing else that was fitted explains, an offset and a drift among it.
+    """
+    parts = np.array_split(np.argsort(time, kind="stable"), min(max(len(time) // _BLOCK, 1), _BLOCKS))
     # An arm that rests tells nothing of a clock.
     squares = [float(np.sum(rate[part] ** 2)) for part in parts]
     parts = [part for part, size in zip(parts, squares, strict=True) if size > _MOVES * max(squares)]
     if len(parts) < 2 * _BESIDE:
-        return 0.0, np.inf, float(time[0])
-    known = np.array([np.sum(rate[part] ** 2) for part in parts])
-    offsets = np.array([np.sum(rate[part] * left[part]) for part in parts]) / np.maximum(known, 1e-300)
-    weights, middles = np.sqrt(known / known.max()), np.array([time[part].mean() for part in parts])
-    best = (np.inf, 0.0, np.inf, 0.0)
-    for k in range(_BESIDE, len(parts) - _BESIDE + 1):
-        # Less than what a drift makes of it.
-        A = np.column_stack([np.ones(len(parts)), middles - middles.mean(), np.arange(len(parts)) >= k]) * weights[:, None]
-        solution = np.linalg.lstsq(A, offsets * weights, rcond=None)[0]
-        square = float(np.sum((offsets * weights - A @ solution) ** 2))
-        spread = square / (len(parts) - 3) * float(np.linalg.pinv(A.T @ A)[2, 2])
-        best = min(best, (square, float(solution[2]), float(np.sqrt(spread)), float(time[parts[k][0]])))
-    return best[1:]
+        return Jump(0.0, np.inf, float(time.min()))
+    left, reach = beside(left[:, :, None])[:, :, 0], float(np.ptp(time)) / len(parts)
+    tried = np.array([time[part[0]] for part in parts[_BESIDE : len(parts) - _BESIDE + 1]])
+    for _ in range(_TURNS):
+        steps = beside(rate[:, :, None] * (time[:, None] >= tried)[:, None])
+        known = np.maximum(np.sum(steps**2, axis=(0, 1)), 1e-9 * sum(squares))
+        k = int(np.argmax(np.tensordot(left, steps, axes=((0, 1), (0, 1))) ** 2 / known))
+        size = float(np.sum(left * steps[:, :, k]) / known[k])
+        rest = left - size * steps[:, :, k]
+        # Of the readings near it the first that is better off after it.
+        near = np.flatnonzero(np.abs(time - tried[k]) <= reach)
+        near = near[np.argsort(time[near], kind="stable")]
+        after = rest[near] - size * rate[near] * (time[near] < tried[k])[:, None]
+        gained = np.cumsum(np.sum((after + size * rate[near]) ** 2 - after**2, axis=1)[::-1])[::-1]
+        begins, tried = float(tried[k]), time[near[[int(np.argmax(gained))]]]
+        if tried[0] == begins:
+            break
+    # What is left then is not independent from reading to reading, but from part to part.
+    scatter = sum(float(np.sum(rate[part] * rest[part]) ** 2 / np.sum(rate[part] ** 2)) for part in parts)
+    return Jump(size, float(np.sqrt(scatter / (len(parts) - 3) / known[k])), begins)
