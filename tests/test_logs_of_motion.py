@@ -411,6 +411,18 @@ def test_rows_that_are_written_late_or_twice_are_put_in_order(logs: Tables, tmp_
         assert f"{name}.csv: 300 rows stand twice" in told and re.search(rf"{name}.csv: \d+ rows, .* late and are put", told)
 
 
+def test_an_imu_that_is_polled_at_nearly_its_own_rate_is_told(logs: Tables, tmp_path: Path) -> None:
+    """Whose samples are read a little too late, ever less so, until one is read twice, or missed."""
+    tables, rng = copied({name: logs[name] for name in ("joints", "imu")}), np.random.default_rng(0)
+    imu = tables["imu"]
+    polls = 0.5 + np.arange(3800) / 99.9 + rng.uniform(0.0, 5e-4, 3800)
+    rows = np.searchsorted(imu["time"], polls + imu["time"][0]) - 1
+    tables["imu"] = {name: values[rows] for name, values in imu.items()} | {"time": polls}
+    session, told = read(tmp_path, tables)
+    assert session.imu is not None and session.imu.rate == pytest.approx(99.9, abs=0.5)
+    assert re.search(r"imu.csv: \d+ rows, .* repeat the one before .* was it polled at nearly its own rate", told)
+
+
 def test_gaps_do_no_harm(logs: Tables, tmp_path: Path) -> None:
     """Of the joints and of an IMU, of which windows amid a gap hold nothing."""
     tables = copied({name: logs[name] for name in ("joints", "imu")})

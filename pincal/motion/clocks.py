@@ -140,7 +140,8 @@ class Jump:
     def __str__(self) -> str:
         return (
             f"its clock, or that of the joints, jumps by about {1e3 * abs(self.size):.2g} ms at {self.time:.6g} s of its "
-            "stamps, as where frames are counted and one is lost; give the parts before and after as sessions of their own"
+            "stamps, as where frames are counted and one is lost, or samples polled at nearly their own rate and one is "
+            "missed; give the parts before and after as sessions of their own, or log the device's own stamps"
         )
 
     def is_sure(self, least: float) -> bool:

@@ -214,6 +214,12 @@ def checked_imu(stream: Stream) -> Stream:
     if (repeats & ~held).mean() > _FEW:
         share = f"{100 * repeats.mean():.0f} %"
         warn(f"{stream.name}: {share} of the rows repeat the one before and are left out; log the IMU at its own rate")
+    elif again := int((repeats & ~held).sum()):
+        warn(
+            f"{stream.name}: {again} rows, the first in line {stream.lines[repeats & ~held][0]}, repeat the one before and "
+            "are left out: was it polled at nearly its own rate? Then stamps are up to a sample late, which counts as "
+            "noise; log its own stamps"
+        )
     cut = np.zeros(len(stream), bool)
     for column, values in columns.items():
         flat = _cut_off(values)
