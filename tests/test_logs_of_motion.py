@@ -17,7 +17,9 @@ from pincal.errors import MeasurementError, PincalWarning
 from pincal.measure.labels import Label, joint_families, vector_columns
 from pincal.measure.table import write_table
 from pincal.motion.sessions import Session, read_streams
+from pincal.motion.stamps import in_order
 from pincal.motion.stations import session_tables
+from pincal.motion.stream import Stream, checked_imu, interpolated
 from pincal.robot.robot import Robot
 from pincal.simulate.moving import draw_path
 from pincal.simulate.session import Clock as TrueClock
@@ -421,6 +423,34 @@ def test_an_imu_that_is_polled_at_nearly_its_own_rate_is_told(logs: Tables, tmp_
     session, told = read(tmp_path, tables)
     assert session.imu is not None and session.imu.rate == pytest.approx(99.9, abs=0.5)
     assert re.search(r"imu.csv: \d+ rows, .* repeat the one before .* was it polled at nearly its own rate", told)
+
+
+@pytest.mark.parametrize("digits", [6, 15])
+def test_what_was_interpolated_is_no_reading(logs: Tables, digits: int, tmp_path: Path) -> None:
+    """Straight lines across the time in which a target was lost, of any digits; an arm that moves straight on is read."""
+    tables = copied({name: logs[name] for name in ("joints", "tracker")})
+    clean, tracker = read(tmp_path, tables), tables["tracker"]
+    for axis in "xyz":
+        tracker[axis][600:780] = np.interp(np.arange(600, 780), [599, 780], tracker[axis][[599, 780]])
+        tracker[axis] = np.round(tracker[axis], digits)
+    session, told = read(tmp_path, tables)
+    assert "180 of 2400 rows, the first in line 602, lie evenly on straight lines" in told and "straight" not in clean[1]
+    assert session.tracker is not None and len(session.tracker) == len(tracker["time"]) - 180
+    straight = np.outer(np.arange(500) * 5e-3, [1.0, 0.3, 0.0]) + 3e-5 * np.random.default_rng(0).standard_normal((500, 3))
+    assert not interpolated(np.vstack([np.cumsum(straight, axis=0), straight])).any()
+
+
+def test_a_range_that_is_too_small_is_no_broken_axis(logs: Tables) -> None:
+    """Where it is reached for a second once; nor are stamps that are seconds apart milliseconds."""
+    imu = logs["imu"]
+    rate = np.column_stack([imu[f"w{axis}"] for axis in "xyz"])
+    rate[1000:1120, 1] = rate[:, 1].max() + 0.1
+    force = np.column_stack([imu[f"a{axis}"] for axis in "xyz"])
+    with pytest.warns(PincalWarning, match="120 rows are cut off at the end of the IMU's range"):
+        checked_imu(Stream("imu.csv", imu["time"], {"specific_force": force, "angular_rate": rate}, {}))
+    slow = Stream("tracker.csv", np.arange(80) + 0.25, {"position": force[:80]}, {})
+    with pytest.raises(MeasurementError, match=r"a row every 1 s; .* log faster"):
+        in_order(slow)
 
 
 def test_gaps_do_no_harm(logs: Tables, tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from pincal.measure.registry import check_fields, known_fields, sensor_class
 from pincal.measure.sensors.imu import FORCE, RATE
 from pincal.measure.sheet import Sheet
 from pincal.motion.stamps import in_order
-from pincal.motion.stream import Stream, checked_imu, checked_joints
+from pincal.motion.stream import Stream, checked_imu, checked_joints, interpolated
 from pincal.robot.robot import Robot
 
 STREAMS = ("joints", "imu", "tracker")
@@ -204,6 +204,11 @@ def _checked(what: str, source: str, cells: Cells) -> Stream:
     if what == "tracker" and not fields[0].is_name:
         values = stream.readings[fields[0].name].reshape(len(stream), -1)
         stream = stream.without(np.all(values == 0.0, axis=1), f"read exactly 0 in {fields[0]}: the target was lost")
+        if not stream.things.any():
+            lost = interpolated(stream.readings[fields[0].name].reshape(len(stream), -1))
+            stream = stream.without(
+                lost, "lie evenly on straight lines: the target was lost, and what is between interpolated"
+            )
     return checked_imu(stream) if what == "imu" else stream
 
 

@@ -175,9 +175,11 @@ def _checked_rate(stream: Stream) -> Stream:
             f"{stream.name}: time counts 1, 2, 3, ...: frames or samples; expected seconds: divide by the rate of the device"
         )
     units = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-    fits = next((unit for unit, size in units.items() if 1.0 / _USUAL <= step * size <= 1.0 / slowest), None)
+    # A log is of some seconds at least.
+    long = {unit: size for unit, size in units.items() if size * np.ptp(stream.time) > 1.0}
+    fits = next((unit for unit, size in long.items() if 1.0 / _USUAL <= step * size <= 1.0 / slowest), None)
     is_untold = fits and "time" not in stream.units
-    cure = f"looks like [{fits}]: write `time [{fits}]` in the header" if is_untold else "look at its unit"
+    cure = f"looks like [{fits}]: write `time [{fits}]` in the header" if is_untold else "look at its unit, or log faster"
     raise MeasurementError(
         f"{stream.name}: a row every {step:.3g} s; expected {slowest:g} to {_FASTEST:g} rows a second; {cure}"
     )

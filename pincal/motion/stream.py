@@ -21,8 +21,12 @@ _FEW, _MOST = 0.05, 0.5
 # What gravity is in units in which logs have it, and by how much it may be off.
 _GRAVITIES = {"g": 1.0, "mg": 1e3, "mm/s^2": 1e3 * STANDARD_GRAVITY}
 _NEAR = 1.5
-# Samples in a row at the same largest value from which an axis is cut off there, and times that this has to happen.
-_FLAT, _OFTEN = 3, 3
+# Samples in a row at the same largest value from which an axis is cut off there, and times that this has to happen; those of
+# which once is enough.
+_FLAT, _OFTEN, _LONG = 3, 3, 20
+# Rows in a row that lie on a straight line to rounding, which is a small part of what is usual: of decimals, or of single
+# precision.
+_STRAIGHT, _EVEN, _DECIMALS, _SINGLE = 8, 0.1, 12, 2e-7
 # How far from a full turn a jump may be that is one [rad]; how many times the usual speed, and how many rad/s or m/s, no arm
 # reaches; part of the rows that repeat the one before from which on a log is faster than its controller.
 _TURN, _SUDDEN, _OFTEN_SAME = 0.3, 5.0, 0.3
@@ -165,6 +169,20 @@ def checked_joints(stream: Stream, names: Sequence[str], turning: np.ndarray) ->
     return stream.without(lost, "repeat the one before, or are off the motion, and end in a jump: the log was interrupted")
 
 
+def interpolated(values: np.ndarray) -> np.ndarray:
+    """Return which readings, shape (T, k), lie on straight lines between others, but for the rounding of their digits."""
+    off = np.zeros(values.shape)
+    off[1:-1] = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
+    moves = np.any(np.diff(values, axis=0, prepend=values[:1]) != 0.0, axis=1)
+    decimals = next((k for k in range(_DECIMALS) if np.abs(values - np.round(values, k)).max() < 1e-3 * 10.0**-k), _DECIMALS)
+    rounding = np.maximum(_SINGLE * np.abs(values).max(axis=0), 1.5 * 10.0**-decimals)
+    if not moves.any() or np.any(rounding > _EVEN * np.median(off[moves], axis=0)):
+        return np.zeros(len(values), bool)
+    is_even = moves & np.all(off < rounding, axis=1)
+    starts, ends, run = _still(is_even[:, None])
+    return np.asarray(is_even & (ends - starts >= _STRAIGHT)[run])
+
+
 def _still(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return first and past the last row of each stretch in which nothing changes, and the stretch of each row."""
     new = np.append(True, np.any(np.diff(values, axis=0) != 0.0, axis=1))
@@ -220,9 +238,9 @@ def checked_imu(stream: Stream) -> Stream:
             "are left out: was it polled at nearly its own rate? Then stamps are up to a sample late, which counts as "
             "noise; log its own stamps"
         )
-    cut = np.zeros(len(stream), bool)
+    cut, ends = np.zeros(len(stream), bool), {column: _cut_off(values) for column, values in columns.items()}
     for column, values in columns.items():
-        flat = _cut_off(values)
+        flat = ends[column]
         if flat.mean() > _FEW:
             raise MeasurementError(
                 f"{stream.name}: column {column!r} is cut off at {np.abs(values).max():.4g} in {100 * flat.mean():.0f} "
@@ -231,7 +249,7 @@ def checked_imu(stream: Stream) -> Stream:
         cut |= flat
     for k, (column, values) in enumerate(columns.items()):
         beside = np.delete(force if k < 3 else rate, k % 3, axis=1)
-        if stuck := _longest_stuck(stream.time, values, beside):
+        if stuck := _longest_stuck(stream.time, np.where(ends[column], np.nan, values), beside):
             raise MeasurementError(
                 f"{stream.name}: column {column!r} stands still for {stuck:.3g} s while others change; the axis is "
                 "broken or not logged: repair the log, or leave that part out"
@@ -290,7 +308,8 @@ def _cut_off(values: np.ndarray) -> np.ndarray:
         at = values == end
         starts = np.flatnonzero(at & ~np.append(False, at[:-1]))
         ends = np.flatnonzero(at & ~np.append(at[1:], False))
-        is_often = np.sum(ends - starts + 1 >= _FLAT) >= _OFTEN
+        lasts = ends - starts + 1
+        is_often = np.sum(lasts >= _FLAT) >= _OFTEN or (near > 0.0 and lasts.max() >= _LONG)
         if is_often and at.sum() > np.sum(~at & (np.abs(values - end) < near)):
             found |= at
     return found
