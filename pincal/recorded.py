@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, get_type_hints
 
 import numpy as np
@@ -85,6 +85,7 @@ class Moving:
         loads: shape (N, K, n, 6), loads of inertia there; None for none.
         clock: what was added to the instrument's stamps [s], and by which they drift [1], about their middle [s].
         delay: of an IMU, by how much the stamps of its rates were taken to be too early [s].
+        scatter: of an IMU, the noise of forces [m/s^2] and of rates [rad/s] by what they scatter within a row's window.
     """
 
     inertial: np.ndarray | None = None
@@ -93,6 +94,7 @@ class Moving:
     loads: np.ndarray | None = None
     clock: tuple[float, float, float] = (0.0, 0.0, 0.0)
     delay: float = 0.0
+    scatter: tuple[float, ...] = ()
 
     @property
     def middle(self) -> float:
@@ -105,13 +107,13 @@ class Moving:
 
     def __getitem__(self, rows: slice | np.ndarray) -> Moving:
         inertial, q, velocity, loads = (None if array is None else array[rows] for array in self._arrays)
-        return Moving(inertial, q, velocity, loads, self.clock, self.delay)
+        return replace(self, inertial=inertial, q=q, velocity=velocity, loads=loads)
 
     def joined(self, others: Sequence[Moving]) -> Moving:
         """Return this and others of the same session, one after the other."""
         parts = zip(*(each._arrays for each in (self, *others)), strict=True)
         inertial, q, velocity, loads = (None if part[0] is None else np.concatenate(part) for part in parts)
-        return Moving(inertial, q, velocity, loads, self.clock, self.delay)
+        return replace(self, inertial=inertial, q=q, velocity=velocity, loads=loads)
 
 
 _HINTS = get_type_hints(Recorded, include_extras=True)

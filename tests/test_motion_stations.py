@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from test_cli import run
 
 import pincal
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.caveats import CaveatKind, findings_on_order
+from pincal.calibration.caveats import CaveatKind, findings_on_order, findings_on_scatter
 from pincal.calibration.placing import place_station
 from pincal.calibration.station_information import SharedInformation
 from pincal.errors import BadInputError, Exit, MeasurementError
@@ -160,6 +161,18 @@ def test_a_clock_that_slips_is_refused_with_the_row(day: Path) -> None:
         MeasurementError, match=r"tracker.csv, about line 60\d: its clock.* jumps by about (3.\d|4(.\d)?) ms"
     ):
         pincal.run_calibration(ROBOT, tables, GEOMETRY, test_fraction=0.0)
+
+
+def test_joints_that_were_commanded_are_doubted_by_an_imu(day: Path, fit: pincal.Fit) -> None:
+    """They are ahead of those that moved, each by another time; what is left then is more than an IMU scatters."""
+    session = pincal.read_session(ROBOT, day)
+    time, q = session.joints.time, session.joints.readings["q"]
+    ahead = q + np.linspace(0.01, 0.04, 6) * np.gradient(q, time, axis=0)
+    moved = replace(session, tracker=None, joints=replace(session.joints, readings={"q": ahead}))
+    (found,) = findings_on_scatter(pincal.calibrate(ROBOT, pincal.session_tables(ROBOT, [moved]), GEOMETRY))
+
+    assert re.search(r"angular rate are off by \d+ times .* commanded and not measured", str(found))
+    assert not list(findings_on_scatter(fit))
 
 
 def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:

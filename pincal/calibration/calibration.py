@@ -24,6 +24,7 @@ from pincal.notes import Note, doubts_first
 from pincal.robot.robot import Robot
 from pincal.validate.accuracy import leading_unit
 from pincal.validate.agreement import check_agreement, unknown_zeros
+from pincal.validate.clock_jumps import check_clocks
 
 log = logging.getLogger(__name__)
 # Corrections of a robot's description, after which it is none.
@@ -139,6 +140,7 @@ def run_calibration(
             parts = with_holdout(robot, admitted.tables, holdout, setup_of)
     trained = {part.name: part.measured[0] for part in parts}
     fit = calibrate(robot, trained, options)
+    check_clocks(tuple(admitted.tables.values()), fit)
     corrected = list[str]()
     # The description may be wrong in more than one way.
     while (found := check_agreement(robot, admitted.tables.values(), fit)) is not None and len(corrected) < _CORRECTIONS:

@@ -31,6 +31,9 @@ _FAR = 10.0
 _LISTED = 8
 # Rank correlation of a joint's positions with the order of the rows from which it moved steadily along them; rows for that.
 _STEADY, _ROWS = 0.95, 20
+# Times what an IMU scatters within its windows, and times the usual noise of one, from which on more is left than noise:
+# sound logs have up to 1.6, also of arms with ripples and friction that no effect describes, joints that were commanded 10.
+_UNLIKE, _USUAL = 4.0, 2.0
 # Part of the rows from which on outliers are no exceptions; of real tables some percent are left out.
 _MANY = 0.25
 
@@ -102,6 +105,10 @@ class CaveatKind(Enum):
         "the residuals follow the motion: {what}; rows were weighted accordingly; the model lacks something of the arm, "
         "which pincal discover looks for, or the instrument's set-up or a clock changed on the way"
     )
+    UNLIKE_ITS_SCATTER = (
+        "readings of {what} are off by {ratio:.2g} times what they scatter within a tenth of a second: are the joints those "
+        "that were commanded and not measured, was the IMU polled or its range too small, or is its own filter too slow?"
+    )
     BLOCKS = (
         "the errors of consecutive rows are correlated: standard deviations are {factor:.3g} times those of independent "
         "rows; look for what changed during the measurement"
@@ -155,6 +162,7 @@ DOUBTS = UNUSABLE | {
     CaveatKind.STEP,
     CaveatKind.DEPENDENT_ROWS,
     CaveatKind.LEFT_IN_MOTION,
+    CaveatKind.UNLIKE_ITS_SCATTER,
     CaveatKind.BLOCKS,
     CaveatKind.SORTED,
     CaveatKind.GATHERED,
@@ -272,6 +280,17 @@ def findings_on_fit(fit: ModelFit, p_value: float | None) -> list[Caveat]:
             Caveat(CaveatKind.MASSES_FOUND, {"links": len(moments.links), "mass": moments.mass, "percent": percent})
         )
     return found
+
+
+def findings_on_scatter(fit: ModelFit) -> Iterator[Caveat]:
+    """Yield what is left of the readings of IMUs that scatter much less."""
+    for station, _, blocks in fit.stations:
+        scatter = () if station.conditions.around is None else station.conditions.around.scatter
+        for block, noise, expected in zip(station.sensor.blocks, fit.solution.estimated[blocks], scatter, strict=False):
+            # A filter in the sensor takes scatter away; what it leaves is then no more than of any IMU.
+            if noise > max(_UNLIKE * expected, _USUAL * block.noise):
+                figures = {"what": block.name.replace("_", " "), "ratio": noise / expected}
+                yield Caveat(CaveatKind.UNLIKE_ITS_SCATTER, figures, station.name)
 
 
 def findings_on_order(station: Station) -> list[Caveat]:

@@ -26,6 +26,7 @@ from pincal.calibration.caveats import (
     findings_on_outliers,
     findings_on_plausibility,
     findings_on_replicates,
+    findings_on_scatter,
 )
 from pincal.calibration.held_out import LeftOut, StationRows, errors_held_out, headline_of
 from pincal.calibration.improvement import findings_without_instrument, improvements
@@ -163,6 +164,7 @@ def result_of(
     found = [
         *findings_on_plausibility(fit, [part.train for part in rows]),
         *findings_on_fit(fit, p_value),
+        *findings_on_scatter(fit),
         *findings_on_data(fit, read),
         *findings_without_instrument(fit, improved),
         *_on_rows(seen, left_out),

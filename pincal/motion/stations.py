@@ -130,10 +130,13 @@ def _imu_table(arm: MovingArm, imu: Stream, others: Sequence[tuple[str, MovingAr
     inside = arm.path.covers(at, 4.0 * WIDTH)
     rows, at = rows.select(inside), at[inside]
     # Noise of both where the arm vibrates, relative to what is usual.
-    sigma = np.sqrt(np.prod(rows.sigma / np.median(rows.sigma, axis=1, keepdims=True), axis=0))
+    scatter = np.median(rows.sigma, axis=1)
+    sigma = np.sqrt(np.prod(rows.sigma / scatter[:, None], axis=0))
     readings = {FORCE.name: rows.readings[:3].T, RATE.name: rows.readings[3:].T, "sigma": sigma}
     lines = imu.lines[np.searchsorted(imu.time, rows.time)]
-    return _table(arm, imu, clock, rows.time, at, lines, readings, offsets=rows.window.offsets, delay=delay)
+    table = _table(arm, imu, clock, rows.time, at, lines, readings, offsets=rows.window.offsets)
+    assert table.moving is not None
+    return replace(table, moving=replace(table.moving, delay=delay, scatter=tuple(scatter.tolist())))
 
 
 def ideal_imu_table(arm: MovingArm) -> Measurements:
@@ -220,17 +223,16 @@ def _table(
     readings: dict[str, np.ndarray],
     *,
     offsets: np.ndarray | None = None,
-    delay: float = 0.0,
 ) -> Measurements:
     """Return the rows of a stream with the poses of the arm; their times are by its clock, and by that of the joints."""
     n, robot, here = len(time), arm.robot, arm.conditions(at)
-    around = dict[str, np.ndarray | None]()
+    moving = Moving(clock=(clock.offset, clock.drift, clock.middle), inertial=here.inertial)
     if offsets is not None:
         there = arm.conditions(at, offsets)
         assert there.velocity is not None
         shape = (n, len(offsets), robot.n_joints)
         loads = None if there.inertial is None else there.inertial.reshape(*shape, 6)
-        around = {"q": there.q.reshape(shape), "velocity": there.velocity.reshape(shape), "loads": loads}
+        moving = replace(moving, q=there.q.reshape(shape), velocity=there.velocity.reshape(shape), loads=loads)
     table = measurements(
         robot,
         robot.as_reported(here.q),
@@ -242,5 +244,4 @@ def _table(
         **({"payload": np.full(n, arm.payload)} if arm.payload else {}),
         **readings,
     )
-    clocked = Moving(clock=(clock.offset, clock.drift, clock.middle), delay=delay, inertial=here.inertial, **around)
-    return replace(table, moving=clocked)
+    return replace(table, moving=moving)

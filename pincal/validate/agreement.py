@@ -18,7 +18,6 @@ from pincal.measure.extrinsics import sample_rows
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC, JointOffset
 from pincal.robot.robot import Robot
-from pincal.validate.clock_jumps import check_clocks
 from pincal.validate.cures import (
     UNFIT,
     Correction,
@@ -92,11 +91,9 @@ def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: ModelFit)
         for nearly all robots.
 
     Raises:
-        MeasurementError: naming what, undone, makes the table fit, or two things that do so equally well; or where the clock
-            of an instrument jumps.
+        MeasurementError: naming what, undone, makes the table fit, or two things that do so equally well.
     """
-    tables, pulled = tuple(tables), _pulled(fit)
-    check_clocks(tables, fit)
+    pulled = _pulled(fit)
     for k, (station, places, table) in enumerate(zip(fit.problem.stations, fit.problem.places, tables, strict=True)):
         # What is wrong with a log of an IMU is found when it is laid onto the motion.
         if not station.sensor.reads_place:
