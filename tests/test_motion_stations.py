@@ -175,6 +175,19 @@ def test_joints_that_were_commanded_are_doubted_by_an_imu(day: Path, fit: pincal
     assert not list(findings_on_scatter(fit))
 
 
+def test_a_path_of_one_joint_is_asked_for_more(day: Path) -> None:
+    """Rates about one axis tell no mount; what they seem to say of units and of other arms is not the reason."""
+    session = pincal.read_session(ROBOT, day)
+    assert session.imu is not None
+    still = session.joints.readings["q"] * (np.arange(6) == 1)
+    turned = np.zeros((len(session.imu), 3))
+    turned[:, 1] = session.imu.readings["angular_rate"][:, 1]
+    imu = replace(session.imu, readings={**session.imu.readings, "angular_rate": turned})
+    one = replace(session, tracker=None, imu=imu, joints=replace(session.joints, readings={"q": still}))
+    with pytest.raises(MeasurementError, match=f"{ROBOT.joint_names[1]} alone moves; expected a path on which all joints"):
+        pincal.session_tables(ROBOT, [one])
+
+
 def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:
     """Lengths stay as in the URDF unless a prior is given; errors are of accelerations; a saved model is the same."""
     table = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]

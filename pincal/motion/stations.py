@@ -31,8 +31,8 @@ from pincal.robot.robot import Robot
 
 # Standard deviation of the windows of an IMU's rows [s]; from 1 to 12 Hz made no difference on a real arm.
 WIDTH = 0.03
-# Joints that change by less than this rest [rad, m].
-_RESTS = 3e-4
+# Joints that change by less than this rest [rad, m]; over a whole log, and how few that move then say too little.
+_RESTS, _MOVED, _TOO_FEW = 3e-4, 1e-2, 2
 # Rows a second from which on no arm turns back so far within two of them that one seems to jump.
 _FAST = 20.0
 # Smallest steps by which the reading of an instrument of few digits changes.
@@ -66,6 +66,13 @@ def session_tables(robot: Robot, sessions: Sequence[Session]) -> dict[str, Measu
                 found[name] = _imu_table(arm, stream, others) if what == "imu" else _tracker_table(arm, stream)
             except OtherMotionError as error:
                 wrong.append(error)
+        moved = np.ptp(session.joints.readings["q"], axis=0) > _MOVED
+        if wrong and moved.sum() <= min(_TOO_FEW, robot.n_joints - 1):
+            names = ", ".join(name for name, moves in zip(robot.joint_names, moved, strict=True) if moves) or "no joint"
+            raise MeasurementError(
+                f"{session.joints.name}: {names} alone moves; expected a path on which all joints do: by less, readings are "
+                f"not told from those of another motion ({wrong[0]})"
+            )
         if wrong:
             # Joints that one instrument follows are right.
             raise _at_fault(arm, session, wrong) if len(wrong) == len(there) else wrong[0]
