@@ -30,7 +30,7 @@ from scipy.special import fdtrc
 from pincal.discover.policy import TESTING
 from pincal.discover.products import Information, RowPart
 from pincal.identify.quadratic import ROUNDING, SEEN, Factor
-from pincal.model.effects import Effect
+from pincal.model.effect import Effect
 
 
 @dataclass(frozen=True)

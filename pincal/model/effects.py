@@ -13,8 +13,7 @@ import numpy as np
 
 from pincal.model.chain import MOUNT_SYMBOLS, Chain
 from pincal.model.conditions import MOMENT, UNFELT, Conditions, PoseSet
-from pincal.model.effect import Candidate, Discoverable, Family, Locus, Term
-from pincal.model.effect import Effect as Effect
+from pincal.model.effect import Candidate, Discoverable, Effect, Family, Locus, Term
 from pincal.model.loops import inert_coordinates
 from pincal.parameters import FRAME_SYMBOLS, Parameter, Scope
 

@@ -10,7 +10,6 @@ from pincal.errors import MeasurementError
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
-from pincal.model.catalogue.motion import InstrumentClock
 from pincal.motion.clocks import Jump, likeliest_jump
 
 # Rows that show whether there is one.
@@ -34,7 +33,7 @@ def check_clocks(tables: Sequence[Measurements], fit: ModelFit) -> None:
     """
     solution = fit.solution
     for (station, places, blocks), table in zip(fit.stations, tables, strict=True):
-        is_offset = np.array([p.effect == InstrumentClock.name and p.unit == "s" for p in station.parameters])
+        is_offset = np.array([p.element == "clock" and p.unit == "s" for p in station.parameters])
         if not (is_offset & solution.free[places]).any() or table.time is None:
             continue
         some = station.sample(_ROWS)

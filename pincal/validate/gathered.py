@@ -238,7 +238,7 @@ class _Windows:
         """Return minus the logarithm of the chance of the most surprising window of each width, shape (widths,)."""
         largest = np.array([means.max() for means in self._means(off)])
         # There are as many windows to compare with as do not overlap.
-        return -np.log(2.0 * stdtr(len(self.q) / np.array(self.widths), -largest))
+        return np.asarray(-np.log(2.0 * stdtr(len(self.q) / np.array(self.widths), -largest)))
 
     def chance(self, surprise: float) -> float:
         """Return the chance of a window as surprising if the errors stood at positions of others."""
