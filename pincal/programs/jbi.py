@@ -14,7 +14,6 @@ from pincal.programs.draft import Draft
 from pincal.programs.language import LANGUAGES, ControllerLanguage
 from pincal.programs.program import Frame, Left, Motion, Path, Point, Posture, Program, Turn
 from pincal.programs.syntax import Number, Source, Statement, number_at
-from pincal.units import plain_numbers
 
 _GRAMMAR = r"""
 start: (COMMENT? _NL)* JOB _NL (_head? _NL)* INST _NL (_line? _NL)* (_line? _EOT)
@@ -66,10 +65,13 @@ class Jbi(ControllerLanguage):
         Raises:
             BadInputError: for other text.
         """
-        found = plain_numbers(text.replace(",", " ").split())
+        try:
+            found = tuple(float(word) for word in text.replace(",", " ").split())
+        except ValueError:
+            found = ()
         if not found or not all(math.isfinite(number) and number != 0.0 for number in found):
             raise BadInputError(f"pulses {text!r}; expected pulses for a degree, one number an axis, none of them 0")
-        return Jbi(tuple(found))
+        return Jbi(found)
 
     def joint_units(self, turns: np.ndarray) -> np.ndarray:
         """Return a pulse of each axis [rad]."""
