@@ -78,7 +78,9 @@ def smoothed(
     chosen = {}
     for curve, w, at, own in zip(curves, roughness, places, columns, strict=True):
         waves = _pieces(fine[curve], found.form.H[np.ix_(own, own)] / noise, float(w))
-        smooth[curve] = curve.smooth(situation, float(w), int(np.ceil(finer * waves)))
+        # Where the rows call for many pieces anyhow, more cost more time than they tell.
+        pieces = max(waves, min(finer * waves, CURVES.enough_pieces))
+        smooth[curve] = curve.smooth(situation, float(w), int(np.ceil(pieces)))
         chosen[curve] = smooth[curve], _drawn_again(fine[curve], start.values[at] + step[own], smooth[curve])
     start.values[kept] += step
     others = problem.carried_over(start.values, fit.problem)

@@ -147,8 +147,8 @@ def setup(subject: Subject) -> Section:
         ("model", merged((rich("<b>{}</b> ({})", name, effect_meaning(name)) for name in effects), "; ")),
         (
             "fit",
-            f"{result.iterations} iterations, {result.seconds:.2f} s in all; identifiable rank {result.rank}, condition number "
-            f"{result.condition:.2g}; reduced chi-square {result.chi2_reduced:.3f}{p_value}",
+            f"{result.iterations} iterations, {result.seconds:.2f} s in all; identifiable rank {result.rank}, "
+            f"condition number {result.condition:.2g}; reduced chi-square {result.chi2_reduced:.3f}{p_value}",
         ),
         ("3D view", view),
     )
