@@ -17,9 +17,10 @@ from pincal import GEOMETRIC, Measurements, Options, Robot
 from pincal import simulate as sim
 from pincal.calibration.calibrated_robot import Fit as CalibratedFit
 from pincal.calibration.calibrated_robot import load_model
+from pincal.discover import drive_curves
 from pincal.discover.drive_curves import CurveSquares, resolved, smoothed
 from pincal.discover.levers import situation_of
-from pincal.discover.policy import POLICY
+from pincal.discover.policy import CURVES, POLICY
 from pincal.identify.calibrate import fit_tables, refit
 from pincal.identify.fit import ModelFit
 from pincal.identify.quadratic import Form
@@ -221,6 +222,18 @@ def test_a_smooth_curve_has_no_more_pieces_than_rows_carry_and_no_fewer_than_usu
     assert [curve.smooth(situation, 0.1, size).size for size in (5, 30, 999)] == [24, 30, min(most, fine)]
     assert curve.smooth(situation, None).size == most // 2 < np.degrees(curve.upper - curve.lower)
     assert curve.smooth(situation, None).smoothness() is None
+
+
+def test_a_curve_ends_finer_up_to_enough_pieces(fits: tuple[ModelFit, ModelFit], monkeypatch: pytest.MonkeyPatch) -> None:
+    """However much finer it is asked for, unless the rows themselves tell of more."""
+    curve = next(e for e in fits[0].options.effects if isinstance(e, TransmissionError))
+
+    def ends(enough: int) -> int:
+        monkeypatch.setattr(drive_curves, "CURVES", replace(CURVES, enough_pieces=enough))
+        ((smooth, _),) = smoothed(fits[0], [curve], finer=100.0)[0].values()
+        return smooth.resolution
+
+    assert ends(40) == 40 and ends(1) == fits[1].options.effects[-1].resolution
 
 
 def test_what_an_earlier_fit_knows_of_a_curve_has_its_smoothness(

@@ -256,7 +256,7 @@ class CurveNumbers:
     firm: float = _number(30.0, "ratio", _SMOOTH,
         "how much surer than by their priors other parameters are taken to stay, in the step from there",
         "where compliances multiply places of bearings, a whole one leads far off")
-    enough_pieces: int = _number(180, "pieces", _FINER,
+    enough_pieces: int = _number(180, "pieces", "test_smooth_curves.py::test_a_curve_ends_finer_up_to_enough_pieces",
         "up to which a curve ends finer than the shortest wave that the rows tell", "for time: 12000 poses tell of more")
     densely: int = _number(8, "positions a piece", _SMOOTH,
         "by which a curve is drawn in other pieces", "chosen: a spline is smooth between them")

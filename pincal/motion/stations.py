@@ -68,10 +68,10 @@ def session_tables(robot: Robot, sessions: Sequence[Session]) -> dict[str, Measu
                 wrong.append(error)
         moved = np.ptp(session.joints.readings["q"], axis=0) > _MOVED
         if wrong and moved.sum() <= min(_TOO_FEW, robot.n_joints - 1):
-            names = ", ".join(name for name, moves in zip(robot.joint_names, moved, strict=True) if moves) or "no joint"
+            names = ", ".join(name for name, moves in zip(robot.joint_names, moved, strict=True) if moves) or "none"
             raise MeasurementError(
-                f"{session.joints.name}: {names} alone moves; expected a path on which all joints do: by less, readings are "
-                f"not told from those of another motion ({wrong[0]})"
+                f"{session.joints.name}: joints that moved: {names}; expected a path on which all do: by less, "
+                f"readings are not told from those of another motion ({wrong[0]})"
             )
         if wrong:
             # Joints that one instrument follows are right.

@@ -225,10 +225,14 @@ class _Windows:
         count = 1 + int(np.log(_PART * len(self.q) / _IN_BUMP) / np.log(_WIDER))
         return [int(_IN_BUMP * _WIDER**k) for k in range(count)]
 
+    def _clipped(self, off: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the typical size of errors [m], and errors in units of it, shape (N,), none of which counts for many."""
+        typical = max(_NORMAL * float(np.median(np.abs(off))), 1e-300)
+        return typical, np.where(np.abs(off) < _OUTLIER * typical, np.clip(off / typical, -_CLIPPED, _CLIPPED), 0.0)
+
     def _means(self, off: np.ndarray) -> Iterator[np.ndarray]:
         """Yield for each width the means of all windows in standard deviations, of errors of shape (N,)."""
-        typical = max(_NORMAL * float(np.median(np.abs(off))), 1e-300)
-        clipped = np.where(np.abs(off) < _OUTLIER * typical, np.clip(off / typical, -_CLIPPED, _CLIPPED), 0.0)
+        _, clipped = self._clipped(off)
         sums, squares = (np.append(0.0, np.cumsum(x)) for x in (self.lever * clipped, self.lever**2))
         for m in self.widths:
             means = np.abs(sums[m:] - sums[:-m]) / np.sqrt(squares[m:] - squares[:-m])
@@ -252,7 +256,9 @@ class _Windows:
         k = int(np.argmax(self.surprises(self.off)))
         first, m = int(np.argmax(list(self._means(self.off))[k])), self.widths[k]
         inside = slice(first, first + m)
-        size = float(self.lever[inside] @ self.off[inside] / (self.lever[inside] @ self.lever[inside]))
+        # Wrong readings among them count as little for the size as for the chance.
+        typical, clipped = self._clipped(self.off)
+        size = typical * float(self.lever[inside] @ clipped[inside] / (self.lever[inside] @ self.lever[inside]))
         low, high = self.q[first], self.q[first + m - 1]
         return Gathering(np.sort(self.order[inside]), m, self.joint, float(low), float(high), p_value, size)
 
