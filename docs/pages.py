@@ -19,8 +19,8 @@ from msgspec.inspect import DataclassType, NamedTupleType, StructType, TypedDict
 
 import pincal
 from pincal.cli import pincal as command
-from pincal.io.schemas import FILES, schema_of
 from pincal.measure.registry import SENSORS
+from pincal.schemas import FILES, schema_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 from signatures import ALIKE, Signature, draw, own_effects, signatures
@@ -114,7 +114,7 @@ def files() -> Iterator[str]:
     yield "# Files"
     yield (
         "Tables of measurements, and what pincal writes. Values are in SI units unless a name says otherwise (`_mm`, "
-        "`_mrad`, or `x [mm]` in the header of a table). JSON Schemas come with the package, in `pincal/io/schemas`."
+        "`_mrad`, or `x [mm]` in the header of a table). JSON Schemas come with the package, in `pincal/schemas`."
     )
     yield "## Tables of measurements"
     yield (

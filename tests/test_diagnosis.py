@@ -24,8 +24,8 @@ from pincal.diagnosis.robot_diagnosis import changes_since
 from pincal.diagnosis.row_evidence import Known
 from pincal.errors import BadInputError, ChangedRobotError, MeasurementError
 from pincal.io.diagnosis_file import DiagnosisFile
-from pincal.io.schemas import shipped
 from pincal.report.diagnosis import excluded_table, headline
+from pincal.schemas import shipped
 
 CASES = [
     f"{kind}_{arm}_6r"

@@ -31,8 +31,8 @@ from pincal.calibration.information import RobotInformation
 from pincal.errors import ModelFileError
 from pincal.fleet.machines import Machine, load_machines, save_machines
 from pincal.fleet.robot_type import EVERYTHING, Learned, Membership, RobotType, calibrate_of_type, learn_type, load_type
-from pincal.io.schemas import schema_of
 from pincal.model.conditions import Conditions
+from pincal.schemas import schema_of
 
 
 def learned(family: Family, count: int, seed: int = 1, **measured: float) -> tuple[Learned, np.ndarray, list[Machine]]:

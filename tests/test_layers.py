@@ -37,6 +37,7 @@ LAYERS = (
     "diagnosis",
     "design",
     "fleet",
+    "schemas",
     "compensate",
     "programs",
     "export",
@@ -51,7 +52,6 @@ SIBLINGS = {"model", "measure"}
 ASIDE = {
     "builtin": {"errors"},
     "simulate": {"errors", "builtin", "measure"},
-    "schemas": {"atomic", "model", "io", "calibration", "fleet"},
 }
 HEAVY = (
     "pinocchio",
@@ -106,8 +106,8 @@ def _absolute(module: str, node: ast.ImportFrom) -> str:
 
 
 def layer(module: str) -> str:
-    """Return the layer of a module: the name next to pincal; the schemas of files see the structures of all rooms."""
-    return "schemas" if module.startswith("pincal.io.schemas") else module.split(".")[1]
+    """Return the layer of a module: the name next to pincal."""
+    return module.split(".")[1]
 
 
 def may_import(importer: str, imported: str) -> bool:

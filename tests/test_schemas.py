@@ -15,8 +15,8 @@ from pincal.builtin import kuka_urdf_path
 from pincal.calibration.result import ResultFile
 from pincal.io.camera_file import CameraFile
 from pincal.io.discovery_file import Findings
-from pincal.io.schemas import FILES, schema_of, shipped, text_of
 from pincal.model.effects import GEOMETRIC
+from pincal.schemas import FILES, schema_of, shipped, text_of
 from pincal.simulate import Instrument, TrueMachine, plan_poses
 
 DATA = Path(__file__).parent / "data"
@@ -24,7 +24,7 @@ DATA = Path(__file__).parent / "data"
 
 @pytest.mark.parametrize("name", FILES)
 def test_shipped_schemas_are_those_of_the_structures(name: str) -> None:
-    """Else write them anew: python -m pincal.io.schemas."""
+    """Else write them anew: python -m pincal.schemas."""
     assert shipped(name).read_text() == text_of(name)
     jsonschema.Draft202012Validator.check_schema(schema_of(name))
 

@@ -12,8 +12,8 @@ import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibrated_robot import CalibratedRobot, load_stations
 from pincal.errors import ModelFileError
-from pincal.io.schemas import shipped
 from pincal.model.effects import GEOMETRIC
+from pincal.schemas import shipped
 from pincal.simulate import Instrument, TrueMachine, plan_poses
 
 BASE = np.array([[0.0, -1.0, 0.0, 2.0], [1.0, 0.0, 0.0, 0.5], [0.0, 0.0, 1.0, -0.3], [0.0, 0.0, 0.0, 1.0]])

@@ -1,6 +1,6 @@
 """JSON Schemas of the files that pincal reads and writes, made from their structures.
 
-``python -m pincal.io.schemas`` writes them anew beside this module; a test holds them to the structures.
+``python -m pincal.schemas`` writes them anew beside this module; a test holds them to the structures.
 """
 
 from __future__ import annotations

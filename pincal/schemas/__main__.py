@@ -1,7 +1,7 @@
 """Write the schemas beside this module."""
 
 from pincal.atomic import write_atomic
-from pincal.io.schemas import FILES, shipped, text_of
+from pincal.schemas import FILES, shipped, text_of
 
 for name in FILES:
     write_atomic(shipped(name), text_of(name))
