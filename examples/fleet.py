@@ -85,7 +85,7 @@ def main() -> None:
         labels = {"supplier": "AB"[k % 2]}
         store.add_table(f"R{k + 1:02d}", str(BEGIN), measured(robot, machine, 40, k), labels=labels)
     done = run_job(store, CalibrateTables(robot, options, role="calibration"))
-    print(f"calibrated: {done.done} machines, {done.before} were before")
+    print(f"calibrated: {done.done} machines, {done.before} done before")
     learned = learn_type(machine for _, machine, _ in store.machines())
     of, at = learned.type, at_tool(learned.type, robot)
     print(*type_lines(learned, at, error=1e-4), sep="\n")

@@ -182,7 +182,7 @@ def test_check_counts_every_parameter_once(table, capsys):
     for more in ([], ["--verbose"]):
         assert run("check", URDF, table, *COM, "--quiet", *more) == 0
         text = " ".join(capsys.readouterr().out.split())
-        known, others = re.search(rf"(\d+) of {total} parameters identified by themselves, ([^;]*);", text).groups()
+        known, others = re.search(rf"(\d+) of {total} parameters identified individually, ([^;]*);", text).groups()
         parts = [int(part.split()[0]) for part in others.split(" (")[0].split(", ")]
         assert int(known) + sum(parts) == total
 
@@ -383,7 +383,7 @@ def test_demo_tells_the_story(tmp_path, capsys):
     assert {file.name for file in (tmp_path / "demo").iterdir()} > {"model.json", "hidden_effect", "measurements.csv"}
     programmed, corrected = (
         float(re.search(rf"{words} +error: mean +([\d.]+) mm", text)[1])
-        for words in ("as programmed", "corrected by the model found")
+        for words in ("as programmed", "corrected by this model")
     )
     assert programmed > 2.0 and corrected < 0.06
     hit = json.loads((tmp_path / "demo" / "hit" / "diagnosis.json").read_text())

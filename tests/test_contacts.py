@@ -242,8 +242,8 @@ def test_a_table_of_points_that_coincide_needs_no_distance(baxter: Robot, touchi
 @pytest.mark.parametrize(
     ("links", "told"),
     [
-        ("--to left_griper", "--to left_griper, but the rows say right_gripper; leave one of them out"),
-        ("--from base", "--from base, but the rows say left_gripper; leave one of them out"),
+        ("--to left_griper", "--to left_griper, but the rows have right_gripper; leave one of them out"),
+        ("--from base", "--from base, but the rows have left_gripper; leave one of them out"),
         ("--station touched:base:left_gripper", "no table or station of this name; expected one of touch"),
         ("--rest head_pn=10deg", "--rest head_pn; expected one of head_pan"),
     ],

@@ -296,7 +296,7 @@ def test_the_command_says_it_by_its_exit_code(
     page = (tmp_path / "out" / "report.html").read_text()
     assert "<h1>Diagnosis of" in page and ">What has changed</h2>" in page
     parameters = [name for change in written["changes"] for name in change["parameters"]]
-    assert all(name in page for name in parameters) and ("Nothing: the model as it was" in page) == (code == 0)
+    assert all(name in page for name in parameters) and ("Nothing: the calibrated model predicts" in page) == (code == 0)
     table = excluded_table(msgspec.convert(written, DiagnosisFile), mended.model.chain.robot.joint_names)
     effects = [str(row[0]).strip() for row in table.rows]
     assert len(set(effects)) == len(effects) > 10
@@ -373,7 +373,7 @@ def test_what_a_model_left_is_no_change(tmp_path: Path) -> None:
     found = pincal.diagnose(case.model, case.new)
     assert not found.changed and headline(found.found).endswith("the robot still matches its model.")
     beyond_chance = msgspec.structs.replace(found.found, p_value=1e-9)
-    assert headline(beyond_chance).endswith("(p = 1e-09), as where it lacked something when the robot was calibrated.")
+    assert headline(beyond_chance).endswith("(p = 1e-09), in the way in which it was incomplete when the robot was calibrated.")
     assert pincal.diagnose(read, case.new).report == pincal.diagnose(case.model, case.new).report
     assert read.left is not None and read.left.effects == case.model.left.effects
     sizes = [(tmp_path / name).stat().st_size for name in ("model.json", "forgetful.json")]

@@ -140,12 +140,12 @@ def test_tables_models_and_diagnoses_go_into_a_store(
     capsys.readouterr()
     work = ("fleet", "calibrate", folder / "robot.urdf", store, "--type", of, *GEOMETRIC, "--quiet")
     assert run(*work) == Exit.DONE and run(*work) == Exit.DONE
-    assert capsys.readouterr().out == "3 tables calibrated\n0 tables calibrated; 3 were before\n"
+    assert capsys.readouterr().out == "3 tables calibrated\n0 tables calibrated; 3 done before\n"
     assert run("fleet", "check", of, store, "--report", folder / "fleet.html", "--quiet") == Exit.CHANGED
     printed = capsys.readouterr().out
 
     assert "5 robots, 3 checks: 2 changed" in printed and "joint_3.theta" in printed and "see its diagnosis" in printed
-    assert "left out: checks of r9, of which there is no calibration" in printed
+    assert "left out: checks of r9, for which there is no calibration" in printed
     page = (folder / "fleet.html").read_text(encoding="utf-8")
     assert 0 < page.find(">r0<") < page.find(">r1<")
     assert {key.machine for key in open_store(store).keys("models")} == {f"r{k}" for k in range(5)}

@@ -129,7 +129,7 @@ def test_the_command_writes_a_motion_that_simulate_drives(tmp_path: Path, capsys
         ("--type", out),
     ):
         assert run("design", "ur5", "--motion", "20s", *other, "--out", out) == 2
-        assert f"{other[0]} is of poses that are held" in capsys.readouterr().err
+        assert f"{other[0]} is for poses at rest" in capsys.readouterr().err
 
 
 def test_a_motion_that_ends_too_soon_is_told(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -280,7 +280,7 @@ def test_a_session_is_calibrated_by_commands(
     printed = capsys.readouterr()
     words = " ".join(printed.out.split())
     assert "m/s^2" in words.split("after")[1] and " mm" not in words and "lengths, which are held" in words
-    assert "tell no places" in printed.err
+    assert "have no positions" in printed.err
 
     simulated(tmp_path / "tuesday", "--pose-seed", "8", "--log-rates", "80,80,50")
     capsys.readouterr()

@@ -115,11 +115,11 @@ def test_effects_of_motion_are_in_the_truth(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        (["--poses", "5", "--imu", "--out", "t.csv"], 2, "--imu is of an arm that moves; add --path"),
+        (["--poses", "5", "--imu", "--out", "t.csv"], 2, "--imu is for an arm in motion; add --path"),
         (["--path", "10s", "--out", "t.csv"], 3, "a folder is written"),
         (["--poses", "5", "--out", "t"], 3, "end the name in .csv"),
         (["--path", "10s", "--sockets", "3", "--out", "t"], 2, "not by socket"),
-        (["--path", "10s", "--poses", "3", "--out", "t"], 2, "--poses is of poses that are held"),
+        (["--path", "10s", "--poses", "3", "--out", "t"], 2, "--poses is for poses at rest"),
         (["--path", "10s", "--imu", "--imu-noise", "1mg", "--out", "t"], 2, "such as 1mg,0.01deg/s"),
         (["--path", "10s", "--log-rates", "150,0,250", "--out", "t"], 2, "rates of joints, IMU and tracker"),
         (["--path", "10s", "--effect", "settling:joint_1", "--out", "t"], 3, "settling: is of poses that were held"),

@@ -366,12 +366,12 @@ def test_cycles_visit_every_pose_again(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--sensor", "position", "--sockets", "3"], "--sockets goes with --sensor socket"),
+        (["--sensor", "position", "--sockets", "3"], "--sockets is for --sensor socket"),
         (["--sensor", "camera_pixel", "--noise", "0.1mm"], "0.1px"),
         (["--noise", "0.1px"], "0.05mm"),
         (["--noise", "-1px"], "number of pixels"),
         (["--points-out", "p.csv"], "no named points"),
-        (["--camera-out", "c.json", "--sensor", "camera_point"], "goes with --sensor camera_pixel"),
+        (["--camera-out", "c.json", "--sensor", "camera_point"], "is for --sensor camera_pixel"),
         (["--ball-bar", "0.3m", "--targets", "2"], "one tool point"),
         (["--object", "grid"], "camera_point or camera_pixel"),
     ],

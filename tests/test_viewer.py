@@ -207,7 +207,7 @@ def test_a_missing_mesh_is_named_and_replaced(tmp_path: Path) -> None:
 
     assert {shape.body for shape in shapes} == {1, 2}
     assert any("package://gone/arm.stl" in note for note in notes)
-    assert any("simple shapes: what moves with a" in note for note in notes)
+    assert any("simple shapes: links that move with a" in note for note in notes)
 
 
 @pytest.mark.parametrize("name", ["http://host/arm.stl", "package://p/../../../etc/passwd", "arm.stl", ""])
@@ -395,7 +395,7 @@ def test_the_command_writes_a_page(files: tuple[Path, Path], tmp_path: Path) -> 
     }
     shown = content(out.read_text())
     assert shown["scale"] == said["scale"]
-    assert any("nobody knows" in note for note in said["notes"])
+    assert any("it is unknown" in note for note in said["notes"])
 
 
 @pytest.mark.parametrize(

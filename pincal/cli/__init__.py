@@ -1,6 +1,6 @@
 """The command ``pincal``: one verb per task, results on stdout, progress on stderr.
 
-What is printed goes somewhere, without control characters of a file, and a full disk ends no run.
+No control character from a file is printed, and a full disk does not end a run.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from pincal.errors import LONGEST, Exit, PincalError, printable
 # New objects after which garbage is collected.
 _GARBAGE = 200_000
 
-# The interruptions of this process, and how long one may take [s].
+# The interruptions of this process, and the time that one may take [s].
 _INTERRUPTS: list[int] = []
 _PATIENCE = 0.8
 
-# Colours, and on a terminal the cursor's moves, as far as a line of progress needs them: up, down, start, and clearing.
+# Colours, and on a terminal the moves of the cursor that a progress line needs: up, down, start, and clearing.
 _ALLOWED = re.compile(r"(\x1b\[[0-9;]*[mABGKlh]|\x1b\[\?25[lh]|\r)")
 
 # An option that takes two names and a number, any number of times.
@@ -84,16 +84,16 @@ def pincal() -> None:
 
 
 class _GuardedStream(io.FileIO):
-    """A stream of the process that takes all that is written, wherever it can't go.
+    """A stream of the process whose writes never fail.
 
     Attributes:
-        lost: why something could not be written; empty if nothing was lost, or nobody wanted to read it.
+        lost: why something could not be written; empty if nothing was lost, or the reader has closed its end.
     """
 
     lost = ""
 
     def write(self, content: object) -> int:
-        """Write bytes; what can't be written is dropped, since the files of a run are worth more than its words."""
+        """Write bytes; those that can't be written are dropped, since the files of a run matter more than its messages."""
         view = memoryview(content)  # type: ignore[arg-type]
         try:
             return super().write(view) or 0
@@ -105,7 +105,7 @@ class _GuardedStream(io.FileIO):
 
 
 class _Printable(io.TextIOWrapper):
-    """Text whose control characters are escaped, but for those with which a terminal is drawn on."""
+    """Text whose control characters are escaped, except those that draw on a terminal."""
 
     def write(self, text: str) -> int:
         """Write a text."""
@@ -117,9 +117,9 @@ class _Printable(io.TextIOWrapper):
 
 
 def guard_streams() -> _GuardedStream:
-    """Replace stdout and stderr by streams that never fail; return that of the results.
+    """Replace stdout and stderr by streams that never fail; return the one for results.
 
-    A stream that is closed leads nowhere: a file that is opened later must not take its number, or prints would go there.
+    Closed streams are opened on the null device: otherwise a file opened later would take their number, and get the prints.
     """
     for number in range(3):
         try:
@@ -139,7 +139,7 @@ def guard_streams() -> _GuardedStream:
 
 
 def entry() -> None:
-    """Run the command as a process of its own.
+    """Run the command as its own process.
 
     It ends without the interpreter's clean-up, which takes half a second with all the libraries that a calibration loads and
     frees nothing that the system does not; files are closed by then. Small matrices gain nothing from several threads.
@@ -155,14 +155,14 @@ def entry() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.stdout.flush()
     if results.lost:
-        click.echo(f"pincal: stdout can't be written ({results.lost}); files that were asked for are whole", err=True)
+        click.echo(f"pincal: stdout can't be written ({results.lost}); the requested files are complete", err=True)
         code = code or Exit.BAD_INPUT
     sys.stderr.flush()
     os._exit(code)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Interrupt the command, and do it again where that gets lost, as it does while an object is cleared away."""
+    """Interrupt the command, and again if the exception gets lost, as it does while an object is being deleted."""
     _INTERRUPTS.append(number)
     sys.unraisablehook = lambda _: None
     again = threading.Timer(_PATIENCE, os.kill, (os.getpid(), number))
@@ -173,7 +173,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command; an error is printed on stderr and sets the exit code."""
-    # A command creates many objects that stay: searching them for garbage would take a quarter of its time.
+    # A command creates many objects that it keeps: searching them for garbage would take a quarter of its time.
     gc.set_threshold(_GARBAGE)
     warnings.showwarning = _show_warning
     try:
@@ -182,7 +182,7 @@ def main(arguments: list[str] | None = None) -> None:
                 args=_spread(sys.argv[1:] if arguments is None else arguments), prog_name="pincal", standalone_mode=False
             )
         except Exception:
-            # An import that is interrupted may fail as if the library were not there.
+            # An interrupted import may fail as if the library were missing.
             if _INTERRUPTS:
                 raise click.exceptions.Abort from None
             raise

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import inspect
 import math
-import shlex
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, field, fields
 from pathlib import Path
@@ -33,9 +32,9 @@ def option(help: str, default: Any = None, *, words: str | None = None, name: st
     Args:
         help: one sentence.
         default: its value if it is not given; ``MISSING`` for an option that has to be given.
-        words: the default in words, where its value would not be understood.
+        words: the default in words, if its value would not be understood.
         name: its name on the command line; default: the field's name with hyphens.
-        attributes: what else Click is to know; its type and number of values follow from the type of the field.
+        attributes: further ones for Click; type and number of values follow from the type of the field.
     """
     return field(default=default, metadata={"help": help, "words": words, "name": name, **attributes})
 
@@ -70,7 +69,7 @@ def pair(text: str, expected: str, *, sign: str = "=") -> tuple[str, str]:
 
 
 class NumberType(click.ParamType[float]):
-    """A number in SI units that can be meant: finite, of a size that things of a robot cell have, and within a range."""
+    """A plausible number in SI units: finite, of a magnitude that occurs in a robot cell, and within a range."""
 
     name = "float"
 
@@ -87,7 +86,7 @@ class NumberType(click.ParamType[float]):
 
 
 class _Place(click.Path):
-    """A file or a folder; an empty text, such as an unset variable of the shell, is none and not the current folder."""
+    """A file or a folder; an empty text, such as an unset shell variable, is refused and not the current folder."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
@@ -98,14 +97,14 @@ class _Place(click.Path):
         return super().convert(value, param, ctx)
 
 
-# Endings of names that are files: none of them is meant as a folder.
+# Endings of file names: a name with one of them is not meant as a folder.
 _OF_FILES = (".csv", ".html", ".json", ".parquet", ".pdf", ".txt", ".urdf", ".xlsx", ".xml", ".yaml")
 
 
 class Output(_Place):
-    """A file to write, whose name ends in one of those that the verb can write; without any, a folder.
+    """A file to write, with one of the endings that the command can write; a folder if there are none.
 
-    Another name is refused before any work is done.
+    Other names are refused before any work is done.
     """
 
     def __init__(self, *endings: str) -> None:
@@ -146,7 +145,7 @@ class Verb(click.Command):
         self._headings, self._ending = headings, ending
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Read the words of the command line, and keep them for :func:`as_given`."""
+        """Read the words of the command line, and keep them for :func:`words_given`."""
         ctx.meta[_WORDS] = tuple(args)
         return super().parse_args(ctx, args)
 
@@ -163,19 +162,14 @@ class Verb(click.Command):
                     formatter.write_dl(records)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write examples and exit codes, and the ending as it is."""
+        """Write examples and exit codes, and the ending verbatim."""
         super().format_epilog(ctx, formatter)
         if self._ending is not None:
             formatter.write(f"\n{self._ending()}\n")
 
 
-def as_given(other: str, *more: str) -> str:
-    """Return the command line of another verb that takes what the present one was given, and more."""
-    return shlex.join(["pincal", other, *words_given(), *more])
-
-
 def words_given() -> tuple[str, ...]:
-    """Return the words of the command line after the present verb."""
+    """Return the words of the command line after the present command."""
     return tuple(click.get_current_context().meta[_WORDS])
 
 
@@ -189,13 +183,13 @@ def verb(
 ) -> Callable[[Callable[[A], Exit]], Verb]:
     """Return a decorator that makes a command of a function of typed arguments; its docstring is the help text.
 
-    The function is called as the verb, perhaps with ``_verb`` at the end, where the library has that name itself.
+    The function has the name of the command, with ``_verb`` at the end if the library has that name itself.
 
     Args:
         arguments: a frozen dataclass whose fields are options, arguments and groups of them.
-        examples: lines to copy, and what else stands at the end of the help text.
-        exits: how the verb may end other than done, wrong usage and bad input.
-        defaults: name of an option -> its default for this verb, or a tuple of default and words, where it differs.
+        examples: lines to copy, and further text for the end of the help text.
+        exits: exit codes other than done, wrong usage and bad input.
+        defaults: name of an option -> its default for this command, or a tuple of default and words, if it differs.
         ending: makes lines after the examples, called only when the help text is shown; default: none.
     """
     codes = sorted({Exit.DONE, Exit.USAGE, Exit.BAD_INPUT, *exits})
@@ -233,7 +227,7 @@ def _filled(arguments: type[A], given: Mapping[str, Any]) -> A:
 
 
 def _parameters(arguments: type, defaults: Mapping[str, Any], *, heading: str) -> Iterator[tuple[str, click.Parameter]]:
-    """Yield heading and Click's parameter of all options and arguments, those of groups in their place."""
+    """Yield heading and Click's parameter of all options and arguments, those of groups included."""
     kinds = get_type_hints(arguments)
     for part in fields(arguments):
         kind, about = kinds[part.name], part.metadata

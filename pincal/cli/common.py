@@ -73,8 +73,8 @@ coupling_option = partial(
 sign_option = partial(option, "Joint whose sign is opposite to that of the URDF.", (), metavar="JOINT", name="--sign")
 beside_option = partial(
     option,
-    "Further robot of the cell, and where its root link stands in the frame of the first robot's [m, rad]. Its links and "
-    "joints are called NAME_... where two robots have the same names.",
+    "Further robot of the cell, and the pose of its root link in that of the first robot [m, rad]. Its links and "
+    "joints are called NAME_... if two robots have the same names.",
     (),
     metavar="[NAME=]URDF[@X,Y,Z,ROLL,PITCH,YAW]",
     name="--beside",
@@ -82,7 +82,7 @@ beside_option = partial(
 )
 model_argument = partial(argument, "MODEL.json", "Calibrated model, as written by calibrate or discover.")
 type_option = partial(
-    option, "What is known of robots of this type, as fleet learn finds it: few poses are enough then.", metavar="TYPE.json"
+    option, "Prior knowledge of this type of robot, from fleet learn; few poses are then enough.", metavar="TYPE.json"
 )
 station_option = partial(option, "Use the placement of instrument and targets of this station of the model.", metavar="NAME")
 
@@ -129,7 +129,7 @@ class TableArguments:
         words="from the names of its columns",
     )
     joints: Path | None = option(
-        "Log of the joint positions, if the table lacks them: joined by a common column, by time while the pose is held "
+        "Log of the joint positions, if the table lacks them: joined by a common column, by time while the arm stands "
         "still, or by order.",
         metavar="LOG",
     )
@@ -145,30 +145,30 @@ class TableArguments:
 
     @property
     def options(self) -> TableOptions:
-        """The same for the library."""
+        """The options for the library."""
         return TableOptions(**vars(self) | {"columns": self.columns or {}})
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinkOptions:
-    """Between which links readings are, where these are not base and tip."""
+    """Links of the instrument and of the target, if not base and tip."""
 
     start: str | None = option(
-        "Link from which readings are seen, such as that of a camera on the robot.",
+        "Link that carries the instrument, such as the one with a camera.",
         metavar="LINK",
         name="--from",
         words="the base; or the column from",
     )
-    to: str | None = option("Link that readings are about; the same as --tip.", metavar="LINK", words="the column to")
+    to: str | None = option("Link that carries the target; the same as --tip.", metavar="LINK", words="the column to")
     stations: tuple[tuple[str, str, str], ...] = option(
-        "Links between which the readings of one station or table are.",
+        "Links between which the rows of one station or table were measured.",
         (),
         metavar="NAME:FROM:TO",
         name="--station",
         type=station_links,
     )
     rest: tuple[tuple[str, float], ...] = option(
-        "Position of a joint that has no column, as it stood still.",
+        "Position of a joint that stood still and has no column.",
         (),
         metavar="JOINT=POSITION",
         type=resting,
@@ -183,15 +183,15 @@ class InputOptions:
     robot: str = robot_argument()
     data: tuple[Path, ...] = argument(
         "DATA.csv...",
-        "Measurements, one row per measured pose (CSV, Excel or Parquet). Several tables are a station each, named by "
-        "the file unless they have a column station. A folder with joints.csv, and imu.csv or tracker.csv or both, is a "
-        "session of an arm that moved.",
+        "Measurements, one row per measured pose (CSV, Excel or Parquet). Each of several tables is a station, named after "
+        "its file unless it has a column station. A folder with joints.csv, and imu.csv or tracker.csv or both, is a "
+        "session of an arm in motion.",
         required=False,
     )
     tip: str | None = tip_option(words="from the joint columns")
     base: str | None = base_option(words="root of the URDF, or where the joints of the table begin")
     links: LinkOptions = group("Links")
-    beside: tuple[Beside, ...] = beside_option(words="its place as the readings tell")
+    beside: tuple[Beside, ...] = beside_option(words="identified from the readings")
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     mass: float | None = mass_option()
     couplings: tuple[str, ...] = coupling_option()
@@ -202,14 +202,14 @@ class InputOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PlaceOptions:
-    """Where instrument and target are, if not where they were calibrated."""
+    """Placement of instrument and target, if not that of the calibration."""
 
     placement: Path | None = option("Locate instrument and target from these few measured rows.", metavar="FEW.csv")
     station: str | None = station_option(words="the only one")
     start: str | None = option(
-        "Link of the robot that poses are seen from, without an instrument.", metavar="LINK", name="--from", words="its base"
+        "Link in whose frame poses are given, without an instrument.", metavar="LINK", name="--from", words="its base"
     )
-    to: str | None = option("Link whose poses they are, without any target: of any arm of the robot.", metavar="LINK")
+    to: str | None = option("Link whose poses are given, without a target; a link of any arm of the robot.", metavar="LINK")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,13 +227,13 @@ class ModelOptions:
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """What the model consists of."""
+        """The effects of the model."""
         from pincal.model.effects import ELASTIC, GEOMETRIC
 
         return {"geometric": GEOMETRIC, "elastic": ELASTIC}[self.model]
 
     def options(self, noise: float | None, noise_angle: float | None) -> Options:
-        """Return the same for the library, with the noise of readings [m, rad]."""
+        """Return the options for the library, with the noise of readings [m, rad]."""
         from pincal.identify.options import Options
 
         return Options(
@@ -248,7 +248,7 @@ class ModelOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class SetupOptions:
-    """The noise of the instrument, and what is known of the measurement setup."""
+    """The noise of the instrument, and known parts of the measurement setup."""
 
     noise: tuple[float, str] | None = option(
         "Standard deviation of one position or image coordinate.",
@@ -320,7 +320,7 @@ class FitOptions:
 
     @property
     def priors(self) -> dict[str, float | str]:
-        """Priors by name or pattern: those that are stated, then what is free, then what is held.
+        """Priors by name or pattern: given sizes, then free parameters, then fixed ones.
 
         Raises:
             click.UsageError: for one without a size.
@@ -333,7 +333,7 @@ class FitOptions:
         """The joints whose zeros are unknown, by names or patterns.
 
         Raises:
-            BadInputError: for anything but "unknown" and joints.
+            BadInputError: for other words than "unknown" and joints.
         """
         word, _, names = ("unknown", "", "-") if self.zeros is None else self.zeros.partition(":")
         if word.strip() != "unknown":
@@ -344,7 +344,7 @@ class FitOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationOptions:
-    """All options of how a table of measurements is fitted."""
+    """All options of a fit to a table of measurements."""
 
     model: ModelOptions = group("Model")
     setup: SetupOptions = group("Measurement setup")

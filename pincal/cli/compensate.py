@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pincal.programs.language import ControllerLanguage
     from pincal.robot.robot import Robot
 
-# Rows that are listed one by one.
+# Number of rows that are listed individually.
 _SHOWN = 5
 _CONDITIONS = [name for name, variable in RECORDABLE.items() if not variable.of_joints]
 
@@ -48,14 +48,14 @@ TARGETS may be a controller's program: KUKA .src and .dat, ABB .mod, .prg and .s
 Robots .script, Yaskawa .jbi. Only its numbers change; points that can't be interpreted are listed and left
 unchanged. The rest applies to tables.
 
-TARGETS.csv has the wanted target position x y z (and orientation qx qy qz qw) in the instrument's
+TARGETS.csv has the desired target position x y z (and orientation qx qy qz qw) in the instrument's
 frame, joint positions to start from, and, where they matter, payload, target, temperature, time and
 approach_<joint>. Without a quaternion, the orientation of the nominal robot at these joint positions
-is kept. Without x y z, the joint positions are a nominal program: the wanted pose is the one that the
+is kept. Without x y z, the joint positions are a nominal program: the desired pose is the one that the
 nominal robot would reach, in its base frame. Without joint positions, the search starts from
 --seed-joints (default: the middle of the joint ranges, and any orientation if there is no quaternion).
 
-FILE.csv has the joint positions to command, the wanted pose, the remaining error predicted by the
+FILE.csv has the joint positions to command, the desired pose, the remaining error predicted by the
 model (error_mm, error_mrad), the uncertainty of the model in this frame (sigma_mm), the largest
 change of a joint from its start (change_max, rad or m; if any is more than --max-change, the column
 large_change is 1 in these rows: check them before the robot moves) and a status:
@@ -74,7 +74,7 @@ is 4 if no row is ok or, with --strict, if any row is not.
 
 @dataclass(frozen=True, kw_only=True)
 class _AtPlace:
-    """What both take."""
+    """Arguments of both commands."""
 
     model: Path = model_argument()
     place: PlaceOptions = group("Placement of instrument and target")
@@ -129,7 +129,7 @@ class CompensateArguments(_AtPlace):
     """Arguments of compensate."""
 
     targets: Path = argument(
-        "TARGETS.csv", "Wanted poses with or without start values, a nominal program, or a controller's program."
+        "TARGETS.csv", "Desired poses with or without start values, a nominal program, or a controller's program."
     )
     out: Path = option("Table or program to write.", MISSING)
     frame: Literal["instrument", "base"] = option(
@@ -145,7 +145,7 @@ class CompensateArguments(_AtPlace):
         "Also write poses for a controller that uses the nominal model: of the tip, or of the calibrated target."
     )
     max_change: float = option(
-        "Mark rows in which a joint moves more than this from its start (prismatic: as many m as rad).",
+        "Mark rows in which a joint moves by more than this from its start (prismatic: the same number in m).",
         float(np.deg2rad(2.0)),
         type=ANGLE,
         metavar="ANGLE",
@@ -153,7 +153,7 @@ class CompensateArguments(_AtPlace):
     )
     ignore_limits: bool = option("Ignore the joint limits of the URDF.", False)
     only_numbers: bool = option(
-        "Write a table of joints with other numbers and no further columns; rows that are not ok keep theirs.", False
+        "Change only the numbers of a table of joints and add no columns; rows that are not ok keep theirs.", False
     )
     strict: bool = option("Fail (exit code 4) if any row is not ok; the table is written nevertheless.", False)
     program: ProgramOptions = group("Programs of controllers")
@@ -161,7 +161,7 @@ class CompensateArguments(_AtPlace):
 
 @verb(CompensateArguments, examples=_EXAMPLES, exits=(Exit.UNDECIDED, Exit.CHANGED))
 def compensate(arguments: CompensateArguments) -> Exit:
-    """Find the joint positions that reach wanted poses.
+    """Find the joint positions that reach desired poses.
 
     Of all solutions for the real robot, the one closest to the given joint positions is chosen.
     """
@@ -229,7 +229,7 @@ def _program(calibrated: CalibratedModel, arguments: CompensateArguments, langua
 
 
 def _seed(robot: Robot, table: Targets | None, text: str | None) -> np.ndarray | None:
-    """Return the joint positions to start from where the table has none, shape (n,)."""
+    """Return the joint positions to start from if the table has none, shape (n,)."""
     if text is None:
         return None
     if table is not None and table.has_joints:
@@ -277,7 +277,7 @@ def _columns(calibrated: CalibratedModel, done: CompensatedTable, arguments: Com
 
 
 def _result(robot: Robot, done: CompensatedTable, beyond: dict[str, Any], *, max_change: float) -> dict[str, Any]:
-    """Return the outcome for programs."""
+    """Return the result for ``--json``."""
     from pincal.compensate.solve_ik import STATUSES
 
     found, lines = done.found, done.targets.rows.rows
@@ -333,7 +333,7 @@ def _summary(result: dict[str, Any]) -> Iterator[str]:
 
 
 def _failures(result: dict[str, Any]) -> Iterator[str]:
-    """Yield notes on the rows that are not reached, and on those that take large motions."""
+    """Yield notes on rows that are not reached, and on rows that take large motions."""
     if large := result["large_changes"]:
         rows = f"{counted(len(large), 'row')} (line {few(large, _SHOWN)})"
         yield (
@@ -346,7 +346,7 @@ def _failures(result: dict[str, Any]) -> Iterator[str]:
         yield (
             f"this arm has too few joints to turn the target {turn['unreached']} in place: "
             f"{'not all positions' if lacks_places else 'positions'} are reached, "
-            f"orientations stay off by up to {turn['max_mrad']:.3f} mrad (line {turn['line']})"
+            f"orientations remain off by up to {turn['max_mrad']:.3f} mrad (line {turn['line']})"
         )
     for row in result["not_ok"][:_SHOWN]:
         left = f"remaining error {row['error_mm']:.4f} mm and {row['error_mrad']:.4f} mrad"

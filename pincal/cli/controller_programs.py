@@ -1,4 +1,4 @@
-"""Programs of controllers for ``pincal compensate``: what is asked of the cell, what has changed, what was left."""
+"""Programs of controllers for ``pincal compensate``: options of the cell, the points corrected and left unchanged."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pincal.programs.program import Left, Program
     from pincal.robot.robot import Robot
 
-# Links that are the controller's world and flange in URDFs of ROS-Industrial.
+# Links of the controller's world and flange in URDFs of ROS-Industrial.
 _WORLD, _FLANGE = "base", "tool0"
 
 
@@ -32,7 +32,7 @@ def _named(text: str) -> tuple[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class ProgramOptions:
-    """What a controller's program does not state of its cell."""
+    """Properties of the cell that a controller's program does not contain."""
 
     tools: tuple[tuple[str, str], ...] = option(
         "Values of a tool that the program names or numbers.", (), name="--tool", type=_named, metavar="NAME=X,Y,Z,..."
@@ -41,21 +41,21 @@ class ProgramOptions:
         "Values of a base, user frame or work object.", (), name="--base", type=_named, metavar="NAME=X,Y,Z,..."
     )
     world: str | None = option(
-        "The controller's world: a link of the URDF, or its place in the robot's base.",
+        "The controller's world frame: a link of the URDF, or its pose in the robot's base frame.",
         metavar="LINK|X,Y,Z,...",
-        words="link 'base' if it stands still, else the first link of the model",
+        words="link 'base' if it is stationary, otherwise the first link of the model",
     )
     flange: str | None = option(
-        "The controller's flange: a link of the URDF, or its place on the tip.",
+        "The controller's flange frame: a link of the URDF, or its pose in the tip frame.",
         metavar="LINK|X,Y,Z,...",
-        words="link 'tool0' if it is on the tip, else the last link of the model",
+        words="link 'tool0' if it is fixed to the tip, otherwise the last link of the model",
     )
     axes: str | None = option(
-        "The program's axes from the model's joints, in degrees, such as 'q1,90-q2,q3-q2,q4,q5,q6'.",
+        "The program's axes in terms of the model's joints, in degrees, such as 'q1,90-q2,q3-q2,q4,q5,q6'.",
         metavar="SUMS",
         words="the joints themselves",
     )
-    pulses: str | None = option("Pulses of each axis for a degree (Yaskawa).", metavar='"P1 P2 ..."')
+    pulses: str | None = option("Pulses per degree of each axis (Yaskawa).", metavar='"P1 P2 ..."')
     with_files: tuple[Path, ...] = option(
         "Further file of the same language with tools, bases or points that the program uses; it is only read.",
         (),
@@ -63,7 +63,7 @@ class ProgramOptions:
         metavar="FILE",
     )
     payload: float = option("Mass at the tip while the program runs [kg].", 0.0)
-    path_error: float | None = option("Insert points into lines that the arm would leave by more than this.", type=LENGTH)
+    path_error: float | None = option("Insert points into lines where the tool deviates by more than this.", type=LENGTH)
 
 
 def correct_file(
@@ -74,10 +74,10 @@ def correct_file(
     options: ProgramOptions,
     limits: Allowed,
 ) -> tuple[dict[str, Any], list[Change]]:
-    """Correct a program and write it; return the outcome for programs, and the changes.
+    """Correct a program and write it; return the result for ``--json``, and the changes.
 
     Raises:
-        ProgramError: for a file that is cut, of another dialect, or can't be read.
+        ProgramError: for a file that is truncated, in another dialect, or can't be read.
     """
     from pincal.atomic import write_atomic
     from pincal.programs.correct import Corrector
@@ -87,14 +87,14 @@ def correct_file(
 
     if out.suffix.lower() != path.suffix.lower():
         raise click.UsageError(
-            f"--out {out}: a program in {language.name} stays one; expected a name that ends in {path.suffix}"
+            f"--out {out}: a {language.name} program is written as one; expected a name that ends in {path.suffix}"
         )
     files = files_of(path, language)
     outs = [out.with_suffix(file.suffix) for file in files]
     if any(target.resolve() == file.resolve() for target, file in zip(outs, files, strict=True)):
         raise click.UsageError(
-            f"--out {out}: the program itself; expected another name, or the same one in another folder, so that a second "
-            "run does not correct what is corrected already"
+            f"--out {out}: this is the program itself; expected another name, or the same one in another folder, so that a "
+            "second run does not correct it again"
         )
     if options.pulses is not None:
         language = language.with_pulses(options.pulses)
@@ -110,7 +110,7 @@ def correct_file(
     if options.path_error is not None:
         more, others, inserted = follower.inserted(program, legs, options.path_error)
         edits, left = edits + more, left + others
-    # A pair keeps its name, hence has to be written into another folder.
+    # A pair keeps its name and is therefore written into another folder.
     with contextlib.suppress(OSError):
         out.parent.mkdir(parents=True, exist_ok=True)
     for i, target in enumerate(outs):
@@ -128,7 +128,7 @@ def correct_file(
 
 @dataclass(frozen=True)
 class Allowed:
-    """How far a correction may go, and where the program starts; see :class:`pincal.programs.correct.ProgramCell`."""
+    """Limits of a correction, and the start of the program; see :class:`pincal.programs.correct.ProgramCell`."""
 
     seed: np.ndarray | None
     keep: bool
@@ -159,7 +159,7 @@ def _cell(robot: Robot, language: ControllerLanguage, options: ProgramOptions, l
 
 
 def _place(robot: Robot, language: ControllerLanguage, text: str | None, *, usual: str, link: str) -> np.ndarray:
-    """Return the pose, shape (4, 4), of a link or of numbers as seen from a link of the model."""
+    """Return the pose, shape (4, 4), of a link or of numbers in the frame of a link of the model."""
     from pincal.errors import BadInputError
     from pincal.programs.arms import rigid_pose
 
@@ -170,14 +170,14 @@ def _place(robot: Robot, language: ControllerLanguage, text: str | None, *, usua
         return language.frame(text)
     found = rigid_pose(robot, text, link)
     if found is None:
-        raise BadInputError(f"{text!r} is no link that is fixed to {link}; expected one, or X,Y,Z,...")
+        raise BadInputError(f"{text!r} is not a link that is fixed to {link}; expected one, or X,Y,Z,...")
     return found
 
 
 def _result(
     program: Program, changes: Sequence[Change], left: Sequence[Left], deviations: Sequence[Deviation]
 ) -> dict[str, Any]:
-    """Return the outcome for programs."""
+    """Return the result for ``--json``."""
     names = [source.name for source in program.sources]
     points = [
         {
@@ -202,9 +202,9 @@ def _result(
 
 
 def summary_of_program(result: dict[str, Any], language: str) -> Iterator[str]:
-    """Yield what a person wants to know of a corrected program."""
+    """Yield the lines that summarise a corrected program."""
     points, left = result["points"], result["left"]
-    yield f"{language}: {len(points)} points corrected, {len(left)} left as they were"
+    yield f"{language}: {len(points)} points corrected, {len(left)} left unchanged"
     yield f"  the controller's world is {result['world']}, its flange {result['flange']} (--world, --flange), its axes are"
     yield f"  {result['axes']} (--axes)"
     width = max((len(f"{point['file']} line {point['line']}, {point['name']}") for point in points), default=0)
@@ -214,15 +214,15 @@ def summary_of_program(result: dict[str, Any], language: str) -> Iterator[str]:
     path = result["path"]
     if "largest_mm" in path:
         yield (
-            f"  between corrected ends the tool leaves its lines and circles by {path['largest_mm']:.4f} mm at most "
+            f"  between corrected points the tool deviates from its path by at most {path['largest_mm']:.4f} mm "
             f"(line {path['line']}, {path['motions']} motions)"
         )
     if result["inserted"]:
         yield f"  {result['inserted']} points inserted"
     if left:
-        yield "left as they were:"
+        yield "left unchanged:"
     for one in left:
         yield f"  {one['file']} line {one['line']}, {one['name']}: {one['reason']}"
     yield f"written to {', '.join(result['out'])}"
     if result["must_be_named"]:
-        yield f"its controller wants the file named as its module: {result['must_be_named']}"
+        yield f"the controller requires the file to be named after its module: {result['must_be_named']}"

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pincal.simulate.instrument import Instrument
     from pincal.simulate.paper_machine import PaperMachine
 
-# As in the paper's section V: a tool point off the flange, and a tracker that knows nothing of the robot's base.
+# As in the paper's section V: a tool point off the flange, and a tracker in an unknown pose.
 _TOOL = (0.05, 0.03, 0.12)
 _NOISE = 5e-5
 _ROWS = 300
@@ -92,27 +92,27 @@ def demo(arguments: DemoArguments) -> Exit:
         write_json(second / "discovery.json", found.report)
         q = robot.random_configurations(_PROGRAM, np.random.default_rng([seed, 3]))
         missed = _compensate(second, found, q, machine=bad, tracker=tracker)
-        diagnosis = _hit(second / "model.json", fourth, robot, machine=bad, rng=np.random.default_rng([seed, 4]))
+        diagnosis = _collide(second / "model.json", fourth, robot, machine=bad, rng=np.random.default_rng([seed, 4]))
         write_diagnosis(fourth, diagnosis, provenance([second / "model.json", fourth / "measurements.csv"], seed=seed))
     if arguments.general.as_json:
         results = {name: run.result.to_dict() for name, run in runs.items()}
         print_json(results | {"discovery": found.report, "program_error_mm": missed, "diagnosis": diagnosis.report})
     else:
         screen = console()
-        _tell(runs, screen)
-        _tell_hidden(found, screen, folder=out / _HIDDEN_FOLDER)
-        _tell_program(missed, screen)
-        _tell_hit(diagnosis, screen)
-        _tell_files(out, screen)
+        _print_calibration(runs, screen)
+        _print_hidden(found, screen, folder=out / _HIDDEN_FOLDER)
+        _print_program(missed, screen)
+        _print_collision(diagnosis, screen)
+        _print_files(out, screen)
     return Exit.DONE
 
 
 def _measure(
     path: Path, machine: PaperMachine, robot: Robot, *, rng: np.random.Generator, rows: int = _ROWS, hit: float = 0.0
 ) -> tuple[Measurements, Instrument]:
-    """Write what a tracker that stands anywhere in the hall reads of a machine in random poses; return it as read again.
+    """Write and read again the readings of a tracker in a random pose, of a machine in random poses.
 
-    A machine that was hit stands further by so much [rad] in one joint than its controller records.
+    After a collision by ``hit`` [rad], one joint stands further by this angle than its controller reports.
     """
     from scipy.spatial.transform import Rotation
 
@@ -132,14 +132,14 @@ def _measure(
 def _compensate(
     folder: Path, found: Discovery, q: np.ndarray, *, machine: PaperMachine, tracker: Instrument
 ) -> dict[str, dict[str, float]]:
-    """Correct a program made with the nominal robot, run both on the machine, and return by how far they miss [mm]."""
+    """Correct a program made with the nominal robot, run both on the machine, and return the errors [mm]."""
     from pincal.calibration.calibrated_robot import load_model
     from pincal.compensate.compensation import compensate_poses
     from pincal.measure.table import write_table
     from pincal.model.conditions import Conditions
     from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS
 
-    # The program was made with the nominal robot, its base and tool measured in.
+    # The program was made with the nominal robot, with base and tool fitted.
     fit, program = found.calibration.fit, Conditions.at(q, payload=PAYLOAD_MASS, payload_centre=PAYLOAD_COM)
     wanted = fit.model.predict(fit.model.own(fit.nominal.values), program)
     corrected = compensate_poses(load_model(folder / "model.json"), wanted, program)
@@ -155,8 +155,8 @@ def _compensate(
     return misses
 
 
-def _hit(model: Path, folder: Path, robot: Robot, *, machine: PaperMachine, rng: np.random.Generator) -> Diagnosis:
-    """Measure a few poses of a machine that was hit, with the tracker set up afresh, and ask what has changed."""
+def _collide(model: Path, folder: Path, robot: Robot, *, machine: PaperMachine, rng: np.random.Generator) -> Diagnosis:
+    """Measure a few poses after a collision, with the tracker in a new pose, and diagnose the change."""
     from pincal.calibration.calibrated_robot import load_model
     from pincal.diagnosis.robot_diagnosis import diagnose
 
@@ -172,7 +172,7 @@ def _deviations(runs: dict[str, Calibration]) -> dict[str, np.ndarray]:
     return {name: np.linalg.norm(problem.residuals(values), axis=0) for name, problem, values in problems if problem}
 
 
-def _tell(runs: dict[str, Calibration], screen: Console) -> None:
+def _print_calibration(runs: dict[str, Calibration], screen: Console) -> None:
     from pincal.report.words import rank_words
     from pincal.result_table import one_line
 
@@ -191,7 +191,7 @@ def _tell(runs: dict[str, Calibration], screen: Console) -> None:
         screen.print(f"{note.severity}: {note}")
 
 
-def _tell_hidden(found: Discovery, screen: Console, *, folder: Path) -> None:
+def _print_hidden(found: Discovery, screen: Console, *, folder: Path) -> None:
     from pincal.cli.screen import print_brief
 
     size = f"{_SIZE * 1e3:g} mrad"
@@ -205,20 +205,20 @@ def _tell_hidden(found: Discovery, screen: Console, *, folder: Path) -> None:
     for entry in found.report["effects"]:
         if (entry["effect"], entry["joint"]) == ("gear_eccentricity", _JOINT):
             amplitude = 1e3 * np.hypot(*(parameter["value"] for parameter in entry["parameters"].values()))
-            screen.print(f"\nPut in: {size} at {_JOINT}, twice per revolution. Found: {amplitude:.4f} mrad.")
+            screen.print(f"\nSimulated: {size} at {_JOINT}, twice per revolution. Found: {amplitude:.4f} mrad.")
 
 
-def _tell_program(missed: dict[str, dict[str, float]], screen: Console) -> None:
+def _print_program(missed: dict[str, dict[str, float]], screen: Console) -> None:
     screen.rule("Compensation")
     screen.print(f"\nA program of {_PROGRAM} other poses, made with the nominal robot, is run on this machine:\n")
-    for name, words in (("as programmed", "as programmed"), ("corrected", "corrected by the model found")):
+    for name, words in (("as programmed", "as programmed"), ("corrected", "corrected by this model")):
         mean, largest = missed[name]["mean"], missed[name]["max"]
         screen.print(f"  {words:28s} error: mean {mean:8.4f} mm, max {largest:8.4f} mm")
     if short := int(missed["corrected"]["out_of_reach"]):
-        screen.print(f"\n{short} of the poses are singular or out of reach, and are only approached.")
+        screen.print(f"\n{short} of the poses are singular or out of reach, and are reached only approximately.")
 
 
-def _tell_hit(diagnosis: Diagnosis, screen: Console) -> None:
+def _print_collision(diagnosis: Diagnosis, screen: Console) -> None:
     from pincal.report.diagnosis import lines
 
     screen.rule("A collision")
@@ -230,7 +230,7 @@ def _tell_hit(diagnosis: Diagnosis, screen: Console) -> None:
         screen.print(line)
 
 
-def _tell_files(out: Path, screen: Console) -> None:
+def _print_files(out: Path, screen: Console) -> None:
     from pincal.cli.fitting import VIEW
 
     folder, hit, urdf = out / _HIDDEN_FOLDER, out / _HIT_FOLDER, out / "kuka_kr125_2.urdf"
@@ -241,8 +241,8 @@ def _tell_files(out: Path, screen: Console) -> None:
         (out / "deviations.png", "Fig. 6 of the paper: the error at held-out poses"),
         (folder / "report.html", "what was missing, and how the error shrank to the noise"),
         (folder / "discovery.json", "the findings, machine-readable"),
-        (folder / "corrected.csv", "the program corrected: the joints to command"),
-        (hit / "report.html", "what the collision changed, and what not"),
+        (folder / "corrected.csv", "the corrected program: the joint positions to command"),
+        (hit / "report.html", "what the collision changed, and what it did not"),
         (hit / "model.json", "the re-identified model: only what changed was estimated again"),
     ):
         screen.print(f"  {path!s:40s} {words}", soft_wrap=True)

@@ -28,7 +28,7 @@ Examples:
   pincal export results/model.json --page corrector.html
   pincal export results/model.json --frames kuka
 
-Before a file is written, it is read back and compared with the model (for --c and --page, their formulas); it
+Each file is read back and compared with the model (--c and --page by their formulas) before it is kept; it
 lists what it can't represent. --c, --python and --page represent every effect of the model and also compensate;
 the others represent the geometry, --mjcf also the elasticity as springs. --urdf, --mjcf, --dh and --ur-kinematics
 describe the robot alone and need no --station.
@@ -47,7 +47,7 @@ class ExportArguments:
     c: Path | None = option(
         "Write C99 for a controller: one header, one source, no dependencies.", metavar="DIR", type=Output()
     )
-    python: Path | None = option("Write a Python file that needs NumPy alone.", metavar="FILE.py", type=Output(".py"))
+    python: Path | None = option("Write a Python file that needs only NumPy.", metavar="FILE.py", type=Output(".py"))
     page: Path | None = option(
         "Write a page that corrects programs in any browser, offline.", metavar="FILE.html", type=Output(".html", ".htm")
     )
@@ -66,7 +66,7 @@ class ExportArguments:
         "Print base and tool frames in the convention of a controller."
     )
     camera: Path | None = option(
-        "Write the camera, parameters and mount, as calibrate reads it.", metavar="FILE.json", type=Output(".json")
+        "Write parameters and mount of the camera, for calibrate --camera.", metavar="FILE.json", type=Output(".json")
     )
     frame: Literal["instrument", "base"] = option(
         "Frame of the poses in --c, --python and --page: the instrument's or the robot's base.", "instrument"
@@ -83,7 +83,7 @@ def export(arguments: ExportArguments) -> Exit:
     from pincal.cli.inputs import find_place
     from pincal.export import FORMATS, export_model
 
-    # In the order of --help, whatever the order in which formats were registered. A plugin's format has no option here: it
+    # In the order of --help, not of registration. A plugin's format has no option here: it
     # is written from Python.
     registered = FORMATS.registered()
     options = (field.name.replace("_", "-") for field in fields(arguments))
@@ -97,31 +97,31 @@ def export(arguments: ExportArguments) -> Exit:
         calibrated = load_stations(arguments.model).robot_model()
     else:
         calibrated = find_place(arguments.model, arguments.place, arguments.table.options).model
-    told: dict[str, Any] = {}
+    contents: dict[str, Any] = {}
     lines: list[str] = []
     for name, place in places.items():
         # The frames of a controller are a few numbers to type in, not a file.
         path = place if isinstance(place, Path) else None
         exported = export_model(calibrated, name, path, **_options(name, arguments))
         agrees = exported.max_error_m
-        told |= {name: exported.text if path is None else str(path)}
-        told.setdefault("notes", []).extend(exported.notes)
+        contents |= {name: exported.text if path is None else str(path)}
+        contents.setdefault("notes", []).extend(exported.notes)
         if agrees is not None:
-            told["max_error_m"] = max(agrees, told.get("max_error_m", 0.0))
+            contents["max_error_m"] = max(agrees, contents.get("max_error_m", 0.0))
         if path is None:
             lines.append(exported.text.rstrip())
         else:
             also = "" if agrees is None else f"; its forward kinematics agree with the model to {agrees:.1e} m"
             lines += [f"written to {path}{also}", *(f"note: {note}" for note in exported.notes)]
     if arguments.general.as_json:
-        print_json(told)
+        print_json(contents)
     else:
         click.echo("\n".join(dict.fromkeys(lines)))
     return Exit.DONE
 
 
 def _options(name: str, arguments: ExportArguments) -> dict[str, str]:
-    """Return the options of a format that the command line has."""
+    """Return the options of a format that are on the command line."""
     if name == "frames":
         return {"controller": str(arguments.frames)}
     return {"frame": arguments.frame} if name in ("c", "python", "page") else {}
@@ -168,20 +168,20 @@ class ViewArguments:
 def view(arguments: ViewArguments) -> Exit:
     """Show the robot and its deviations in 3D.
 
-    Before and after calibration, and what each effect explains.
+    They are shown before and after calibration, and for each effect alone.
     """
     from pincal.viewer import show, write_html
 
     scene, as_json = _scene(arguments), arguments.general.as_json
     if arguments.html_file is not None:
         size = write_html(arguments.html_file, scene)
-        _tell(scene, {"html": str(arguments.html_file), "bytes": size}, as_json=as_json)
+        _print_scene(scene, {"html": str(arguments.html_file), "bytes": size}, as_json=as_json)
         if arguments.open_page:
             click.launch(str(arguments.html_file))
         return Exit.DONE
     browser = sys.stdout.isatty() if arguments.open_page is None else arguments.open_page
     with show(scene, port=arguments.port, browser=browser) as live:
-        _tell(scene, {"url": live.url}, as_json=as_json)
+        _print_scene(scene, {"url": live.url}, as_json=as_json)
         try:
             live.wait()
         except KeyboardInterrupt:
@@ -228,7 +228,7 @@ def _scene(arguments: ViewArguments) -> Scene:
 
 
 def _pose(text: str | None, table: Measurements | None) -> np.ndarray | None:
-    """Return the pose that the user means: a row of the table, or joint positions."""
+    """Return the pose that the user gives: a row of the table, or joint positions."""
     if text is None:
         return None
     words = text.replace(",", " ").split()
@@ -245,7 +245,7 @@ def _pose(text: str | None, table: Measurements | None) -> np.ndarray | None:
     return np.asarray(table.q[row - 1])
 
 
-def _tell(scene: Scene, where: dict[str, Any], *, as_json: bool) -> None:
+def _print_scene(scene: Scene, where: dict[str, Any], *, as_json: bool) -> None:
     layers: list[dict[str, Any]] = [
         {
             "name": layer.name,

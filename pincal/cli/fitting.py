@@ -1,4 +1,4 @@
-"""``pincal calibrate`` and ``pincal discover``: from a URDF and tables to a calibrated model, and to what it lacks."""
+"""``pincal calibrate`` and ``pincal discover``: from a URDF and tables to a calibrated model, and to missing effects."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 
 # The view in three dimensions that accompanies the report.
 VIEW = "view3d.html"
-# Stations that have a view of their own: a page is about a megabyte.
+# Most stations with their own view: a page is about a megabyte.
 _MOST_VIEWS = 12
-# How long a cluster may take to answer, and then to have a worker [s].
+# Times within which a cluster has to answer, and then to have a worker [s].
 _ANSWER, _WORKER = 5.0, 10.0
 _FILES = "DIR then holds model.json (predicts without the URDF), result.json, calibrated.urdf, residuals.csv and report.html"
 _EXITS = (Exit.UNDECIDED, Exit.INACCURATE)
@@ -138,18 +138,18 @@ def discover(arguments: DiscoverArguments) -> Exit:
 
 
 def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]) -> Exit:
-    """Run a calibration or a discovery on the files of the command line, write what it returns and print it.
+    """Run a calibration or a discovery on the files of the command line, write and print its result.
 
     Raises:
         IdentificationError: if the fit did not converge, or instrument or target was touched between two rows; the files
-            are written all the same.
-        AccuracyGateError: if the error exceeds the limit; likewise.
+            are written nevertheless.
+        AccuracyGateError: if the error exceeds the limit; files as above.
     """
     from pincal.calibration.calibration import Calibration
     from pincal.cli.inputs import load_tables, prepare
     from pincal.cli.progress import log_step
     from pincal.notes import doubts_first
-    from pincal.report import plots  # noqa: F401  Refused here, not after the fit, where matplotlib is missing.
+    from pincal.report import plots  # noqa: F401  A missing matplotlib is reported here, not after the fit.
 
     split, source = arguments.split, arguments.source
     with output_folder(arguments.out) as draft:
@@ -192,7 +192,7 @@ def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery
     if result.doubt:
         raise IdentificationError(f"do not use: {result.doubt}")
     if result.shift and not arguments.accept_shift:
-        raise IdentificationError(f"{result.shift}. The files are written; --accept-shift takes them as they are")
+        raise IdentificationError(f"{result.shift}. The files are written; --accept-shift accepts the result")
     part = "test" if "test" in result.error["calibrated"] else "train"
     rows = {"test": "held-out", "train": "fitted"}[part]
     require_accuracy(result.error["calibrated"][part].get("mean_mm"), arguments.max_error, rows=rows)
@@ -200,9 +200,9 @@ def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery
 
 
 def _of_type(path: Path | None, prepared: Prepared) -> tuple[Options, tuple[str, ...]]:
-    """Return the options with what is known of a robot of its type, and a note on how it compares with the others.
+    """Return the options with the prior of the robot's type, and a note on how the robot compares with it.
 
-    Of one that differs the prior is wider where it does.
+    Where the robot differs from its type, the prior is wider.
     """
     if path is None:
         return prepared.options, ()
@@ -210,24 +210,24 @@ def _of_type(path: Path | None, prepared: Prepared) -> tuple[Options, tuple[str,
     from pincal.model.effects import ELASTIC
 
     of, effects = load_type(path), prepared.options.effects
-    # A model that lacks what the type has would make its robots look strange.
+    # A model that lacks effects of the type would make its robots look unusual.
     whole = ELASTIC if any(parameter.is_compliance for parameter in of.parameters) else ()
     judging = replace(prepared.options, effects=(*effects, *(effect for effect in whole if effect not in effects)))
     _, member = calibrate_of_type(prepared.robot, prepared.tables, of, judging)
-    told = f"compared with {counted(of.machines, 'robot')} of its type, p = {member.p_value:.2g}"
+    compared = f"compared with {counted(of.machines, 'robot')} of its type, p = {member.p_value:.2g}"
     if not member.is_usual:
         prepared = replace(prepared, options=replace(prepared.options, earlier=of.prior_of(prepared.robot, effects, member)))
     if not member.off:
-        return prepared.options, (f"the robot is as others of its type are ({told})",)
+        return prepared.options, (f"the robot agrees with the others ({compared})",)
     where = "in more than one joint" if member.off == (EVERYTHING,) else f"in {' or '.join(member.off)}"
-    note = f"the robot is not like others of its type: it differs {where} ({told}); its prior is wider there"
+    note = f"the robot differs from the others {where} ({compared}); its prior is wider there"
     return prepared.options, (note,)
 
 
 def write_results(
     folder: Path, calibration: Calibration, origin: dict[str, Any], discovery: Discovery | None = None, *, view: bool = False
 ) -> tuple[str, ...]:
-    """Write all files of a calibration, or of a discovery, to a folder; return what the URDF could not carry, in words."""
+    """Write all files of a calibration, or of a discovery, to a folder; return notes on what the URDF can't represent."""
     from pincal.io.strict_json import write_json
     from pincal.io.urdf_export import calibrated_urdf
     from pincal.report.html import report_page
@@ -250,7 +250,7 @@ def write_results(
 
 
 def _write_views(folder: Path, calibration: Calibration) -> None:
-    """Write the view in three dimensions: of several stations a page for each, the first one under the usual name."""
+    """Write the 3D view; of several stations, a page for each, the first one under the usual name."""
     from pincal.measure.table import concatenate
     from pincal.viewer import build_scene, write_html
 
@@ -297,12 +297,12 @@ def _residuals(calibration: Calibration, k: int) -> Iterator[dict[str, np.ndarra
 
 @contextmanager
 def workers(dask: str | None, *, repeats: bool, processes: bool = True) -> Iterator[Executor | None]:
-    """Yield what does the work that a command repeats, None for the command itself; what is not begun ends with the context.
+    """Yield the executor of a command's repeated work, None for the command itself; pending work ends with the context.
 
     Args:
         dask: address of a Dask scheduler; default: this machine.
-        repeats: whether the command repeats any.
-        processes: whether this machine does it by a process for each core, which take seconds to start.
+        repeats: whether the command has repeated work.
+        processes: whether this machine uses a process for each core; these take seconds to start.
 
     Raises:
         BadInputError: if the cluster can't be used.
@@ -358,7 +358,7 @@ def _connected(address: str, stack: ExitStack) -> Any:
 
 
 async def _identity(address: str) -> dict[str, Any]:
-    """Ask who listens. A client would wait for ever for the answer of what is no scheduler, such as its own dashboard."""
+    """Ask what listens there. A client would wait for ever for an answer if it is not a scheduler, but a dashboard, say."""
     from distributed.core import rpc
     from distributed.security import Security
 

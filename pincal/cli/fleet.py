@@ -1,4 +1,4 @@
-"""``pincal fleet learn`` and ``check``: what machines of a type have in common, and what has changed on which."""
+"""``pincal fleet learn`` and ``check``: a type learned from its machines, and changes of machines."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pincal.calibration.calibrated import CalibratedModel
     from pincal.fleet.machines import Machine
 
-# Parameters that are listed.
+# Number of parameters that are listed.
 _PARAMETERS = 8
 _LEARN_EXAMPLES = """
 Examples:
@@ -50,18 +50,18 @@ class LearnArguments:
     out: Path = option("The type.", MISSING, metavar="TYPE.json", type=Output(".json"))
     report: Path | None = option("Also write a page with pictures.", metavar="PAGE.html", type=Output(".html"))
     share: Path | None = option(
-        "Also write what another site needs to learn with these machines: information on each, without names, poses and "
-        "times.",
+        "Also write the information of each machine, without names, poses and times, for another site to include in its "
+        "type.",
         metavar="SITE.parquet",
         type=Output(".parquet"),
     )
     robot: str | None = option(
-        "URDF of the arm, for what differences come to at the tool.", metavar="URDF", words="that of the first model.json"
+        "URDF of the arm, to give differences as motion of the tool.", metavar="URDF", words="that of the first model.json"
     )
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
-    error: float | None = option("Accuracy that is wanted of a further machine: how many poses does it take?", type=LENGTH)
-    noise: float = option("Noise of one coordinate with which it will be measured.", 5e-5, type=LENGTH, words="0.05mm")
+    error: float | None = option("Predict the number of poses for this accuracy of a further machine.", type=LENGTH)
+    noise: float = option("Noise of one coordinate for a further machine.", 5e-5, type=LENGTH, words="0.05mm")
     verbose: bool = verbose_option()
     general: GeneralOptions = group("General")
 
@@ -70,7 +70,7 @@ class LearnArguments:
 def fleet_learn(arguments: LearnArguments) -> Exit:
     """Learn a type of robot from its machines.
 
-    Prints how far machines differ, how far the data sheet is off, which machines do not belong, and how many poses a
+    Prints how much machines differ, how far the data sheet is off, which machines do not belong, and how many poses a
     further one needs. The type is then prior knowledge for calibrate, discover, check and design (--type).
     """
     from pincal.atomic import write_atomic
@@ -114,7 +114,7 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
     if at is not None:
         out.print(summary.poses_summary(at))
     else:
-        click.echo("note: what this comes to at the tool needs the arm: give a model.json, or --robot URDF")
+        click.echo("note: to give this as motion of the tool, the arm is needed: give a model.json, or --robot URDF")
     written = [str(path) for path in (arguments.out, arguments.share, arguments.report) if path is not None]
     click.echo(f"written to {' '.join(written)}")
     return Exit.DONE
@@ -124,7 +124,7 @@ def _machines(texts: Sequence[str]) -> tuple[list[Machine], CalibratedModel | No
     """Return the machines of files and stores, and the first model among them.
 
     Raises:
-        BadInputError: for a file that is none of these, or a model without information.
+        BadInputError: for another kind of file, or a model without information.
     """
     from pincal.calibration.calibrated_robot import load_stations
     from pincal.fleet.jobs import last_model
@@ -155,17 +155,17 @@ class FleetCheckArguments:
     type: Path = argument("TYPE.json", "The type, as written by fleet learn.")
     store: str = store_argument()
     report: Path | None = option("Also write a page: what to look at first.", metavar="PAGE.html", type=Output(".html"))
-    alpha: float = option("Largest part of all alarms that is false, in the long run.", 0.05)
-    every: int = option("Days of a round of checks.", 7, metavar="N", type=click.IntRange(min=1))
+    alpha: float = option("Largest fraction of alarms that may be false, in the long run.", 0.05)
+    every: int = option("Days per round of checks.", 7, metavar="N", type=click.IntRange(min=1))
     general: GeneralOptions = group("General")
 
 
 @verb(FleetCheckArguments, examples=_CHECK_EXAMPLES, exits=(Exit.CHANGED,))
 def fleet_check(arguments: FleetCheckArguments) -> Exit:
-    """Find what has changed since when, over all machines and months of a store.
+    """Find which machines of a store have changed, what changed, and since when.
 
-    Alarms are rare enough to follow up: --alpha bounds the part of them that is false, however many machines there are
-    and however long they are watched. What machines of one label have in common is a drift of these.
+    Option --alpha bounds the fraction of false alarms, however many machines there are and however long they are
+    monitored. A change that machines with the same label share is reported as a drift of that group.
     """
     from pincal.atomic import write_atomic
     from pincal.fleet import summary
@@ -197,7 +197,7 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
             console().print(summary.look_first(found))
         if strangers := sorted({visit.machine for visit in visits} - begun.keys()):
             names = ", ".join(strangers[:_PARAMETERS]) + (" and others" if len(strangers) > _PARAMETERS else "")
-            click.echo(f"note: left out: checks of {names}, of which there is no calibration")
+            click.echo(f"note: left out: checks of {names}, for which there is no calibration")
         if left := len(without_information(store)):
             click.echo(
                 f"note: {counted(left, 'table')} of the store not calibrated yet: pincal fleet calibrate ROBOT.urdf "
@@ -211,6 +211,6 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
 VERBS["fleet"] = click.Group(
     "fleet",
     commands={name.removeprefix("fleet_"): command for name, command in VERBS.items() if name.startswith("fleet_")},
-    help="Many robots of a type: what they have in common, and what has changed on which.",
+    help="Learn from many robots of a type, and monitor them.",
     context_settings={"help_option_names": ["-h", "--help"]},
 )

@@ -1,4 +1,4 @@
-"""``pincal fleet add``, ``calibrate``, ``discover`` and ``diagnose``: a store of what is measured, and work on all of it."""
+"""``pincal fleet add``, ``calibrate``, ``discover`` and ``diagnose``: a store of measurements, and work on all of it."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from pincal.identify.options import Options
     from pincal.robot.robot import Robot
 
-# Failures of tables that are listed.
+# Number of failures that are listed.
 _FAILURES = 5
-# Tables from which on it is worth starting processes, which takes seconds.
+# Number of tables from which on starting processes, which takes seconds, pays off.
 _SEVERAL = 12
-# Names of files that say nothing of the machine: the folder's does.
+# Names of files that do not name the machine; the folder does.
 _GENERIC = ("model", "information", "diagnosis")
 _ADD_EXAMPLES = """
 Examples:
@@ -38,23 +38,23 @@ Examples:
   pincal fleet add fleet-store check.csv --check --machine R17
   pincal fleet add fleet-store diagnosis/diagnosis.json --machine R17
 
-A store is a folder, or a URL that fsspec knows, such as s3://bucket/fleet; the first file begins it. Many may add at
-the same time, and what is added twice is there once.
+A store is a folder, or a URL that fsspec can open, such as s3://bucket/fleet; it is created with the first file.
+Several processes may add files at the same time; a file that is added twice is stored once.
 """
 _JOB_EXAMPLES = """
 Examples:
   pincal fleet {0} fleet-store --noise 0.05mm
   pincal fleet {0} fleet-store --dask tcp://10.0.0.5:8786
 
-What is done is not done again: a run that was stopped goes on with what is left. Delete a folder of the store, such
-as {1}, to have all of it done anew.
+Completed work is not repeated: a run that was stopped continues with the rest. To repeat all of it, delete the folder
+{1} of the store.
 """
-_dask = "Work on this Dask cluster, which has to reach the store."
+_dask = "Work on this Dask cluster, which needs access to the store."
 store_argument = partial(argument, "STORE", "Folder or URL of the store.")
 
 
 def machine_names(texts: Iterable[str]) -> dict[str, str]:
-    """Return names of machines by their files: the stem, or that of the folder; the whole path where they are alike."""
+    """Return names of machines by file: its stem, or its folder's; the whole path if these are ambiguous."""
     paths = {text: Path(text) for text in texts}
     own = {text: path.absolute().parent.name if path.stem in _GENERIC else path.stem for text, path in paths.items()}
     count = Counter(own.values())
@@ -69,9 +69,9 @@ class AddArguments:
     files: tuple[Path, ...] = argument("FILE...", "Calibrated models, diagnoses (.json), or tables of measurements.")
     machine: str | None = option("Name of the machine.", metavar="NAME", words="of the file, or its folder")
     day: str | None = option("Day of the measurement.", metavar="YYYY-MM-DD", words="today")
-    check: bool = option("Tables are checks: has the machine changed since it was calibrated?", False)
+    check: bool = option("Add tables as checks of machines that are calibrated already.", False)
     label: tuple[str, ...] = option(
-        "What machines have in common that may drift together: a supplier, a batch, a hall.", (), metavar="KEY=VALUE"
+        "Property that machines share which may drift together: a supplier, a batch, a hall.", (), metavar="KEY=VALUE"
     )
     robot: str | None = option("URDF of the arm, for tables.", metavar="URDF", words="that of a model in the store")
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
@@ -109,7 +109,7 @@ def fleet_add(arguments: AddArguments) -> Exit:
             adding.append(partial(add, machine=machine, day=day, path=path))
             continue
         if path.is_dir():
-            raise BadInputError(f"{path}: a folder, as of an arm in motion; calibrate it and add its model.json")
+            raise BadInputError(f"{path}: a folder, such as a session in motion; calibrate it and add its model.json")
         if robot is None and arguments.robot is not None:
             robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
         elif robot is None:
@@ -118,7 +118,7 @@ def fleet_add(arguments: AddArguments) -> Exit:
                 known = last_model(open_store(arguments.store))
             if known is None:
                 raise BadInputError(
-                    f"{path}: the store has no model, so nobody knows which columns are joints; give --robot URDF"
+                    f"{path}: the store has no model, so it is unknown which columns are joints; give --robot URDF"
                 )
             robot = known.model.chain.robot
         table = load_table(robot, path, options=arguments.table.options)
@@ -140,7 +140,7 @@ def fleet_add(arguments: AddArguments) -> Exit:
 
 @dataclass(frozen=True, kw_only=True)
 class _TablesArguments:
-    """What work on all tables of a store takes."""
+    """Arguments of work on all tables of a store."""
 
     robot: str = robot_argument()
     store: str = store_argument()
@@ -158,7 +158,7 @@ class FitTablesArguments(_TablesArguments):
     """Arguments of fleet calibrate."""
 
     type: Path | None = option(
-        "What is known of machines of this type; checks are then calibrated, too.", metavar="TYPE.json"
+        "Prior knowledge of machines of this type; checks are then calibrated, too.", metavar="TYPE.json"
     )
 
 
@@ -171,9 +171,9 @@ def _fitted_with(arguments: _TablesArguments) -> tuple[Robot, Options]:
 
 @verb(FitTablesArguments, examples=_JOB_EXAMPLES.format("calibrate robot.urdf", "information"))
 def fleet_calibrate(arguments: FitTablesArguments) -> Exit:
-    """Calibrate every machine of a store whose tables were not calibrated yet.
+    """Calibrate all tables of a store that are not calibrated yet.
 
-    The store then has the information of each table, from which fleet learn and fleet check work.
+    The store then contains the information of each table, for fleet learn and fleet check.
     """
     from pincal.fleet.jobs import CalibrateTables, without_information
     from pincal.fleet.robot_type import load_type
@@ -206,16 +206,16 @@ class DiagnoseTablesArguments:
 
     store: str = store_argument()
     noise: float | None = option("Noise of one coordinate.", type=LENGTH, words="that of the calibration")
-    alpha: float = option("Probability of a false alarm, for each table by itself.", 0.01)
+    alpha: float = option("Probability of a false alarm, for each table.", 0.01)
     dask: str | None = option(_dask, metavar="ADDRESS", words="this machine, all its cores")
     general: GeneralOptions = group("General")
 
 
 @verb(DiagnoseTablesArguments, examples=_JOB_EXAMPLES.format("diagnose", "diagnoses"))
 def fleet_diagnose(arguments: DiagnoseTablesArguments) -> Exit:
-    """Diagnose every check of a store by the last model.json of its machine.
+    """Diagnose every check of a store with the last model.json of its machine.
 
-    Each check by itself; fleet check weighs all of them against each other.
+    Each check is tested by itself; fleet check evaluates all of them together.
     """
     from pincal.fleet.jobs import DiagnoseTables
     from pincal.fleet.store import TABLES, open_store
@@ -226,10 +226,10 @@ def fleet_diagnose(arguments: DiagnoseTablesArguments) -> Exit:
 
 
 def _run(store: Store, job: Job, tables: Sequence[Key], dask: str | None, general: GeneralOptions, *, done: str) -> Exit:
-    """Do a job for tables of a store and print what became of it.
+    """Do a job for tables of a store and print its result.
 
     Raises:
-        BadInputError: if there was something to do and all of it failed.
+        BadInputError: if there was work and all of it failed.
     """
     from pincal.fleet.jobs import run_job
     from pincal.fleet.store import TABLES
@@ -242,7 +242,7 @@ def _run(store: Store, job: Job, tables: Sequence[Key], dask: str | None, genera
         counts = {"done": good, "before": before + found.before, "failed_before": found.failed_before}
         print_json({"job": job.name, **counts, "failed": found.failed})
     else:
-        words = f"; {before} {'was' if before == 1 else 'were'} before" if (before := before + found.before) else ""
+        words = f"; {before} done before" if (before := before + found.before) else ""
         click.echo(f"{counted(good, 'table')} {done}{words}")
         for path, reason in list(found.failed.items())[:_FAILURES]:
             click.echo(f"failed: {path}: {reason}")
@@ -252,5 +252,5 @@ def _run(store: Store, job: Job, tables: Sequence[Key], dask: str | None, genera
             click.echo(f"{found.failed_before} failed before, not tried again: see the column failure of {job.kind}")
     if found.failed and not good:
         all_of_them = counted(found.done, "table")
-        raise BadInputError(f"{store.place}: none of {all_of_them} could be worked on; the reasons are in the store")
+        raise BadInputError(f"{store.place}: none of {all_of_them} could be processed; the reasons are in the store")
     return Exit.DONE

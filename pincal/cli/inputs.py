@@ -1,4 +1,4 @@
-"""From files and typed arguments of the command line to the library's objects: tables, options, models at their place."""
+"""From files and typed arguments of the command line to the library's objects: tables, options, models with placement."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ from pincal.units import readable_unit
 
 @dataclass(frozen=True)
 class Prepared:
-    """What every verb that takes a robot and measurements works on.
+    """Robot, measurements and options of a command.
 
     Attributes:
         robot: the arm.
-        tables: the measurements of each station, by its name; the only station may have any.
+        tables: the measurements of each station by its name; a single station may have any name.
         options: how to calibrate.
         files: all input files, for the provenance of the result.
     """
@@ -107,7 +107,7 @@ def named_effects(
     """
     if not texts:
         return ()
-    # What a station's poses show; the others may lack the column that it follows.
+    # The station with most columns; the others may lack the one on which the effect depends.
     name, table = max(tables.items(), key=lambda item: len(item[1].columns()))
     chain = Chain.of(robot, targets=tuple(str(target) for target in np.unique(table.target)))
     conditions = conditions_of(Model(chain, ()), table, np.array(options.at(name).payload_centre))
@@ -120,13 +120,13 @@ def load_robot(source: InputOptions) -> Robot:
 
 
 def as_stated(robot: Robot, *, signs: Sequence[str], couplings: Sequence[str]) -> Robot:
-    """Return the robot with what its controller reports, as the command line states it."""
+    """Return the robot with the signs and couplings of reported positions that the command line states."""
     robot = remastered(robot, turned=signs) if signs else robot
     return robot.with_couplings(*couplings) if couplings else robot
 
 
 def _described(source: InputOptions) -> Robot:
-    """Return the robot as its URDF has it: the joints between the links that the tables are about."""
+    """Return the robot of the URDF: the joints between the links of the tables."""
     tree = read_cell(source.robot, source.beside, xacro_args=dict(source.xacro_args))
     known = {joint.name for joint in tree.joints}
     tip, start = source.tip or source.links.to, source.links.start
@@ -144,13 +144,13 @@ def _described(source: InputOptions) -> Robot:
         way = [joint.name for joint in above if joint.kind in MOVING_TYPES]
         joints[path] = joint_columns(session or path, known, of_path(session or path, way, reading))
         recorded |= dict.fromkeys(joints[path])
-        # The end of a chain that the columns of the table are of, if nothing says otherwise.
+        # By default, the end of the chain whose joints are columns of the table.
         ends = [(first or start, last or tip or tree.default_tip(joints[path] or None)) for first, last in pairs]
         paths += [pair for pair in ends if pair not in paths]
     paths += [pair for pair in given.values() if pair not in paths]
     for option, link, named in (("--from", start, [pair[0] for pair in paths]), ("--to", tip, [pair[1] for pair in paths])):
         if link is not None and link not in named:
-            raise BadInputError(f"{option} {link}, but the rows say {', '.join(map(str, named))}; leave one of them out")
+            raise BadInputError(f"{option} {link}, but the rows have {', '.join(map(str, named))}; leave one of them out")
     (start, tip), *others = paths
     movable = [joint.name for joint in tree.joints if joint.kind in MOVING_TYPES]
     rested = [name for name, _ in source.links.rest]
@@ -176,9 +176,9 @@ def load_tables(
     links: LinkOptions | None = None,
     motion: MotionOptions | None = None,
 ) -> dict[str, Measurements]:
-    """Return the measurements of each station, named by its file or by a column ``station``.
+    """Return the measurements of each station, named after its file or by a column ``station``.
 
-    Folders, and streams of an arm in motion, are named by the folder and what reads the arm.
+    Sessions in motion are named after the folder and the instrument.
 
     Raises:
         BadInputError: for a file that is invalid, or two stations of one name; or if a joint on the way between the links
@@ -200,7 +200,7 @@ def load_tables(
 
 
 def _between(table: Measurements, name: str, links: LinkOptions) -> Measurements:
-    """Return a table with the links that the command line gives its rows."""
+    """Return a table with the links given on the command line for its rows."""
     names = np.full(len(table), name) if table.station is None else table.station
     for station, start, tip in links.stations:
         if (rows := (names == station) | (name == station)).any():
@@ -209,7 +209,7 @@ def _between(table: Measurements, name: str, links: LinkOptions) -> Measurements
 
 
 def _with_links(table: Measurements, rows: np.ndarray, start: str, tip: str) -> Measurements:
-    """Return a table with these links at some rows, shape (N,)."""
+    """Return a table with these links in some rows, shape (N,)."""
     nothing = np.full(len(table), "", object)
     first, last = (nothing if of is None else of.astype(object) for of in (table.from_link, table.to_link))
     return replace(table, from_link=np.where(rows, start, first).astype(str), to_link=np.where(rows, tip, last).astype(str))
@@ -225,7 +225,7 @@ def load_table(
 ) -> Measurements:
     """Return the measurements (or the joint positions alone) of a file for this robot.
 
-    Of a robot with several arms a table that names no links is about the first one of whose joints it has all columns.
+    Without links, a table of a robot with several arms is about the first arm of which it has all joint columns.
     """
     require: Literal["measurement", "joints"] = "joints" if joints_only else "measurement"
     reading, links = options or TableOptions(), links or LinkOptions()
@@ -234,7 +234,7 @@ def load_table(
     pairs, chosen = given or links_of_rows(path, reading) if is_tree else [(None, None)], None
     if pairs == [(None, None)] and is_tree:
         there = set(joint_columns(path, robot.joint_names, reading))
-        # What is known of an arm from contacts holds for what an instrument sees of it, too.
+        # An arm that was calibrated by contacts may also be measured by an instrument at the base.
         ends = dict.fromkeys(end for pair in ((robot.path.start, robot.tip), *robot.links) for end in pair)
         ways = ((robot.path.start, robot.tip), *robot.links, *((robot.base, end) for end in ends if end != robot.base))
         chosen = next((way for way in ways if there.issuperset(robot.joints_between(*way))), None)
@@ -251,7 +251,7 @@ def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -
     """Return the calibration's options from those of the command line.
 
     Raises:
-        BadInputError: if the noise is given in a unit that no station's readings have.
+        BadInputError: if no station has readings in the unit of the given noise.
     """
     model, setup, fit = chosen.model, chosen.setup, chosen.fit
     listed = () if setup.distances is None else read_distances(setup.distances)
@@ -284,7 +284,7 @@ def _known_of(setup: SetupOptions, table: Measurements, *, alone: bool) -> Stati
         base = transform(np.eye(3), -np.array(setup.anchor))
     mount = read_camera(setup.camera).T_tip_camera if setup.camera and table.sensor and table.sensor.has_camera else None
     if mount is not None and not (table.sensor and table.sensor.is_on_tool):
-        raise BadInputError(f"{setup.camera}: T_tip_camera, but {table.source} is of a fixed camera; remove it")
+        raise BadInputError(f"{setup.camera}: T_tip_camera, but {table.source} is from a fixed camera; remove it")
     is_place = table.sensor is None or table.sensor.reads_place
     known: tuple[float, float, float] | np.ndarray | None = (setup.tool if is_place else None) if mount is None else mount
     tools = None if known is None else {str(table.target[0]): known}
@@ -295,7 +295,7 @@ def _known_of(setup: SetupOptions, table: Measurements, *, alone: bool) -> Stati
 
 
 def _refuse_unused(setup: SetupOptions, tables: Mapping[str, Measurements]) -> None:
-    """Refuse a camera or an instrument that is used at no station, and noise in a unit that no station's readings have."""
+    """Refuse a camera, an instrument or a unit of noise that no station has."""
     held = " and ".join(f"{table.source} holds {table.kind}" for table in tables.values())
     if setup.camera and not any(table.sensor and table.sensor.has_camera for table in tables.values()):
         raise BadInputError(f"--camera is for camera readings, but {held}; leave it out")
@@ -315,12 +315,12 @@ def _refuse_unused(setup: SetupOptions, tables: Mapping[str, Measurements]) -> N
 
 @dataclass(frozen=True)
 class PlacedModel:
-    """A calibrated model at a place.
+    """A calibrated model with a placement of instrument and target.
 
     Attributes:
         model: the model.
-        notes: what the user should know of the place.
-        contents: how the place was found, for programs; empty for one of the calibration.
+        notes: for the user, on the placement.
+        contents: how the placement was identified, for ``--json``; empty for one of the calibration.
     """
 
     model: CalibratedModel
@@ -328,17 +328,17 @@ class PlacedModel:
     contents: dict[str, Any] = field(default_factory=dict)
 
     def over(self, rows: Measurements) -> PlacedModel:
-        """Return the place for some rows: what they lack columns for and belonged to the calibrated station is left out."""
+        """Return the model for some rows, without effects of the calibrated station for which they lack columns."""
         model, notes = without_absent(self.model, rows)
         return PlacedModel(model, (*self.notes, *notes), self.contents)
 
 
 def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> PlacedModel:
-    """Return the model of a file at the place that the command line asks for.
+    """Return the model of a file with the placement chosen on the command line.
 
     Raises:
-        BadInputError: if the station is not in the model, none is chosen of several, or rows do not give a new one.
-        ChangedRobotError: if rows are of another robot.
+        BadInputError: if the station is unknown, none of several is chosen, or rows do not determine a new one.
+        ChangedRobotError: if the rows belong to another robot.
     """
     if chosen.placement is not None and chosen.station is not None:
         raise click.UsageError("--placement identifies a new pose, --station takes one of the model; give one of them")
@@ -374,7 +374,7 @@ def _placed(file: Path, model: CalibratedModel, path: Path, reading: TableOption
 
 
 def other_robot(doubt: str, path: Path) -> ChangedRobotError:
-    """Return the error that rows are not of the robot of a model's file, or it has changed, and what to do."""
+    """Return the error that rows belong to another robot than the model, or that it has changed, with the next step."""
     return ChangedRobotError(
         f"{doubt}. They belong to another robot, or it has changed since calibration. Check joint columns, units "
         f"and times; then find out what changed: pincal diagnose {path} DATA.csv --out DIR"

@@ -1,4 +1,4 @@
-"""Arms that move: streams on the command line, and for ``pincal simulate`` a path and who logs it."""
+"""Arms in motion: streams on the command line, and for ``pincal simulate`` a path and its loggers."""
 
 from __future__ import annotations
 
@@ -23,33 +23,33 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionOptions:
-    """Streams of an arm that moves, each on a clock of its own, in place of a folder of them."""
+    """Streams of an arm in motion, each on a clock of its own, in place of a folder."""
 
     imu: Path | None = option(
-        "Log of an IMU on the tool while the arm moves (time, ax ay az, wx wy wz); --joints then logs its joints (time and "
+        "Log of an IMU on the tool while the arm moves (time, ax ay az, wx wy wz); --joints is then its joint log (time and "
         "a column for each).",
         metavar="LOG",
     )
     tracker: Path | None = option(
-        "Log of an instrument that reads the tool meanwhile (time, and x y z, distance, or u v with point or target).",
+        "Log of an instrument that measures the tool in motion (time, and x y z, distance, or u v with point or target).",
         metavar="LOG",
     )
 
     @property
     def are_given(self) -> bool:
-        """Whether there is one of them."""
+        """Whether a stream is given."""
         return self.imu is not None or self.tracker is not None
 
     def check(self, joints: Path | None, data: Sequence[Path]) -> None:
         """Refuse streams without their joints, and no input at all."""
         if self.are_given and joints is None:
-            raise click.UsageError("--imu and --tracker need the joints that were logged meanwhile: --joints LOG")
+            raise click.UsageError("--imu and --tracker need the log of the joints: --joints LOG")
         if not self.are_given and not data:
             raise click.UsageError("Missing argument 'DATA.csv...'; or --joints, --imu and --tracker of an arm in motion")
 
 
 def input_files(paths: Iterable[Path]) -> Iterator[Path]:
-    """Yield files, those in folders of sessions one by one."""
+    """Yield files, and the files in folders of sessions."""
     from pincal.motion.sessions import joints_of_session
 
     for path in paths:
@@ -61,7 +61,7 @@ def input_files(paths: Iterable[Path]) -> Iterator[Path]:
 def load_sessions(
     robot: Robot, paths: Sequence[Path], reading: TableOptions, motion: MotionOptions
 ) -> tuple[dict[str, Measurements], list[Path]]:
-    """Return the tables of stations in motion by their names, and the other files, which are tables.
+    """Return the tables of stations in motion by name, and the other files, which are tables.
 
     Raises:
         BadInputError: for a stream that is invalid.
@@ -80,7 +80,7 @@ def load_sessions(
     return session_tables(robot, sessions), [path for path in paths if path not in folders]
 
 
-# Samples a second of a fast logger.
+# Samples per second of a fast logger.
 _MOST_RATE = 10_000.0
 
 
@@ -96,7 +96,7 @@ def _densities(text: str) -> tuple[float, float]:
 
 
 def _rates(text: str) -> tuple[float, ...]:
-    """Return samples a second of joints, IMU and tracker [Hz], such as ``150,100,250``."""
+    """Return sampling rates of joints, IMU and tracker [Hz], such as ``150,100,250``."""
     rates = plain_numbers(text.split(","))
     if len(rates) != 3 or not all(1.0 <= rate <= _MOST_RATE for rate in rates):
         raise click.BadParameter(f"{text!r}; expected rates of joints, IMU and tracker [Hz], such as 150,100,250")
@@ -104,34 +104,34 @@ def _rates(text: str) -> tuple[float, ...]:
 
 
 DURATION = QuantityType({"s": 1.0, "min": 60.0}, "300s")
-"""A time that is driven or waited."""
+"""A duration."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DrivenOptions:
-    """What is driven before an IMU."""
+    """A motion to drive with an IMU."""
 
     motion: float | None = option(
-        "Choose a motion of this duration to drive before an IMU on the tool, instead of poses; in --out stands when each "
-        "of its poses is reached.",
+        "Instead of poses, choose a motion of this duration to drive with an IMU on the tool; --out gives the time at which "
+        "each of its poses is reached.",
         metavar="DURATION",
         type=DURATION,
     )
     speed: float = option(
-        "Largest speed of a joint [rad/s], of one that slides half as much [m/s]; less where the URDF says so.", 1.0
+        "Largest speed of a joint [rad/s], half as much for a prismatic one [m/s]; lower limits of the URDF apply.", 1.0
     )
-    acceleration: float = option("Largest acceleration of a joint [rad/s^2], of one that slides half as much [m/s^2].", 3.0)
+    acceleration: float = option("Largest acceleration of a joint [rad/s^2], half as much for a prismatic one [m/s^2].", 3.0)
 
 
 def _path(text: str) -> float | Path:
-    """Return the duration of a random path [s], or the file of a table of the poses that it goes through."""
+    """Return the duration of a random path [s], or the table of the poses along a path."""
     is_file = Path(text).suffix.lower() in TABLE_ENDINGS or Path(text).is_file()
     return Path(text) if is_file else float(DURATION(text))
 
 
 @dataclass(frozen=True, kw_only=True)
 class MotionArguments:
-    """A path that is driven, and who logs it."""
+    """A path and its loggers."""
 
     path: float | Path | None = option(
         "Drive a random path of this duration, or from pose to pose of a table by its column time, instead of holding "
@@ -139,7 +139,7 @@ class MotionArguments:
         metavar="DURATION|FILE",
         type=_path,
     )
-    imu: bool = option("Log an IMU on the tool; a tracker besides if --sensor is given.", False)
+    imu: bool = option("Log an IMU on the tool, and a tracker as well if --sensor is given.", False)
     imu_noise: tuple[float, float] | None = option(
         "Noise densities of accelerometer and gyroscope, per root of a hertz.",
         metavar="ACC,GYRO",
@@ -156,19 +156,21 @@ class MotionArguments:
         words="0.001deg",
     )
     log_rates: tuple[float, float, float] | None = option(
-        "Samples a second of joints, IMU and tracker.", metavar="HZ,HZ,HZ", type=_rates, words="150,100,250, cameras 30"
+        "Sampling rates of joints, IMU and tracker.", metavar="HZ,HZ,HZ", type=_rates, words="150,100,250, cameras 30"
     )
     clock_drift: float | None = option(
         "Drift of the clocks of IMU and tracker.", metavar="PPM", type=NumberType(-1e5, 1e5), words="random within 100"
     )
-    dropped: float | None = option("Rows that loggers lose.", metavar="PERCENT", type=NumberType(0.0, 20.0), words="0.5")
+    dropped: float | None = option(
+        "Share of rows that loggers lose.", metavar="PERCENT", type=NumberType(0.0, 20.0), words="0.5"
+    )
 
     def first_given(self) -> str | None:
-        """Return the name of an option that is given."""
+        """Return the first of these options that is given."""
         return next((field.name for field in fields(self) if getattr(self, field.name) not in (None, False)), None)
 
     def session_options(self, duration: float) -> SessionOptions:
-        """Return what is asked of the logs of a path of this duration [s]; the rest as it is by default."""
+        """Return the options of the logs of a path of this duration [s]."""
         from pincal.simulate.session import SessionOptions
 
         drift = None if self.clock_drift is None else 1e-6 * self.clock_drift

@@ -1,4 +1,4 @@
-"""``pincal validate``, ``diagnose`` and ``update``: what new rows show of a calibrated robot, and these rows added."""
+"""``pincal validate``, ``diagnose`` and ``update``: new rows tested against a calibrated robot, or added to it."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ Examples:
   pincal validate results/model.json new_measurements.csv --max-error 0.1mm
   pincal validate results/model.json monday.csv tuesday.csv
 
-Instrument and target are taken to be where they were calibrated unless the rows indicate another placement,
-which is then identified from them and reported with the displacement; the errors refer to it. If no placement
+Instrument and target are assumed to be where they were calibrated unless the rows indicate another placement,
+which is then identified from them and reported as a displacement; the errors refer to it. If no placement
 explains the rows, they belong to another robot, or it has changed: exit code 6; run pincal diagnose. Of several
 tables, those that the model was not fitted to come first, and --max-error applies to them.
 """
@@ -55,7 +55,7 @@ class ValidateArguments:
     model: Path = model_argument()
     data: tuple[Path, ...] = argument(
         "DATA.csv...",
-        "Measurements that the calibration did not use, or folders of sessions in motion. Several are a station each.",
+        "Measurements that the calibration did not use, or folders of sessions in motion. Each is a station.",
         required=False,
     )
     station: str | None = station_option(words="the nearest, or a new placement if the rows indicate one")
@@ -97,14 +97,14 @@ def validate(arguments: ValidateArguments) -> Exit:
 
 
 def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
-    """Return the outcome for programs, and what the user should know: of the rows, and of those beyond the range."""
+    """Return the result for ``--json``, and notes for the user, on all rows and on those outside the calibrated range."""
     from msgspec import to_builtins
 
     from pincal.notes import doubts_first
     from pincal.validate.accuracy import error_statistics, pose_error_sizes
     from pincal.validate.misfit import worst
 
-    # Rows that the model was fitted to are no evidence for a day that it never saw: where there are others, these count.
+    # Fitted rows are no evidence of accuracy on a new day: if there are others, only these count.
     unseen = [each for each in found if not each.fitted_rows] or found
     error = error_statistics(pose_error_sizes(each.station, each.values) for each in unseen)
     stations = list(map(_station, found))
@@ -113,7 +113,7 @@ def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
         "outside": sum(part["outside"] for part, _ in ranges),
         **{name: [curve for part, _ in ranges for curve in part[name]] for name in ("curves", "gaps")},
     }
-    # Entries of a single station are repeated at the top.
+    # Entries of a single station are repeated at top level.
     alone = {key: stations[0][key] for key in ("iso9283", "path", "lack_of_fit") if len(found) == 1 and key in stations[0]}
     notes = doubts_first([*(note for each in found for note in each.notes), *(n for _, part in ranges for n in part)])
     contents = {
@@ -140,7 +140,7 @@ def _station(found: Validation) -> dict[str, Any]:
 
 
 def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note]) -> None:
-    """Print what makes it doubtful, where the stations are, and the errors there."""
+    """Print the doubts, the placement of each station, and its errors."""
     from pincal.calibration.result_tables import error_table
     from pincal.cli.progress import console
     from pincal.cli.screen import print_doubts, print_replicates
@@ -179,18 +179,18 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
 
 @dataclass(frozen=True, kw_only=True)
 class _NewRows:
-    """What both take."""
+    """Arguments of both commands."""
 
     model: Path = model_argument()
     data: Path = argument(
-        "NEW.csv", "New measurements, or the folder of a session before a tracker; instrument and target may have moved."
+        "NEW.csv", "New measurements, or the folder of a session with a tracker; instrument and target may have moved."
     )
     out: Path = option("Folder for the results.", MISSING, metavar="DIR", type=Output())
     table: TableArguments = group("Tables")
     general: GeneralOptions = group("General")
 
     def read(self, robot: Robot) -> Measurements:
-        """Return the new measurements: of a session what tells where the tool is, if anything does."""
+        """Return the new measurements; of a session, the readings of positions if there are any."""
         from pincal.cli.inputs import load_table, load_tables
         from pincal.motion.sessions import joints_of_session
 
@@ -203,7 +203,7 @@ class _NewRows:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """What the result rests on."""
+        """The input files of the result."""
         from pincal.cli.motion_options import input_files
 
         return (self.model, *input_files([self.data]))
@@ -274,7 +274,7 @@ class UpdateArguments(_NewRows):
         words="as declared for the calibration, else estimated",
     )
     anew: tuple[str, ...] = option(
-        "Re-estimate this effect of the model, named as by diagnose; changes are then not tested for.",
+        "Re-estimate this effect of the model, named as by diagnose; no test for changes is made.",
         (),
         metavar="EFFECT[:JOINT]",
     )
@@ -284,8 +284,8 @@ class UpdateArguments(_NewRows):
 def update_verb(arguments: UpdateArguments) -> Exit:
     """Add new measurements to a calibrated model permanently.
 
-    The result equals a calibration from old and new rows together, without needing the old ones. Rows of a robot that has
-    changed are refused (exit code 6): see diagnose. With --anew, the named effect is re-estimated, all else is kept.
+    The result equals a calibration from old and new rows together, but does not need the old ones. Rows of a robot that has
+    changed are refused (exit code 6): see diagnose. With --anew, only the named effect is re-estimated.
     """
     from pincal.calibration.calibrated_robot import load_stations
     from pincal.diagnosis.model_update import update

@@ -1,4 +1,4 @@
-"""Results of a verb: columns of poses, JSON on stdout, notes on stderr, limits."""
+"""Results of a command: columns of poses, JSON on stdout, notes on stderr, limits."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 # Packages whose versions a report of a problem names.
 _PACKAGES = ("numpy", "scipy", "pin", "numba", "llvmlite", "polars", "example-robot-data")
-# A header that is longer is cut.
+# Longer headers are truncated.
 _LONGEST_HEADER = 500
-# Rows outside the calibrated range that are listed one by one.
+# Number of rows outside the calibrated range that are listed individually.
 _SHOWN = 5
 
 
@@ -40,7 +40,7 @@ def print_json(contents: Mapping[str, Any]) -> None:
 
 
 def echo_notes(notes: Iterable[Note | str], *, quiet: bool) -> None:
-    """Print notes on stderr unless they are not wanted; doubts stand before the result."""
+    """Print notes on stderr unless ``quiet``; doubts are printed before the result."""
     from pincal.notes import doubts_first
 
     for note in doubts_first(notes) if not quiet else ():
@@ -49,7 +49,7 @@ def echo_notes(notes: Iterable[Note | str], *, quiet: bool) -> None:
 
 
 def provenance(files: Sequence[Path], *, seed: int | None = None) -> dict[str, Any]:
-    """Return what a result rests on: versions, command, seed, and the input files with their hashes."""
+    """Return the origin of a result: versions, command, seed, and the input files with their hashes."""
     from pincal.io.result_folder import file_hash
 
     return {
@@ -66,7 +66,7 @@ def provenance(files: Sequence[Path], *, seed: int | None = None) -> dict[str, A
 def require_accuracy(mean_mm: float | None, max_error: float | None, *, rows: str) -> None:
     """Raise :class:`AccuracyGateError` if the mean error [mm] of these rows exceeds the limit [m], if there is one."""
     if max_error is not None and mean_mm is None:
-        raise AccuracyGateError(f"--max-error {max_error * 1e3:g} mm: the {rows} rows tell no places, and no error in mm")
+        raise AccuracyGateError(f"--max-error {max_error * 1e3:g} mm: the {rows} rows have no positions, so no error in mm")
     if max_error is not None and mean_mm is not None and mean_mm > max_error * 1e3:
         raise AccuracyGateError(f"mean error of {mean_mm:.4f} mm on {rows} rows exceeds --max-error {max_error * 1e3:g} mm")
 
@@ -84,15 +84,15 @@ def columns_of_poses(poses: np.ndarray, *, with_orientation: bool) -> dict[str, 
 def extrapolation(
     calibrated: CalibratedModel, conditions: Conditions, lines: np.ndarray
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return where a model is used outside the range of the data that it was calibrated with.
+    """Return where a model is used outside the range of its calibration data.
 
     Args:
         calibrated: the model.
-        conditions: the N rows that it is used for.
+        conditions: of the N rows.
         lines: shape (N,), line of each row in its file.
 
     Returns:
-        Entries for programs, and notes for the user.
+        Entries for ``--json``, and notes for the user.
     """
     from pincal.recorded import RECORDABLE
 
@@ -130,7 +130,7 @@ def extrapolation(
 
 
 def write_all(files: dict[str, tuple[Path | None, Callable[[Path], None]]]) -> None:
-    """Write several files, all of them or none, each by its function; they are given by the options that name them."""
+    """Write several files, all or none, each by its function; keys are the options that name them."""
     wanted = {option: (path, write) for option, (path, write) in files.items() if path is not None}
     _check_places({option: path for option, (path, _) in wanted.items()})
     with ExitStack() as drafts:
@@ -156,11 +156,11 @@ def write_plain(path: Path, *, contents: dict[str, Any]) -> None:
 
 
 def problem_report(words: Sequence[str], files: Sequence[Path]) -> Iterator[str]:
-    """Yield the lines that begin a report of a problem.
+    """Yield the first lines of a bug report.
 
     Args:
         words: the command line after ``pincal``.
-        files: files among them; of text tables the names of columns are given, but no data.
+        files: files among them; of text tables, the header is shown, but no data.
     """
     from pincal.io.result_folder import file_hash
 
@@ -182,7 +182,7 @@ def _version(package: str) -> str:
 
 
 def _columns(table: Path) -> str:
-    """Return the header of a text table in words; nothing for other files, and where the first line is data."""
+    """Return the header of a text table in words; nothing for other files."""
     if table.suffix.lower() not in (".csv", ".txt", ".tsv", ".dat"):
         return ""
     with table.open("rb") as file:

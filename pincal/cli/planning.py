@@ -1,7 +1,8 @@
-"""``pincal check`` and ``design``: what a table, or poses that are to be measured, can show before any fit is trusted."""
+"""``pincal check`` and ``design``: what a table, or poses to be measured, can identify."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 import numpy as np
 
-from pincal.cli.arguments import argument, as_given, group, option, verb, words_given
+from pincal.cli.arguments import argument, group, option, verb, words_given
 from pincal.cli.common import (
     TABLE,
     CalibrationOptions,
@@ -48,7 +49,7 @@ Examples:
   pincal design robot.urdf --poses 20 --measured tracker.csv --out more.csv     # which poses to add?
   pincal design robot.urdf --poses 40 --out poses.csv \\
       --tell-apart gear_eccentricity:joint_2 gravity_compensator:joint_2
-  pincal design robot.urdf --motion 300s --out motion.csv                       # what to drive before an IMU?
+  pincal design robot.urdf --motion 300s --out motion.csv                       # what to drive with an IMU?
   pincal design results/model.json --check --notice 0.2mm --out check.csv       # has it changed?
   pincal design results/model.json --check --notice 0.5mm --out check.csv \\
       --socket 0.7 0.3 0.2 --socket 0.5 -0.4 0.4                                # the same with two sockets
@@ -59,7 +60,7 @@ An effect is NAME[:JOINT][:KEY=VALUE,...], as in discover. Neither the paths fro
 around the robot are considered: check them before the robot moves.
 """
 _COUNT = click.IntRange(min=1)
-# What of an instrument beside the robot a motion before an IMU does not depend on.
+# Options of an instrument, on which a motion with an IMU does not depend.
 _OF_RIG = ("sensor", "sockets", "tool", "payload")
 
 
@@ -83,7 +84,7 @@ def check(arguments: CheckArguments) -> Exit:
     Units, ranges and coverage are checked, and the reason is given for what cannot be identified.
     """
     if arguments.report:
-        # Before anything is read, so that it is there whatever the check comes to.
+        # Before anything is read, so that it is printed even if the check fails.
         for line in problem_report(["check", *words_given()], [Path(arguments.source.robot), *arguments.source.data]):
             click.echo(line)
     from pincal.cli.inputs import prepare
@@ -102,14 +103,14 @@ def check(arguments: CheckArguments) -> Exit:
         if arguments.verbose or arguments.report:
             print_precheck(found, console())
         else:
-            command = as_given("calibrate", "--out", "results")
+            command = shlex.join(["pincal", "calibrate", *words_given(), "--out", "results"])
             print_brief_check(found, prepared.robot, console(), command=command)
     return Exit.DONE
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConstraintOptions:
-    """Where arm, target and instrument may be."""
+    """Constraints on arm, target and instrument."""
 
     instrument: Triple | None = option(
         "Position in the robot's base frame [m]; the target must be visible from there.", words="sees everything"
@@ -126,7 +127,7 @@ class ConstraintOptions:
         "Smallest, then largest coordinates of the target in the base frame [m].", metavar="X Y Z X Y Z"
     )
     floor: float | None = option(
-        "Height in the base frame above which arm and target stay [m].", metavar="Z", words="0 for an upright robot"
+        "Height in the base frame above which arm and target are kept [m].", metavar="Z", words="0 for an upright robot"
     )
     no_floor: bool = option("No floor.", False)
     clearance: float = option(
@@ -141,7 +142,7 @@ class ConstraintOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentOptions:
-    """What is measured, and how well."""
+    """Kind and noise of the measurement."""
 
     sensor: Literal["position", "pose", "distance", "socket"] | None = option(
         "Kind of measurement.", words="position, or socket with --socket"
@@ -158,16 +159,16 @@ class InstrumentOptions:
     )
     noise_angle: float = option("Standard deviation of one orientation component.", 0.0001, type=ANGLE, words="0.1mrad")
     payload: Sequence[float] | None = option(
-        "One payload, or several from which the best is chosen for each pose.", metavar="KG[,KG...]", type=masses
+        "Payload, or several from which the best is chosen for each pose.", metavar="KG[,KG...]", type=masses
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckOptions:
-    """What a health check must detect."""
+    """Requirements of a health check."""
 
     check: bool = option("Choose the fewest poses of a health check for pincal diagnose.", False)
-    notice: float = option("Motion of any point in reach that is to be detected.", 1e-4, type=LENGTH, words="0.1mm")
+    notice: float = option("Motion of any point within reach that must be detected.", 1e-4, type=LENGTH, words="0.1mm")
     power: float = option("Probability of detecting it.", 0.95)
     alpha: float = option("Probability of a false alarm.", 0.01)
     max_poses: int = option("Largest number of poses.", 40, metavar="N", type=_COUNT)
@@ -180,7 +181,7 @@ class DesignArguments:
     robot: str = argument(
         "ROBOT", "URDF or xacro file, or the name of a robot of example-robot-data; with --check a model.json, too."
     )
-    out: Path = option("Table of poses to write, to be filled in.", MISSING, type=TABLE)
+    out: Path = option("Table of poses to write, with empty columns for the readings.", MISSING, type=TABLE)
     poses: int | None = option("Number of poses to choose.", metavar="N", type=_COUNT)
     accuracy: float | None = option("Instead of --poses: the fewest poses that reach this predicted error.", type=LENGTH)
     criterion: Literal["task", "determinant"] = option(
@@ -200,7 +201,7 @@ class DesignArguments:
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
     start: str | None = option(
-        "Link from which the tip is seen, such as the other hand.", metavar="LINK", name="--from", words="the base"
+        "Link in whose frame the tip is measured, such as the other hand.", metavar="LINK", name="--from", words="the base"
     )
     beside: tuple[Beside, ...] = beside_option()
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
@@ -218,7 +219,7 @@ class DesignArguments:
 def design(arguments: DesignArguments) -> Exit:
     """Choose the most informative poses to measure.
 
-    All are reachable and visible; the number of poses that is needed is reported, too.
+    All are reachable and visible; the command also predicts how many poses are needed.
     """
     if arguments.health.check:
         return _check(arguments)
@@ -277,7 +278,7 @@ def _motion(arguments: DesignArguments, duration: float) -> Exit:
     wanted |= {"instrument": constraints.instrument, "normal": constraints.normal}
     if other := next((name for name, value in wanted.items() if value not in (None, ())), None):
         flag = {"start": "from", "sockets": "socket"}.get(other, other.replace("_", "-"))
-        raise click.UsageError(f"--{flag} is of poses that are held; leave it out, or --motion")
+        raise click.UsageError(f"--{flag} is for poses at rest; leave out --{flag} or --motion")
     robot, driven = _robot(arguments), arguments.driven
     found = design_motion(
         robot,
@@ -295,7 +296,7 @@ def _motion(arguments: DesignArguments, duration: float) -> Exit:
 def _write(
     arguments: DesignArguments, robot: Robot, found: Design | HealthCheck | MotionDesign, *, sensor: str | None
 ) -> None:
-    """Write the poses and, empty, the columns of what is measured there; print what they promise."""
+    """Write the poses with empty columns for the readings; print the predicted accuracy."""
     from pincal.measure.registry import columns_of
     from pincal.measure.table import write_table
 
@@ -311,7 +312,7 @@ def _write(
         from pincal.cli.screen import print_plan
 
         print_plan(found, console())
-        click.echo(f"written to {arguments.out}, {'ordered for short motions' if sensor else 'in the order of its times'}")
+        click.echo(f"written to {arguments.out}, {'ordered for short motions' if sensor else 'in order of time'}")
 
 
 def _robot(arguments: DesignArguments) -> Robot:

@@ -15,12 +15,12 @@ from rich.console import Console
 from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-# Loggers of steps too small to stay on the screen.
+# Loggers of steps whose messages do not stay on the screen.
 _FITS = "pincal.identify"
-# That of work done item by item: elsewhere than on a terminal a line for every tenth.
+# Logger of work done item by item: without a terminal, a line for every tenth of the items.
 _COUNTED = "pincal.spread"
 _TRANSIENT = (_FITS, _COUNTED, "pincal.report.html", "pincal.calibration", "pincal.compensate", "pincal.cli")
-# Commands that consist of fits; for others a fit is one step of many.
+# Commands that consist of fits; in others a fit is one step of many.
 _OF_FITS = ("calibrate",)
 _LONG = 1.0  # [s]
 # Columns of results that are not printed on a terminal.
@@ -48,12 +48,12 @@ def begin_progress(quiet: bool) -> None:
 
 
 def log_step(step: str) -> None:
-    """Show what a command does now, on the line that is overwritten; elsewhere nothing."""
+    """Show the current step of a command on the line that is overwritten; nothing without a terminal."""
     log.info(step)
 
 
 def end_progress() -> None:
-    """Remove the progress line: what comes next is the result."""
+    """Remove the progress line before the result is printed."""
     global _handler
     if _handler is not None:
         _handler.close()
@@ -62,7 +62,7 @@ def end_progress() -> None:
 
 
 def console() -> Console:
-    """Return where results are printed: stdout, with boxes and colours on a terminal, plain text elsewhere."""
+    """Return the console for results: stdout, with boxes and colours on a terminal, otherwise plain text."""
     end_progress()
     return Console(width=None if sys.stdout.isatty() else _WIDTH, highlight=False)
 
@@ -91,7 +91,7 @@ def _clock(seconds: float) -> str:
 
 
 class _Plain(logging.Handler):
-    """One line per event; of a fit the last step of each stage, and only for commands that consist of fits."""
+    """One line per event; of a fit only the last step of each stage, and only in commands that consist of fits."""
 
     def __init__(self, *, fits: bool) -> None:
         super().__init__(logging.INFO)
@@ -100,8 +100,8 @@ class _Plain(logging.Handler):
         self._last: logging.LogRecord | None = None
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write an event, but keep a step of a fit until its stage, the first of what is logged, ends."""
-        if _is_told(record) if record.name == _COUNTED else not record.name.startswith(_TRANSIENT):
+        """Write an event, but keep a step of a fit until its stage, the first logged value, ends."""
+        if _is_another_tenth(record) if record.name == _COUNTED else not record.name.startswith(_TRANSIENT):
             self._write(self._last, record)
         elif self._fits and record.name.startswith(_FITS):
             if self._last is not None and _stage(record) != _stage(self._last):
@@ -122,7 +122,7 @@ class _Plain(logging.Handler):
             click.echo(f"pincal: {record.getMessage()}{times}", err=True)
 
 
-def _is_told(record: logging.LogRecord) -> bool:
+def _is_another_tenth(record: logging.LogRecord) -> bool:
     """Return whether another tenth of the items is done."""
     done, of = getattr(record, "done", 0), getattr(record, "of", 0)
     return 10 * done // of > 10 * (done - 1) // of

@@ -17,9 +17,9 @@ ANGLES = unit_sizes("urad", "mrad", "rad", "deg")
 
 
 class QuantityType(click.ParamType[float]):
-    """A positive number with its unit, such as ``0.05mm``; or, where zero makes sense, 0 with or without one.
+    """A positive number with its unit, such as ``0.05mm``; if zero is allowed, also 0 with or without a unit.
 
-    A number without a unit counts ``bare`` of the SI unit, where that is given.
+    A number without a unit is in multiples ``bare`` of the SI unit, if that is given.
     """
 
     def __init__(self, units: dict[str, float], name: str, *, zero: bool = False, bare: float | None = None) -> None:
@@ -80,7 +80,7 @@ def masses(text: str) -> tuple[float, ...]:
 
 
 def xacro_argument(text: str) -> tuple[str, str]:
-    """Return name and value of an argument of a xacro file, as xacro itself takes it."""
+    """Return name and value of an argument of a xacro file, in the syntax of xacro."""
     name, sign, value = text.partition(":=")
     if not sign or not name:
         raise click.BadParameter(f"{text!r}; expected NAME:=VALUE, such as ur_type:=ur5e")
@@ -91,7 +91,7 @@ COLUMNS = "'J1=joint_a1 [deg],...'"
 
 
 def columns(text: str) -> dict[str, str]:
-    """Return columns and what they hold, ``NAME=MEANING`` separated by commas, as meanings by name."""
+    """Return the quantities of columns by name, from ``NAME=MEANING`` separated by commas."""
     found: dict[str, str] = {}
     expected = f"NAME=MEANING, each name once, such as {COLUMNS}"
     for part in text.split(","):
@@ -108,7 +108,7 @@ ANGLE = QuantityType(ANGLES, "0.1mrad")
 
 
 def station_links(text: str) -> tuple[str, str, str]:
-    """Return the name of a station, and the links between which its readings are."""
+    """Return the name of a station, and the links of its instrument and target."""
     words = tuple(word.strip() for word in text.rsplit(":", 2))
     if len(words) != 3 or not all(words):
         raise click.BadParameter(f"{text!r}; expected NAME:FROM:TO, such as left:base_link:left_hand")
@@ -129,7 +129,7 @@ def beside(text: str) -> Beside:
 
 
 def resting(text: str) -> tuple[str, float]:
-    """Return a joint and the position where it rests [rad or m]."""
+    """Return a joint and its resting position [rad or m]."""
     joint, value = pair(text, "JOINT=POSITION, such as torso_lift=0.1m or head_1=20deg")
     units = {**ANGLES, **LENGTH_UNITS}
     return joint, _signed(value, units)

@@ -42,18 +42,18 @@ from pincal.units import Quantity, format_small
 from pincal.validate.accuracy import cycle_words, leading_unit
 from pincal.validate.lack_of_fit import LackOfFit
 
-# Observability indices that are worth a line; the others are in --json.
+# Observability indices that are printed; the others are in --json.
 _SHOWN = ("O1", "O2")
-# Effects that are named one by one.
+# Number of effects that are listed individually.
 _EFFECTS = 3
-# Mean distance that independent errors of standard deviation 1 make in so many directions (chi distribution).
+# Dimension -> mean distance of independent errors of standard deviation 1 (chi distribution).
 _MEAN_DISTANCE = {1: np.sqrt(2.0 / np.pi), 2: np.sqrt(np.pi / 2.0), 3: np.sqrt(8.0 / np.pi)}
 
 
 def print_brief(
     calibration: Calibration, discovery: Discovery | None, out: Console, *, more: str, notes: Sequence[str] = ()
 ) -> None:
-    """Print the summary of a calibration, or of a discovery; ``notes`` are on its files, ``more`` tells where to read on."""
+    """Print the summary of a calibration or discovery; ``notes`` are on its files, ``more`` names further output."""
     result = calibration.result
     print_doubts(result.warnings, out)
     print_left_out(result, out)
@@ -77,7 +77,7 @@ def print_brief(
 
 
 def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command: str) -> None:
-    """Print what a table can show of a robot."""
+    """Print the summary of what a table can identify."""
     print_doubts(found.warnings, out)
     _line(out, "robot", _arm(robot))
     _line(out, "rows", f"{found.rows} {found.kind} measurements")
@@ -100,7 +100,7 @@ def _nominal(found: DataReport, form: str = ".4f") -> str:
 
 
 def print_first_notes(told: Sequence[Note | str], out: Console) -> None:
-    """Print the first of what is good to know, and how much more there is; doubts stand before the result, in full."""
+    """Print the first note and the number of others; doubts are printed before the result, in full."""
     notes = [note for note in doubts_first(told) if not note.is_doubt]
     if notes:
         rest = f" ({counted(len(notes) - 1, 'more note')} with --verbose)" if len(notes) > 1 else ""
@@ -108,13 +108,13 @@ def print_first_notes(told: Sequence[Note | str], out: Console) -> None:
 
 
 def _noise_of(noise: Mapping[str, Any], kind: str) -> str:
-    """Return the noise as the mean distance that it makes, and that of one coordinate.
+    """Return the noise as a mean distance, and per coordinate.
 
     Example:
         >>> _noise_of({"sigma_m": 5e-5}, "position"), _noise_of({"sigma_m": 5e-5}, "distance")
         ('mean 0.0798 mm, 0.0500 mm per coordinate', 'mean 0.0399 mm, 0.0500 mm per coordinate')
     """
-    # Of several kinds the first that reads lengths is that of the figure.
+    # Of several kinds of readings, the first that has lengths.
     blocks = (block for each in kind.split(" and ") for block in blocks_of(each))
     size = next((block.size for block in blocks if block.unit == "m"), 0)
     if "sigma_m" not in noise or size not in _MEAN_DISTANCE:
@@ -123,7 +123,7 @@ def _noise_of(noise: Mapping[str, Any], kind: str) -> str:
 
 
 def _arm(robot: Robot) -> str:
-    """Return which arm was taken, and how to take another."""
+    """Return the arm in words, with the option that selects another."""
     ways = "; ".join(f"{start} to {tip}" for start, tip in ((robot.path.start, robot.tip), *robot.links))
     return f"{robot.name}, {robot.n_joints} joints from {ways} (--tip takes another link)"
 
@@ -144,7 +144,7 @@ def _found(discovery: Discovery) -> str:
     effects = discovery.findings.effects
     if not effects:
         return "these data show no missing effect"
-    # What every arm has comes after what nobody knew, and those that may be chance last, named as what they are.
+    # Elasticity, which every arm has, comes after other effects, and hints come last.
     elastic = [name for name, cls in EFFECTS.known().items() if cls.family is Family.ELASTICITY]
     named = [_named(entry) for entry in sorted(effects, key=lambda e: (e.is_hint, e.effect in elastic))[:_EFFECTS]]
     more = len(effects) - _EFFECTS
@@ -162,7 +162,7 @@ def _line(out: Console, name: str, text: str) -> None:
 
 
 def print_result(result: Result, out: Console) -> None:
-    """Print errors before and after, the parameters, and what the user should know, doubts first."""
+    """Print errors before and after, the parameters, and notes, doubts first."""
     print_doubts(result.warnings, out)
     print_left_out(result, out)
     out.print(_summary(result))
@@ -182,19 +182,19 @@ def print_result(result: Result, out: Console) -> None:
 
 
 def print_left_out(result: Result, out: Console) -> None:
-    """Print how well stations are predicted by the model of the others, if they were left out in turn."""
+    """Print the error of each station predicted from the others, if they were left out in turn."""
     if (means := result.left_out_mm) is not None:
         out.print(f"On a new set-up: mean {means[0]:.4f} mm; geometry alone {means[1]:.4f} mm")
 
 
 def print_doubts(notes: Iterable[Note], out: Console) -> None:
-    """Print what makes a result doubtful: before all else of it, in every mode, in full."""
+    """Print the doubts about a result, before everything else, in every mode, in full."""
     for doubt in doubts_of(notes):
         out.print(hanging("doubt:", doubt.text), style="bold red")
 
 
 def print_notes(notes: Iterable[Note | str], out: Console) -> None:
-    """Print what is good to know; doubts stand before the result."""
+    """Print notes; doubts are printed before the result."""
     for note in doubts_first(notes):
         if not note.is_doubt:
             out.print(hanging("note:", note.text), style="yellow")
@@ -211,13 +211,13 @@ def _summary(result: Result) -> str:
 
 
 def held_out_words(result: Result) -> str:
-    """Return in words which rows judge the model."""
+    """Return the held-out rows in words."""
     turns = 0 if result.stations is UNSET else sum("left_out" in station for station in result.stations)
     return f"{turns} stations held out in turn" if turns else f"{result.rows['test']} held out"
 
 
 def print_replicates(iso: Mapping[str, Any] | None, lack: LackOfFit | None, out: Console) -> None:
-    """Print what replicated poses show: ``iso9283`` of ``result.json``, and the test of lack of fit."""
+    """Print the results of replicated poses: ``iso9283`` of ``result.json``, and the test of lack of fit."""
     if iso is not None:
         out.print(result_tables.iso9283_table(iso))
         out.print(hanging("cycles:", cycle_words(iso)))
@@ -226,7 +226,7 @@ def print_replicates(iso: Mapping[str, Any] | None, lack: LackOfFit | None, out:
 
 
 def print_precheck(precheck: DataReport, out: Console) -> None:
-    """Print what can be identified from a table."""
+    """Print everything on what a table can identify."""
     print_doubts(precheck.warnings, out)
     words = f"{precheck.rows} {precheck.kind} measurements; nominal robot, base and tool fitted: {_nominal(precheck, '.3f')}"
     out.print(words)
@@ -264,7 +264,7 @@ def _print_untestable(entries: Iterable[tuple[str, str | None, str]], n_joints: 
 
 
 def print_discovery(found: Discovery, out: Console) -> None:
-    """Print where model and data disagreed, what made them, and how the error fell to the noise."""
+    """Print where model and data disagreed, the effects found, and the errors after each step."""
     findings = found.findings
     print_doubts(found.calibration.result.warnings, out)
     print_left_out(found.calibration.result, out)
@@ -297,7 +297,7 @@ def print_discovery(found: Discovery, out: Console) -> None:
 
 
 def print_plan(found: Design | HealthCheck | MotionDesign, out: Console) -> None:
-    """Print what poses to measure, or a motion to drive, promise."""
+    """Print the predicted accuracy of poses to measure, or of a motion to drive."""
     if isinstance(found, HealthCheck):
         print_check(found, out)
     elif isinstance(found, MotionDesign):
@@ -307,7 +307,7 @@ def print_plan(found: Design | HealthCheck | MotionDesign, out: Console) -> None
 
 
 def _print_design(found: Design, out: Console) -> None:
-    """Print what was asked, what the constraints removed, and what these and other numbers of poses promise."""
+    """Print the request, the candidates that constraints removed, and the predicted accuracy by number of poses."""
     n, robot = found.found.poses, found.robot
     noise = ", ".join(f"{1e3 * s:.3g} {'mm' if i == 0 else 'mrad'}" for i, s in enumerate(found.design_model.sigma))
     rig = f"{robot.path.start} to {robot.tip}: {found.rig.sensor}, noise {noise}; {found.design_model.n_free} parameters"
@@ -320,14 +320,14 @@ def _print_design(found: Design, out: Console) -> None:
 
 
 def _print_motion(found: MotionDesign, out: Console) -> None:
-    """Print what a motion before an IMU tells, and how many poses before an instrument it spares."""
+    """Print the predicted accuracy of a motion with an IMU, and how many poses with an instrument it saves."""
     force, rate, place = found.noise
-    noise = f"noise {force:.3g} m/s^2, {1e3 * rate:.3g} mrad/s; of a position {1e3 * place:.3g} mm"
-    out.print(hanging(f"{found.time[-1]:.0f} s", f"of {found.robot.name}, {len(found.time)} poses before an IMU: {noise}"))
-    error = f"{1e3 * found.error:.3f} mm rms anywhere in reach by what an IMU tells, base and tool placed"
+    noise = f"noise {force:.3g} m/s^2, {1e3 * rate:.3g} mrad/s; {1e3 * place:.3g} mm for positions"
+    out.print(hanging(f"{found.time[-1]:.0f} s", f"of {found.robot.name}, {len(found.time)} poses, with an IMU: {noise}"))
+    error = f"{1e3 * found.error:.3f} mm rms within reach from errors that an IMU can determine, base and tool fitted"
     for mark, text in (
         ("candidates", found.drawn.in_words()),
-        ("predicted", f"{error}; {1e3 * found.before:.3f} mm before, and {1e3 * found.lengths:.3f} mm by lengths"),
+        ("predicted", f"{error} (before: {1e3 * found.before:.3f} mm); {1e3 * found.lengths:.3f} mm from lengths"),
         ("random", f"{1e3 * found.random:.3f} mm ({found.random / found.error:.2f} times as much)"),
     ):
         out.print(hanging(f"{mark + ':':13s}", text))
@@ -335,7 +335,7 @@ def _print_motion(found: MotionDesign, out: Console) -> None:
 
 
 def print_check(found: HealthCheck, out: Console) -> None:
-    """Print what a health check takes, what it detects and what not, and the rates found by simulation."""
+    """Print the poses of a health check, which changes it detects and which not, and the simulated rates."""
     out.print(one_line(found.summary()), markup=False)
     if not found.is_met:
         text = f"this many poses do not detect {1e3 * found.notice:.3g} mm; calibrate from more poses, or reduce the noise"
@@ -343,7 +343,7 @@ def print_check(found: HealthCheck, out: Console) -> None:
     hardest = found.changes[0]
     where = f"{hardest.change.name} {hardest.change.joint or ''}".strip()
     parameters = ", ".join(hardest.change.parameters)
-    signal = f"signal {hardest.noncentrality:.1f} of the {hardest.needed:.1f} needed"
+    signal = f"signal {hardest.noncentrality:.1f}, needed {hardest.needed:.1f}"
     out.print(hanging("hardest:", f"{where} ({parameters}): {signal}"))
     rates = f"alarms in {100 * found.alarms:.1f} % of {found.draws} checks of an unchanged robot, in "
     rates += (
@@ -354,22 +354,22 @@ def print_check(found: HealthCheck, out: Console) -> None:
         known, new = ([c for c in found.absorbed if (c.effect is None) is is_known] for is_known in (True, False))
         parts = [*dict.fromkeys(name for change in known for name in change.parameters)]
         names = ", ".join([*parts, *([f"{len(new)} new effects"] if new else [])])
-        why = "new poses of instrument and target absorb them, or they never cause so large a motion"
-        out.print(hanging("not seen:", f"{names}: {why}"))
-    curves = "free curves of a drive, and dependences on temperature, time or direction of approach, are not guaranteed"
-    out.print(hanging("beyond:", curves))
+        why = "the new poses of instrument and target absorb them, or they never cause a motion of this size"
+        out.print(hanging("undetectable:", f"{names}: {why}"))
+    curves = "free curves of a drive, and dependences on temperature, time or direction of approach"
+    out.print(hanging("not covered:", curves))
     out.print(hanging("candidates:", found.drawn.in_words()))
     print_notes(found.notes, out)
 
 
 def _design_facts(found: Design) -> Iterator[tuple[str, str]]:
-    """Yield how the poses were chosen, and what they promise compared with random ones."""
+    """Yield how the poses were chosen, and their predicted accuracy compared with random ones."""
     designed, random = found.found.designed, found.found.random
     yield "candidates", found.drawn.in_words()
     path = f"{found.path_length:.1f} joint ranges from first to last pose, {found.path_length_unordered:.1f} before ordering"
     yield "path length", path
     if found.needed is not None:
-        yield "accuracy", f"{found.needed} of the candidates are the fewest that reach it"
+        yield "accuracy", f"{found.needed} of the candidates are the fewest poses that reach it"
     what = found.design_model.quantity
     yield "predicted", f"{what} error over the task {1e3 * designed.error:.4f} mm rms, if the model has the right form"
     if found.before is not None:
@@ -377,8 +377,8 @@ def _design_facts(found: Design) -> Iterator[tuple[str, str]]:
     ratio = f"{random.error / designed.error:.2f} times as much, " if found.criterion != "tell apart" else ""
     yield "random", f"{1e3 * random.error:.4f} mm ({ratio}median of {RANDOM_DESIGNS} draws)"
     if found.bound is not None:
-        beyond = "; refining the poses went beyond them" if designed.error < found.bound else ""
-        yield "lower bound", f"no choice of the candidates comes below {1e3 * found.bound:.4f} mm{beyond}"
+        beyond = "; the refined poses are better than all candidates" if designed.error < found.bound else ""
+        yield "lower bound", f"no selection of the candidates has less than {1e3 * found.bound:.4f} mm{beyond}"
     for mine, other, left, chance in zip(found.rivals, found.rivals[::-1], designed.apart, random.apart, strict=False):
         verdict = "distinguishable" if left >= SIGHT.told_apart else f"not distinguishable, {SIGHT.told_apart:g} are needed"
         verdict += f" (random {chance:.3g})"

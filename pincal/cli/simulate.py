@@ -1,4 +1,4 @@
-"""``pincal simulate``: the table that a machine with chosen errors and effects would give."""
+"""``pincal simulate``: a table of measurements of a machine with chosen errors and effects."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pincal.simulate.setup import Campaign, SensorSetup
 
 _Files = dict[str, tuple[Path | None, Callable[[Path], None]]]
-# Poses of a path in which effects are judged for the truth.
+# Number of poses of a path at which the sizes of effects are evaluated for the truth.
 _LOOKED_AT = 500
 _EXAMPLES = """Examples:
   pincal simulate robot.urdf --poses 300 --out tracker.csv
@@ -49,7 +49,7 @@ Then:
 
 
 def effect_help() -> str:
-    """Return the end of the help text, for which the effects are imported: a line of keys and units for each."""
+    """Return the end of the help text: a line of keys and units for each effect, which are imported for this."""
     from pincal.simulate.effect import HIDDEN_EFFECTS, Scope
 
     lines = ["Effects, the joint on which they act, and their keys (default: a random joint and typical values):"]
@@ -104,7 +104,7 @@ def simulate(arguments: SimulateArguments) -> Exit:
 
 
 def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> Exit:
-    """Write what joints, IMU and tracker log of a path that the machine drives."""
+    """Write the logs of joints, IMU and tracker of a path driven by the machine."""
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
     from pincal.simulate.instrument import Instrument
@@ -153,7 +153,7 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
             lines.append(
                 f"  the clock of the {name} is {clock.offset:+.3f} s off and drifts by {1e6 * clock.drift:+.0f} ppm"
             )
-    written = f", what was put in to {arguments.truth}" if arguments.truth else ""
+    written = f", the truth to {arguments.truth}" if arguments.truth else ""
     told = [*lines, *_hidden_lines(found), f"written to {arguments.out}{written}"]
     click.echo(
         "\n".join([*told, f"next: {' '.join([_of_arm('calibrate', arguments), *_known(arguments.sensor)])} --out results"])
@@ -162,7 +162,7 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
 
 
 def _beside(arguments: SimulateArguments, setup: SensorSetup, truth: dict[str, Any]) -> _Files:
-    """Return what is written beside the table, or the logs."""
+    """Return the files that are written in addition to the table or the logs."""
     from pincal.measure.table import write_table
 
     given, named = arguments.sensor, setup.points
@@ -175,7 +175,7 @@ def _beside(arguments: SimulateArguments, setup: SensorSetup, truth: dict[str, A
 
 
 def _origin(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> dict[str, Any]:
-    """Return robot, seeds, and the masses of links to which the URDF gives none, as for JSON."""
+    """Return robot, seeds, and the drawn masses of links without masses in the URDF, for JSON."""
     names = {"robot": robot.name, "base": robot.path.start, "tip": robot.tip}
     seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
     weighed = zip(machine.names, machine.arm.masses.tolist(), strict=True)
@@ -199,7 +199,7 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
         moment_frame=given.moment_frame,
         gravity=given.gravity or tuple(robot.gravity.tolist()),
     )
-    # Errors are in proportion to an arm: of a tree always the same one, wherever it is seen from.
+    # Errors are in proportion to an arm, for a tree always the same one, whatever the links of the readings are.
     measured = made(tip=robot.tip, start=robot.path.start).nominal
     ends = {robot.tip, *(tip for _, tip in robot.links)}
     machine = draw_machine(
@@ -215,7 +215,7 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
 
 
 def _of_type(robot: Robot, path: Path, seed: int) -> bytes:
-    """Return the URDF of a machine of a type, drawn by a seed, as far as geometry goes."""
+    """Return the URDF of a machine whose geometry is drawn by a seed from a type."""
     from pincal.fleet.robot_type import load_type
     from pincal.io.urdf_export import calibrated_urdf
     from pincal.model.chain import Chain
@@ -229,7 +229,7 @@ def _of_type(robot: Robot, path: Path, seed: int) -> bytes:
 
 
 def _in_one_order(robot: Robot) -> tuple[str, ...]:
-    """Return the joints, of a tree in an order that does not depend on the path, so that seeds mean the same machine."""
+    """Return the joints, of a tree in an order independent of the path, so that a seed gives the same machine."""
     if not robot.links:
         return robot.joint_names
     depth = list[int]()
@@ -258,7 +258,7 @@ def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) 
             q = setup.plan(machine.nominal, arguments.n_poses or 1, rng=rng, min_height=arguments.floor)
         except BadInputError as error:
             raise BadInputError(
-                f"{error}; a lower --floor, or --no-floor, gives the arm more room, another --seed another place"
+                f"{error}; a lower --floor, or --no-floor, gives the arm more room, another --seed another set-up"
             ) from None
     wanted = Repetition(**{field.name: getattr(given, field.name) for field in fields(Repetition)})
     q, all_conditions = repeat_poses(machine, q, wanted, given=conditions, seed=arguments.pose_seed)
@@ -266,7 +266,7 @@ def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) 
 
 
 def _summary(arguments: SimulateArguments, truth: dict[str, Any], *, setup: SensorSetup, rows: int) -> str:
-    """Return what was simulated and written, and the next command; ``truth`` is what the truth file holds."""
+    """Return what was simulated and written, and the next command; ``truth`` is the contents of the truth file."""
     lines = [
         f"{rows} rows in {truth['poses']} poses of {truth['robot']} ({truth['base']} to {truth['tip']}): "
         f"{truth['sensor']}, noise {_noise(setup)}"
@@ -275,7 +275,7 @@ def _summary(arguments: SimulateArguments, truth: dict[str, Any], *, setup: Sens
         lines.append(f"  the URDF has no masses of {len(drawn)} links: {sum(drawn.values()):.3g} kg were drawn for them")
     lines += _hidden_lines(truth)
     given = arguments.sensor
-    beside = {"what was put in": arguments.truth, "named points": given.points_out, "the camera": given.camera_out}
+    beside = {"the truth": arguments.truth, "named points": given.points_out, "the camera": given.camera_out}
     written = "".join(f", {what} to {path}" for what, path in beside.items() if path)
     lines += [f"written to {arguments.out}{written}", f"next: {_next_command(arguments, setup)}"]
     return "\n".join(lines)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _BESIDE, _CAMERAS = ("position", "pose", "distance"), ("camera_point", "camera_pixel")
 _PIXELS = ("camera_pixel", "fixed_camera_pixel")
-# Options that only some sensors have, and the sensor that some of them imply.
+# Options of some sensors only, and the sensor that some of them imply.
 _GOES_WITH = {
     "sockets": ("socket",),
     "socket_spacing": ("socket",),
@@ -87,15 +87,15 @@ _Recorded = Literal["temperature", "time", "approach"]
 
 @dataclass(frozen=True, kw_only=True)
 class MachineArguments:
-    """The machine that is measured."""
+    """The simulated machine."""
 
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
     start: str | None = option(
-        "Link from which the tip is seen, such as the other hand.", metavar="LINK", name="--from", words="the base"
+        "Link in whose frame the tip is measured, such as the other hand.", metavar="LINK", name="--from", words="the base"
     )
     also: tuple[str, ...] = option(
-        "Further link whose joints belong to the machine: simulations with the same tips and seed are of the same machine.",
+        "Further link whose joints belong to the machine; the same set of links and seed gives the same machine.",
         (),
         metavar="LINK",
     )
@@ -103,7 +103,7 @@ class MachineArguments:
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     errors: float = option("Size of the geometric errors: 1 is typical, 0 none.", 1.0, metavar="SCALE", type=_SCALE)
     type: Path | None = option(
-        "Draw the geometry from this type of robots, as fleet learn finds it, by --seed.", metavar="TYPE.json"
+        "Draw the geometry by --seed from this type of robots, as written by fleet learn.", metavar="TYPE.json"
     )
     elastic: float = option(
         "Compliance of drives and bearings: 1 is typical, 0 rigid. Masses that the URDF lacks are drawn.",
@@ -128,7 +128,7 @@ class MachineArguments:
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignArguments:
-    """The poses, and the conditions under which they are measured."""
+    """The poses, and the conditions of their measurement."""
 
     poses: int | None = option("Number of random poses.", metavar="N", type=click.IntRange(1, _MOST_POSES))
     at: Path | None = option("Take joint positions (and payload, temperature, ...) from this table instead.")
@@ -156,7 +156,7 @@ class CampaignArguments:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorArguments:
-    """What measures the machine."""
+    """The sensor that measures the machine."""
 
     sensor: str | None = option(
         "Kind of measurement: position, pose, distance, socket, camera_point, camera_pixel or fixed_camera_pixel.",
@@ -180,10 +180,10 @@ class SensorArguments:
     )
     tool: Triple | None = option("Target, tool point or camera position in the tip frame [m].", words="random")
     instrument: Literal["drawn", "base"] | None = option(
-        "Place of the instrument: random, or the robot's base frame.", words="drawn"
+        "Pose of the instrument: random, or the robot's base frame.", words="drawn"
     )
     sockets: int | None = option(
-        "Number of sockets for the tool point, among which the poses are divided.", metavar="K", type=_COUNT, words="4"
+        "Number of sockets for the tool point; the poses are divided among them.", metavar="K", type=_COUNT, words="4"
     )
     socket_spacing: float | None = option(
         "Distance of the two sockets of a pair.", metavar="LENGTH", type=LENGTH, words="50mm"
@@ -197,8 +197,8 @@ class SensorArguments:
         type=LENGTH,
     )
     object: Literal["paper", "grid"] | None = option(
-        "Calibration object: two sides with three fields of 25 points each, among which the poses (12 by default) are "
-        "divided, or a plane grid of 63 points.",
+        "Calibration object: two sides with three fields of 25 points each (the poses, 12 by default, are divided among "
+        "them), or a plane grid of 63 points.",
         words="paper",
     )
     lens: dict[str, float] | None = option(
@@ -266,7 +266,7 @@ class SimulateArguments:
         for name in sorted(name for name in _GOES_WITH if getattr(given, name) is not None):
             if kind not in _GOES_WITH[name]:
                 flag = f"--{name.replace('_', '-')}"
-                raise click.UsageError(f"{flag} goes with --sensor {' or '.join(_GOES_WITH[name])}, not with {kind}")
+                raise click.UsageError(f"{flag} is for --sensor {' or '.join(_GOES_WITH[name])}, not for {kind}")
         if given.ball_bar is not None and given.targets is not None:
             raise click.UsageError("--ball-bar holds one tool point; leave out --targets")
         if (
@@ -281,11 +281,11 @@ class SimulateArguments:
             raise click.UsageError("give either --poses N, --at FILE.csv or --path DURATION|FILE")
 
     def _check_motion(self) -> None:
-        """Refuse what a path that is driven does not have, and what poses that are held do not have."""
+        """Refuse options of poses at rest for a path, and options of a path for poses at rest."""
         motion, campaign = self.motion, self.campaign
         if motion.path is None:
             if name := motion.first_given():
-                raise click.UsageError(f"--{name.replace('_', '-')} is of an arm that moves; add --path DURATION|FILE")
+                raise click.UsageError(f"--{name.replace('_', '-')} is for an arm in motion; add --path DURATION|FILE")
             if self.out.suffix.lower() not in TABLE_ENDINGS:
                 raise OutputError(
                     f"--out {self.out}: a table can't be written as a file without an ending; end the name in "
@@ -293,27 +293,27 @@ class SimulateArguments:
                 )
             return
         if self.kind == "socket" or self.sensor.ball_bar is not None:
-            raise click.UsageError(f"--path is logged by an IMU or a --sensor that reads on the way, not by {self.kind}")
+            raise click.UsageError(f"--path is logged by an IMU or a --sensor that reads in motion, not by {self.kind}")
         held = {"--poses": campaign.poses, "--at": campaign.at}
         if wrong := [name for name, value in held.items() if value is not None] + ["--cycles"] * (campaign.cycles > 1):
-            raise click.UsageError(f"{wrong[0]} is of poses that are held; leave it out, or --path")
+            raise click.UsageError(f"{wrong[0]} is for poses at rest; leave out {wrong[0]} or --path")
         if campaign.payload is not None and len(campaign.payload) > 1:
-            raise click.UsageError("--payload: one load is carried along a path; give one")
+            raise click.UsageError("--payload: a path has one payload; give one")
         if self.out.suffix:
             raise OutputError(f"--out {self.out}: with --path a folder is written; give the name of a folder")
 
     def session_options(self, duration: float) -> SessionOptions:
-        """Return what is asked of the logs of a path of this duration [s]."""
+        """Return the options of the logs of a path of this duration [s]."""
         payload = self.campaign.payload
         wanted = self.motion.session_options(duration)
         load = {"payload": payload[0] if payload else 0.0, "payload_com": self.campaign.payload_com}
         return replace(wanted, min_height=self.floor, **load)  # type: ignore[arg-type]
 
     def setup_options(self) -> SetupOptions:
-        """Return what is asked of the set-up.
+        """Return the options of the set-up.
 
         Raises:
-            UsageError: If the noise is not in the sensor's unit.
+            UsageError: if the noise is not in the sensor's unit.
         """
         from pincal.simulate.request import SetupOptions
 
@@ -324,7 +324,7 @@ class SimulateArguments:
         return replace(wanted, **{name: value for name, value in given.items() if value is not None})
 
     def _sigma(self) -> float:
-        """Return the noise in the sensor's own unit."""
+        """Return the noise in the unit of the sensor."""
         unit = "px" if self.kind in _PIXELS else "m"
         value, given = (_NOISE[unit], unit) if self.sensor.noise is None else self.sensor.noise
         if value and given != unit:
@@ -334,7 +334,7 @@ class SimulateArguments:
 
 
 def via_path(robot: Robot, names: Sequence[str], path: Path) -> ViaPath:
-    """Return the path through the poses of a table at its times, its joints in the order of these names.
+    """Return the path through the poses of a table at its times, with joints in the order of ``names``.
 
     Raises:
         MeasurementError: for a table without times that increase from 0.

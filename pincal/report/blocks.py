@@ -1,4 +1,4 @@
-"""What a section of the page is made of: functions that return HTML in which all text is escaped."""
+"""Blocks of a section of the page: functions that return HTML in which all text is escaped."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pincal.notes import Note, doubts_of
 
 
 class PageBlock(Protocol):
-    """Anything that can stand on the page: what these functions return, or a :class:`pincal.result_table.Table`."""
+    """A block of the page: the return value of these functions, or a :class:`pincal.result_table.Table`."""
 
     def __html__(self) -> str:
         """Return the block as HTML."""
@@ -44,13 +44,13 @@ def paragraph(text: str, tone: str = "") -> Markup:
 
 
 def doubts(notes: Iterable[Note]) -> Iterator[Markup]:
-    """Yield what makes a result doubtful, to stand before all else."""
+    """Yield the doubts about a result, which come before everything else."""
     for doubt in doubts_of(notes):
         yield paragraph(rich("<b>Doubt:</b> {}", doubt.text), "doubt")
 
 
 def plain_notes(notes: Iterable[Note]) -> Iterator[Markup]:
-    """Yield what is good to know in addition."""
+    """Yield the notes that are not doubts."""
     for note in notes:
         if not note.is_doubt:
             yield paragraph(note.text, "note")
@@ -73,7 +73,7 @@ def facts(items: Iterable[tuple[str, str]]) -> Markup:
 
 
 def card(title: str, *blocks: PageBlock) -> Markup:
-    """Return a short titled box; several stand side by side in a group of "cards"."""
+    """Return a short box with a title; several are side by side in a group of "cards"."""
     return rich('<div class="card"><h3>{}</h3>{}</div>', title, merged(blocks))
 
 

@@ -1,4 +1,4 @@
-"""What has changed on a robot, as a page that is read in a minute, and as the same in a few lines for a terminal."""
+"""The page of a diagnosis, which is read in a minute, and its summary for the terminal."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ from pincal.result_table import Cell, Column, Kind, Table
 from pincal.units import fixed, format_small
 
 _STATISTICS = {"mean_mm": "mean", "p95_mm": "95 %", "max_mm": "worst"}
-# Parameters that are named in a line.
+# Number of parameters that are named in a line.
 _SHOWN = 3
 _ARCSEC = 180.0 * 3600.0 / np.pi
 
 
 def headline(found: DiagnosisFile) -> str:
-    """Return the answer in a sentence."""
+    """Return the result in a sentence."""
     if not found.is_judged:
         return f"These {found.rows} rows can't show whether the robot has changed."
     if not found.changed and found.p_value < found.alpha:
         return (
             f"No change was detected in these {found.rows} poses; they differ from the model beyond chance "
-            f"({_chance(found.p_value)}), as where it lacked something when the robot was calibrated."
+            f"({_chance(found.p_value)}), in the way in which it was incomplete when the robot was calibrated."
         )
     if not found.changed:
         return (
@@ -72,10 +72,10 @@ def in_words(change: ChangeName) -> str:
 
 
 def sizes(change: ChangeEntry) -> str:
-    """Return how far the parameters of a change moved, those first that moved by most of their standard deviations."""
+    """Return the changes of the parameters in words, the most significant first."""
     if change.curve_rms is not None:
         unit = next(iter(change.parameters.values())).unit
-        return f"its curve is another by {format_small(change.curve_rms, unit)} rms"
+        return f"its curve differs by {format_small(change.curve_rms, unit)} rms"
     moved = [(name, p.after - p.before, p.sigma, p.unit) for name, p in change.parameters.items()]
     moved.sort(key=lambda one: -abs(one[1]) / one[2] if one[2] else 0.0)
     return ", ".join(
@@ -84,11 +84,11 @@ def sizes(change: ChangeEntry) -> str:
 
 
 def change_table(changes: Iterable[ChangeEntry]) -> Table:
-    """Return what changed, by how much, and what it could be as well."""
+    """Return the changes with their sizes and alternatives."""
     columns = (
-        Column("what"),
+        Column("effect"),
         Column("joint", kind=Kind.NAME),
-        Column("moved"),
+        Column("change"),
         Column("p", kind=Kind.NUMBER, show=show_chance),
         Column("could also be"),
         Column("distinguished by"),
@@ -108,29 +108,29 @@ def change_table(changes: Iterable[ChangeEntry]) -> Table:
 
 
 def moved_parameters(changes: Iterable[ChangeEntry]) -> Table:
-    """Return the parameters of all changes, as they were and as they are."""
+    """Return the parameters of all changes, before and after."""
     columns = (
         Column("parameter", kind=Kind.NAME),
         Column("before", kind=Kind.NUMBER),
         Column("after", kind=Kind.NUMBER),
-        Column("moved", kind=Kind.NUMBER),
+        Column("change", kind=Kind.NUMBER),
         Column("sigma", kind=Kind.NUMBER),
     )
     moved = (
         (name, p.before, p.after, p.after - p.before, p.sigma, p.unit) for c in changes for name, p in c.parameters.items()
     )
     rows = tuple((name, *(format_small(value, unit) for value in values)) for name, *values, unit in moved)
-    return Table("Parameters, as they were and as they are", columns, rows)
+    return Table("Parameters before and after the change", columns, rows)
 
 
 def curve_table(found: CurvesEntry) -> Table:
-    """Return what each drive's curve contributes to the error of the new rows."""
+    """Return the contribution of each drive's curve to the error of the new rows."""
     columns = (
         Column("curve re-estimated", kind=Kind.NAME),
         Column("mean error", "mm", Kind.NUMBER, fixed(3)),
         Column("correlation", kind=Kind.NUMBER, show=fixed(2)),
         Column("difference", "arcsec, mm", Kind.NUMBER, fixed(1)),
-        Column("seen before", "%", Kind.NUMBER, fixed(0)),
+        Column("determined before", "%", Kind.NUMBER, fixed(0)),
     )
     rows: list[tuple[Cell, ...]] = [("none", found.as_it_was_mm, None, None, None)]
     for entry in found.joints:
@@ -139,13 +139,13 @@ def curve_table(found: CurvesEntry) -> Table:
     rows.append(("all", found.all_anew_mm, None, None, None))
     notes = (
         "Cross-validated over blocks of poses, without outliers. Correlation and difference (rms about its mean) of the old "
-        "and the new curve at the new poses; seen before: poses at which the calibration had determined the curve.",
+        "and the new curve at the new poses; determined before: poses at which the calibration had determined the curve.",
     )
     return Table(f"Curves of the drives in {found.session}", columns, tuple(rows), notes)
 
 
 def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
-    """Return how far the target would have moved at most, at the least, for each change to be noticed [mm]."""
+    """Return the smallest detectable size of each change, as the largest motion of the target in these poses [mm]."""
     entries = [entry for entry in found.excluded if entry.source is None]
     places = {entry.joint or "whole arm" for entry in entries}
     joints = [joint for joint in (*joint_names, "whole arm") if joint in places]
@@ -154,17 +154,17 @@ def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
         symbol = split_name(entry.parameter)[1]
         several = sum(e.effect == entry.effect and e.joint == entry.joint for e in entries) > 1
         sizes_on = smallest.setdefault(f"{entry.effect} {symbol}" if several and symbol else entry.effect, {})
-        # Of the forms of one effect on a joint, such as orders of an eccentricity, the one that is hardest to notice.
+        # Of the forms of one effect on a joint, such as orders of an eccentricity, the one that is hardest to detect.
         where = entry.joint or "whole arm"
         sizes_on[where] = max(entry.tip_mm, sizes_on.get(where, 0.0))
     columns = (Column("change"), *(Column(joint, "mm", Kind.NUMBER, fixed(2)) for joint in joints))
     rows: tuple[tuple[Cell, ...], ...] = tuple((name, *(on.get(joint) for joint in joints)) for name, on in smallest.items())
-    notes = ("A dash: not observable in these poses, or not on this joint. Sizes in SI units are in diagnosis.json.",)
-    return Table("Smallest change that would have been detected with 90 %, as motion of the target", columns, rows, notes)
+    notes = ("Dash: not observable in these poses, or not on this joint. Sizes in SI units are in diagnosis.json.",)
+    return Table("Smallest change detected with a probability of 90 %, as motion of the target", columns, rows, notes)
 
 
 def set_up_words(found: DiagnosisFile) -> str:
-    """Return how far instrument and target moved."""
+    """Return the displacements of instrument and target in words."""
     at = found.station
     parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.4g} mm"]
     parts += [] if at.turned_mrad is None else [f"turned by {at.turned_mrad:.4g} mrad"]
@@ -173,7 +173,7 @@ def set_up_words(found: DiagnosisFile) -> str:
 
 
 def lines(found: DiagnosisFile) -> Iterator[str]:
-    """Yield a diagnosis for a terminal."""
+    """Yield the summary of a diagnosis for the terminal."""
     yield headline(found)
     for change in found.changes:
         if change.equivalent:
@@ -190,14 +190,15 @@ def lines(found: DiagnosisFile) -> Iterator[str]:
 
 
 def _least_offsets(found: DiagnosisFile) -> str:
-    """Return what is excluded of the kind of change that is listed first, in a line."""
+    """Return the smallest excluded size of the kind of change that is listed first, in a line."""
     if not found.excluded:
         return ""
     first = [entry for entry in found.excluded if entry.effect == found.excluded[0].effect]
     largest = max(first, key=lambda entry: entry.smallest)
+    size = format_small(largest.smallest, largest.unit)
     return (
-        f"excluded with 90 %: any other {first[0].effect} from {format_small(largest.smallest, largest.unit)} "
-        f"({largest.tip_mm:.2f} mm at the target) on; {len(found.excluded)} more in diagnosis.json"
+        f"excluded with 90 % probability: any other {first[0].effect} of at least {size} ({largest.tip_mm:.2f} mm at the "
+        f"target); {len(found.excluded)} more in diagnosis.json"
     )
 
 
@@ -243,12 +244,12 @@ def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:
         if not change.parameters:
             continue
         meaning = f" ({effect_meaning(change.effect)})"
-        yield f"Look at {change.joint or 'the whole arm'}: {change.effect}{meaning}."
+        yield f"Inspect {change.joint or 'the whole arm'}: {change.effect}{meaning}."
         if change.equivalent:
             yield f"It could also be {'; '.join(map(in_words, change.equivalent))}. To distinguish: {change.tell_apart}."
     named = any(change.parameters for change in found.changes)
     if named:
-        yield rich("Until then {} is the re-identified model: only what changed was estimated again.", code("model.json"))
+        yield rich("Until it is repaired, use {}: in this model only what changed was estimated again.", code("model.json"))
     else:
         yield rich("Measure more poses and calibrate again: {}.", code("pincal discover"))
 
@@ -260,7 +261,7 @@ def _changes(found: DiagnosisFile) -> Section | None:
     if not found.is_judged:
         return None
     text = (
-        f"Nothing: the model as it was calibrated predicts these {found.rows} poses as well as its noise allows "
+        f"Nothing: the calibrated model predicts these {found.rows} poses as well as its noise allows "
         f"(p = {found.p_value:.2g}; below {found.alpha:g} the robot would count as changed)."
     )
     return Section("changes", "What has changed", (paragraph(text),), label="What has changed")

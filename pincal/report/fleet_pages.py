@@ -1,4 +1,4 @@
-"""The pages of a fleet: a type of robot with its machines, and what to look at first among many."""
+"""The pages of a fleet: a type of robot with its machines, and the robots to look at first."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from pincal.report.illustrations import Drawing, figures
 from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, THIRD, drawable, dress, legend, log_axis, panel
 from pincal.units import readable_unit
 
-# Parameters and robots that are drawn, height of a row, width of a letter [in], and part of a parameter that readings tell.
+# Most parameters and robots drawn, height of a row and width of a letter [in], and least determined share of a parameter.
 _MOST, _PER_ROW, _LETTER, _TOLD = 14, 0.27, 0.085, 0.3
-# Machines that are drawn as points, and evidence beyond which more makes no difference [log10].
+# Most machines drawn as points, and evidence at which the axis ends [log10].
 _POINTS, _SURE = 300, 10.0
 
 
 def type_page(learned: Learned, at: summary.AtTool | None, *, version: str) -> str:
-    """Return the page of a type: how far machines differ, what is off, who does not belong, how many poses one needs."""
+    """Return the page of a type: its population, machines that do not belong, and the number of poses one needs."""
     of, lines = learned.type, list(summary.type_lines(learned, at))
     made = [Section("answer", "What the machines have in common", (bullets(lines[1:]),), style="panel")]
     tables = (*((summary.effect_summary(at),) if at else ()), summary.parameter_summary(of, at))
@@ -35,7 +35,7 @@ def type_page(learned: Learned, at: summary.AtTool | None, *, version: str) -> s
         )
     )
     who = summary.member_summary(learned)
-    nobody = paragraph("None: every machine is as the others are, within what chance allows among so many.")
+    nobody = paragraph("None: no machine differs from the others by more than chance, given their number.")
     made.append(Section("members", "Machines that do not belong", (who if len(who) else nobody,), "Machines"))
     if at is not None:
         poses = (figures("poses", [_poses(at)]), summary.poses_summary(at))
@@ -48,7 +48,7 @@ def _use() -> Markup:
     return bullets((
         rich("Calibrate a further machine from few poses: {}", code("pincal calibrate ROBOT.urdf FEW.csv --type TYPE.json")),
         rich("Choose its poses: {}", code("pincal design ROBOT.urdf --type TYPE.json --accuracy 0.1mm --out poses.csv")),
-        rich("Watch all machines: {}", code("pincal fleet check TYPE.json STORE --report fleet.html")),
+        rich("Monitor all machines: {}", code("pincal fleet check TYPE.json STORE --report fleet.html")),
     ))  # fmt: skip
 
 
@@ -57,14 +57,14 @@ def _populations(learned: Learned, at: summary.AtTool | None) -> Iterator[Drawin
         drawn = _order(learned, at, unit)
         if len(drawn):
             caption = (
-                f"{name} of the machines (dots) minus the data sheet; the bar is what machines of the type are (95 %), the "
-                "blue dot is their mean with its interval. Where the interval leaves zero out, the data sheet is off."
+                f"{name} of the machines (dots) minus the data sheet; the bar holds 95 % of the machines of the type, the "
+                "blue dot is their mean with its 95 % interval. Where this interval excludes zero, the data sheet is off."
             )
             yield population_figure(learned, drawn, unit), name, caption
 
 
 def _order(learned: Learned, at: summary.AtTool | None, unit: str) -> np.ndarray:
-    """Return the places of the parameters of a unit that matter most, the most important last."""
+    """Return the indices of the parameters of a unit that matter most, the most important last."""
     of = learned.type
     share = np.diag(of.seen)
     size = np.sqrt(np.diag(of.covariance)) / of.priors if at is None else np.nan_to_num(at.by_parameter)
@@ -73,11 +73,11 @@ def _order(learned: Learned, at: summary.AtTool | None, unit: str) -> np.ndarray
 
 
 def population_figure(learned: Learned, places: np.ndarray, unit: str) -> Figure:
-    """Draw a population: by parameter the machines, what further ones are, and the mean with its interval.
+    """Draw a population: by parameter the machines, the range of further ones, and the mean with its interval.
 
     Args:
         learned: a type and its machines.
-        places: of the parameters, all of one unit.
+        places: indices of the parameters, all of one unit.
         unit: "m" or "rad".
     """
     of, (factor, word) = learned.type, readable_unit(unit)
@@ -103,7 +103,7 @@ def population_figure(learned: Learned, places: np.ndarray, unit: str) -> Figure
 
 
 def _poses(at: summary.AtTool) -> Drawing:
-    """Draw the foreseen error of a further machine by the number of its poses."""
+    """Draw the predicted error of a further machine by the number of its poses."""
     figure, axes = panel()
     poses = np.array(list(at.needed))
     for k, (name, colour, mark) in enumerate((("with the type", AFTER, "o-"), ("without", BEFORE, "s--"))):
@@ -114,20 +114,20 @@ def _poses(at: summary.AtTool) -> Drawing:
     dress(axes, x="poses", y="error [mm rms]", title="Error of a further machine")
     legend(axes)
     caption = (
-        "What is to be expected over random poses once a further machine was measured in so many (medians of several sets); "
+        "Predicted error over random poses after a further machine was measured in this many (medians of several sets); "
         "designed poses do better."
     )
     return figure, "Error of a further machine by poses", caption
 
 
 def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str) -> str:
-    """Return the page of a fleet: what to look at first, drifts of groups, and all that changed.
+    """Return the page of a fleet: robots to look at first, drifts of groups, and all changes.
 
     Args:
         of: the type.
-        found: what was found.
-        alpha: part of the alarms that may be false.
-        version: of pincal.
+        found: the changes found.
+        alpha: fraction of the alarms that may be false.
+        version: version of pincal.
     """
     tone, words = ("bad", f"{len(found.open)} to look at") if found.open else ("good", "nothing to look at")
     if found.drifted:
@@ -149,10 +149,10 @@ def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str
 def _reading(alpha: float) -> Markup:
     return bullets((
         f"In the long run at most {100 * alpha:g} % of all alarms are false, however many robots there are and however long "
-        "they are watched.",
-        rich("A robot that changed stays in the list until it is calibrated: {}.", code("pincal diagnose")),
-        "What robots of one supplier, batch or hall have in common is a drift of that group, and no alarm of its robots.",
-        "watch: no alarm yet, but strange among the checks of its round; check it again soon.",
+        "they are monitored.",
+        rich("A robot that changed stays on the list until it is calibrated again; see {}.", code("pincal diagnose")),
+        "A change that robots of one supplier, batch or hall share is a drift of that group, and no alarm for its robots.",
+        "watch: no alarm yet, but unusual among the checks of its round; check it again soon.",
     ))  # fmt: skip
 
 
@@ -172,7 +172,7 @@ def _evidence(found: FleetHistory, alpha: float) -> Drawing:
     dress(axes, x=f"log10 of the e-value, up to {_SURE:g}", title="Evidence by robot")
     axes.set_yticks(range(len(ranked)), names, fontsize=SMALL, color=INK)
     caption = (
-        "How much likelier the readings since its calibration are if the robot has changed than if not. The dashed line is "
-        "what one alarm alone takes among so many robots; of several alarms each takes less."
+        "Likelihood of the readings since calibration if the robot has changed, relative to no change. The dashed line is "
+        "the evidence that a single alarm needs among this many robots; of several alarms, each needs less."
     )
     return figure, "Evidence by robot", caption

@@ -15,18 +15,18 @@ from pincal.report.words import effect_words
 from pincal.result_table import Cell, Column, Kind, RowTone, Table
 from pincal.units import Quantity, fixed, format_digits, show_percent, show_plainly, small_unit
 
-# Joints side by side in a table of 100 characters.
+# Number of joints side by side in a table of 100 characters.
 _JOINTS_ABREAST = 7
 
 
 def location_table(where: Sequence[Disagreement]) -> Table:
-    """Return where model and data disagreed before anything was named, and its share of the residual beyond the noise.
+    """Return where model and data disagreed before the search, with shares of the residuals beyond the noise.
 
-    Places are looked for in what elasticity leaves, if there is some: their shares are of that.
+    If there is elasticity, joints and regions are located in the residuals of the elastic model, and shares refer to these.
     """
     columns = (
         Column("where", kind=Kind.NAME),
-        Column("of the residual", kind=Kind.NUMBER, show=show_percent),
+        Column("share of the residual", kind=Kind.NUMBER, show=show_percent),
         Column("observation", kind=Kind.TEXT),
     )
     rows = tuple((place.joint or place.region, place.share, place.statement) for place in where)
@@ -34,9 +34,9 @@ def location_table(where: Sequence[Disagreement]) -> Table:
 
 
 def effect_table(effects: Sequence[FoundEffect], title: str = "Effects found") -> Table:
-    """Return effects with the chance that noise looks like them and the mean held-out error before and after.
+    """Return effects with their p-values and the mean held-out error before and after.
 
-    If subsamples were searched, it shows in how many of them each effect is found.
+    If subsamples were searched, the table shows in how many of them each effect is found.
     """
     is_repeated = any(entry.stability for entry in effects)
     units = ("mm", "mrad") if any(entry.gap_before_mrad is not None for entry in effects) else ("mm",)
@@ -63,12 +63,12 @@ def effect_table(effects: Sequence[FoundEffect], title: str = "Effects found") -
 
 
 def show_chance(p_value: float) -> str:
-    """Return a probability as text; what is too small for a number is bounded."""
+    """Return a p-value as text; one that underflows is given by a bound."""
     return f"{p_value:.0e}" if p_value > 0.0 else "<1e-300"
 
 
 def stage_table(floor: float, stages: Sequence[Stage]) -> Table:
-    """Return the errors on held-out rows after each change of the model, each beginning where the one above ended.
+    """Return the errors on held-out rows after each change of the model.
 
     Args:
         floor: rms of the noise alone [mm].
@@ -98,7 +98,7 @@ def stage_table(floor: float, stages: Sequence[Stage]) -> Table:
 
 
 def by_reason(entries: Iterable[tuple[str, str | None, str]], n_joints: int) -> dict[str, str]:
-    """Return the effects that could not be tested, by reason; their joints where these are not all.
+    """Return the effects that could not be tested, by reason, with their joints unless these are all.
 
     Args:
         entries: effect, joint and reason; those without a reason are left out.
@@ -121,14 +121,14 @@ def by_reason(entries: Iterable[tuple[str, str | None, str]], n_joints: int) -> 
 
 
 def covered_share(joint: JointRange) -> float | None:
-    """Return the part of its range that a joint covers; None without limits."""
+    """Return the fraction of its range that a joint covers; None without limits."""
     if joint.lower_limit is None or joint.upper_limit is None:
         return None
     return (joint.high - joint.low) / (joint.upper_limit - joint.lower_limit)
 
 
 def coverage_table(report: DataReport) -> Table:
-    """Return how much of its range each joint covers [rad or m]."""
+    """Return the covered range of each joint [rad or m]."""
     columns = (
         Column("joint", kind=Kind.NAME),
         Column("from", kind=Kind.NUMBER, show=fixed(3)),
@@ -145,7 +145,7 @@ def coverage_table(report: DataReport) -> Table:
 
 
 def expectation_table(report: DataReport) -> Table:
-    """Return what to expect of each parameter before anything is fitted."""
+    """Return the expected uncertainty of each parameter."""
     rows = [ParameterRow(p.name, p.unit, 0.0, 0.0, p.sigma, p.status, p.reason, p.effect) for p in report.parameters]
     table = parameter_table(rows, "What these poses can identify").without("nominal", "value")
     columns = tuple(replace(c, name="expected sigma") if c.name == "sigma" else c for c in table.columns)
@@ -182,7 +182,7 @@ def _detectability_table(entries: list[Detectable], joints: list[str]) -> Table:
 
 
 def smallest_size(entries: Sequence[Detectable]) -> Quantity | str | None:
-    """Return the size to be found; of several sources the range in the small unit, of several frames the larger."""
+    """Return the detectable size; for several sources the range in the small unit, for several frames the larger."""
     unit, source = entries[0].unit, entries[0].effect.heading[2]
     sizes = [entry.size for entry in entries if entry.size is not None]
     if not sizes:
@@ -198,15 +198,15 @@ def _show_size(size: Quantity | str | None) -> str:
 
 
 def motion_table(found: MotionDesign) -> Table:
-    """Return the predicted errors of numbers of poses before an instrument, alone and beside a motion before an IMU."""
+    """Return the predicted errors by number of poses with an instrument, alone and together with a motion with an IMU."""
     columns = [Column("poses", kind=Kind.NUMBER)]
     columns += [Column(name, "mm rms", Kind.NUMBER, fixed(4)) for name in ("alone", "with the motion")]
     rows = tuple((poses, 1e3 * alone, 1e3 * both) for poses, (alone, both) in found.needed.items())
-    return Table("How many poses before an instrument, in addition? Predicted error", tuple(columns), rows)
+    return Table("How many additional poses with an instrument? Predicted error", tuple(columns), rows)
 
 
 def pose_count_table(found: Design) -> Table:
-    """Return the predicted errors of other numbers of poses."""
+    """Return the predicted errors for several numbers of poses."""
     apart = bool(found.found.designed.apart)
     columns = [Column("poses", kind=Kind.NUMBER)]
     columns += [Column(name, "mm rms", Kind.NUMBER, fixed(4)) for name in ("designed", "random")]

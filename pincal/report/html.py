@@ -25,7 +25,7 @@ from pincal.report.words import (
 )
 from pincal.units import format_digits, small_unit
 
-# An effect with more parameters than this is a curve; its numbers stand in discovery.json.
+# An effect with more parameters than this is a curve; its numbers are in discovery.json.
 _FEW = 4
 
 
@@ -38,7 +38,7 @@ def missing(subject: Subject) -> Section | None:
     noise = "The noise alone" if is_declared else "The noise, estimated from the residuals of the fitted poses,"
     beyond = f"; {found.unexplained_mm:.4f} mm rms remain beyond it" if is_declared else ""
     intro = (
-        "The search starts from a simple model, looks where model and data disagree, names the effect that explains most, "
+        "The search starts from a simple model, locates where model and data disagree, names the effect that explains most, "
         f"adds it, refits the whole model, and stops when only noise is left. {noise} amounts to "
         f"{found.noise_floor_mm:.4f} mm rms{beyond}. A name is a cause that fits the data, not a proof of that "
         "cause."
@@ -76,12 +76,12 @@ def missing(subject: Subject) -> Section | None:
 
 
 def _named(found: Findings) -> Iterator[PageBlock]:
-    """Yield the effects, those that are hints apart, and in how many halves of the poses each comes up."""
+    """Yield the effects, hints separately, and in how many subsamples each is found."""
     sure, hints = (tuple(_card(entry) for entry in found.effects if entry.is_hint == is_hint) for is_hint in (False, True))
     if sure or not hints:
         yield arranged("cards", *sure) if sure else paragraph("These data show no missing effect.")
     if hints:
-        yield paragraph(f"{HINTS}. They are in the model; do not order parts because of them.", "care")
+        yield paragraph(f"{HINTS}. They are in the model, but do not order spare parts because of them.", "care")
         yield arranged("cards", *hints)
     if found.only_in_halves:
         yield paragraph(f"{subsample_only_words(found)}.", "note")
@@ -92,7 +92,7 @@ def _named(found: Findings) -> Iterator[PageBlock]:
 
 
 def _card(entry: FoundEffect) -> Markup:
-    """Return an effect with its parameters, what it explained, and what it could also be."""
+    """Return a card of an effect with its parameters, the change of the error, and the alternatives."""
     values = entry.parameters
     shown = merged((rich('{} = <span class="nw">{}</span>', code(name), _measured(p)) for name, p in values.items()), "<br>")
     explained = rich(
@@ -114,7 +114,7 @@ def _card(entry: FoundEffect) -> Markup:
 
 
 def _measured(p: FoundParameter) -> str:
-    """Return a value with its standard deviation to two digits, in the unit that suits it."""
+    """Return a value with its standard deviation to two digits, in a readable unit."""
     factor, name = small_unit(p.unit)
     if not p.sigma:
         return f"{format_digits(p.value * factor)} {name}"
@@ -142,7 +142,7 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
 
 
 def report_page(subject: Subject, *, layout: tuple[Callable[[Subject], Section | None], ...] = SECTIONS) -> str:
-    """Return ``report.html``: how good, where the errors are, what was missing, the parameters, and the provenance."""
+    """Return ``report.html``: accuracy, where the errors are, what was missing, the parameters, and the provenance."""
     log.info("drawing the report")
     calibration, result = subject.calibration, subject.result
     poses, rows = calibration.n_poses(), result.rows["train"] + result.rows["test"]

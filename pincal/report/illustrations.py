@@ -1,4 +1,4 @@
-"""The figures of a report, each with a caption that explains what one sees and how to read it."""
+"""The figures of a report, each with a caption that explains how to read it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pincal.report.words import effect_words
 from pincal.validate.misfit import SURE
 from pincal.validate.outcome import MovedParameter, StationRecord
 
-# Parameters whose course is drawn.
+# Number of parameters whose course is drawn.
 _MOST_COURSES = 4
 
 Drawing = tuple[Figure, str, str]
@@ -48,10 +48,10 @@ def inline_svg(figure: Figure, *, key: str, title: str) -> str:
     Args:
         figure: what to draw.
         key: prefix of the identifiers of this figure; each figure of a page has its own.
-        title: what the figure shows, for those who can't see it.
+        title: description of the figure, for screen readers.
     """
     drawn = io.StringIO()
-    # The SVG's text is set in the page's own fonts, so it matters to nobody which characters matplotlib's have.
+    # Text is set in the page's own fonts, so characters that are missing in matplotlib's do not matter.
     with warnings.catch_warnings(), matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}):
         warnings.filterwarnings("ignore", message=".*[Gg]lyph.*")
         figure.savefig(drawn, format="svg", transparent=True, metadata={"Date": None})
@@ -88,14 +88,14 @@ def error_drawings(readings: Iterable[RowErrors]) -> Iterator[Drawing]:
 
 
 def course_drawings(records: Sequence[StationRecord]) -> Iterator[Drawing]:
-    """Yield how each parameter that moved goes from station to station."""
+    """Yield the course of each parameter that moved, from station to station."""
     entries: dict[str, list[tuple[int, MovedParameter]]] = {}
     for k, record in enumerate(records):
         for entry in record.get("parameters", ()):
             entries.setdefault(entry["name"], []).append((k, entry))
     for name, course in list(entries.items())[:_MOST_COURSES]:
         drawn = found.course_figure(name, [record["name"] for record in records], course)
-        caption = f"{name} at each station; bars are intervals of 95 %. Filled: it moved since the station before."
+        caption = f"{name} at each station; bars are 95 % intervals. Filled: it changed since the station before."
         yield drawn, f"{name} from station to station", caption
 
 
@@ -144,7 +144,7 @@ def correction_drawings(parameters: Sequence[ParameterRow]) -> Iterator[Drawing]
 
 
 def stability_drawings(findings: Findings) -> Iterator[Drawing]:
-    """Yield in how many halves of the poses each name came up; nothing where nobody looked."""
+    """Yield in how many subsamples each name is found; nothing without subsamples."""
     pairs = [(effect_words(entry), entry.stability) for entry in findings.effects]
     pairs += [(effect_words(entry), entry.stability) for entry in findings.only_in_halves]
     often = {words: stability for words, stability in pairs if stability is not None}
@@ -153,13 +153,13 @@ def stability_drawings(findings: Findings) -> Iterator[Drawing]:
     counts, of = {words: stability.named for words, stability in often.items()}, max(s.of for s in often.values())
     caption = (
         f"The search repeated on {of} subsamples of {findings.poses_in_a_half} poses each, whole regions of joint space "
-        "left out. Names left of the line are hints: other poses may well give another name."
+        "left out. Names to the left of the line are hints: other poses may well give another name."
     )
     yield found.stability_figure(counts, of, SURE), "Number of subsamples in which each name is found", caption
 
 
 def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
-    """Yield the error step by step, and what each effect explains."""
+    """Yield the error step by step, and the residuals without and with each effect."""
     gaps = discovery.gaps
     sizes = {name: [getattr(gap, f"{name}_mm") for gap in gaps] for name in ("mean", "rms", "max")}
     caption = (

@@ -25,22 +25,22 @@ from pincal.validate.misfit import Verdict, tells
 # Ratio of held-out to fitted rms error above which the rows were too few. N rows and p parameters make it about
 # sqrt((N + p) / (N - p)): 1.3 is reached when a quarter as many readings as there are go into parameters.
 _OVERFITTED = 1.3
-# Errors beyond the noise from which on they are mentioned [mm].
+# Errors beyond the noise that are mentioned are at least this large [mm].
 _SHOWN_MM = 5e-4
-# Lines of outliers that are listed.
+# Number of outliers whose lines are listed.
 _LISTED = 3
 
 
 @dataclass(frozen=True)
 class Judged:
-    """Whether the model explains the data down to their noise, and why, in a sentence."""
+    """Whether the model explains the data down to their noise, with the reason in a sentence."""
 
     judgement: Verdict
     reason: str
 
 
 def judged(result: Result, discovery: Discovery | None = None) -> Judged:
-    """Return whether the model explains the data down to their noise, after a search for what is missing or without."""
+    """Return whether the model explains the data down to their noise, with or without a search for missing effects."""
     verdict = result.verdict_of() if discovery is None else discovery.findings.verdict
     if not result.converged:
         return Judged(verdict, "The fit did not converge; do not use its numbers.")
@@ -68,7 +68,7 @@ def judged(result: Result, discovery: Discovery | None = None) -> Judged:
 
 
 def _against(doubts: Sequence[Note]) -> str:
-    return "The doubt stated first speaks against it" if len(doubts) == 1 else "The doubts stated first speak against it"
+    return "See the doubt stated first" if len(doubts) == 1 else "See the doubts stated first"
 
 
 def relative_to_noise(ratio: float, noise: str, *, is_misfit: bool) -> str:
@@ -87,7 +87,7 @@ def relative_to_noise(ratio: float, noise: str, *, is_misfit: bool) -> str:
 
 
 def verdict_of_search(found: Findings) -> Judged:
-    """Return whether a search has explained the data, and if not, what is wrong."""
+    """Return whether a search has explained the data, and if not, why."""
     n, left, doubts = len(found.effects), found.unexplained_mm, doubts_of(found.warnings)
     added = f"{n} effects were found and added" if n > 1 else "One effect was found and added" if n else "Nothing was added"
     beyond = f"{left:.3f} mm rms beyond the noise" if left >= _SHOWN_MM else ""
@@ -108,7 +108,7 @@ def verdict_of_search(found: Findings) -> Judged:
         wrong.append(_against(doubts).lower())
     elif not wrong:
         wrong.append(
-            "some residuals are larger than the declared noise, or its estimate from neighbouring poses, allows, though "
+            "some residuals are larger than the declared noise, or its estimate from neighbouring poses, allow, though "
             "not on average over all rows"
         )
     return Judged(found.verdict, f"{added}; {', and '.join(wrong)}.")
@@ -130,7 +130,7 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
         steps += _after_discovery(discovery)
     elif not any(station.sensor.reads_place for station in calibration.fit.problem.stations):
         steps.append(
-            "Measure six to ten poses with an instrument, or in sockets, and calibrate by both: an IMU tells no lengths."
+            "Measure six to ten poses with an instrument, or in sockets, and calibrate with both: an IMU gives no lengths."
         )
     elif not is_few and judgement is not Verdict.ADEQUATE and result.converged:
         steps.append("Run pincal discover on the same data: it identifies the effects that the model lacks.")
@@ -139,14 +139,14 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
     if improved := result.improvement or ():
         worst = max(improved, key=lambda region: region.after_mm)
         steps.append(
-            f"No instrument saw the robot: {worst.link} is known to {worst.after_mm:.2g} mm at worst ({worst.region}). If "
-            "that is not enough, measure a few poses with one as well."
+            f"No instrument measured the robot: {worst.link} is known to {worst.after_mm:.2g} mm at worst ({worst.region}). "
+            "If that is not enough, measure a few poses with one as well."
         )
     error = result.error["calibrated"]
     if "test" not in error:
         steps.append("Hold rows out (--test-fraction) or measure more (--holdout): otherwise the accuracy is not validated.")
     else:
-        # Both ways of holding rows out taken together.
+        # Both kinds of held-out rows together.
         rms = f"rms_{leading_unit(error['test'])}"
         ways = [error[way][rms] for way in ("regions", "stretches") if way in error] or [error["test"][rms]]
         if np.sqrt(np.mean(np.square(ways))) > _OVERFITTED * error["train"][rms]:
@@ -181,7 +181,7 @@ def _after_discovery(discovery: Discovery) -> Iterator[str]:
 
 
 class Advice(NamedTuple):
-    """What it means that parameters are not identified for some causes, and what to measure if that matters."""
+    """The meaning of some causes for which parameters are not identified, and what to measure if that matters."""
 
     causes: tuple[Cause, ...]
     title: str
@@ -193,7 +193,7 @@ _ADVICE = (
     Advice(
         (Cause.ABSORBS,),
         "Placement of instrument and target",
-        "The uncertainty shown only reflects how the placement and the robot's first or last link share an offset. "
+        "The stated uncertainty only reflects that the placement and the robot's first or last link share an offset. "
         "Predictions are not affected; nothing has to be measured.",
     ),
     Advice(
@@ -247,7 +247,7 @@ _NARROW = 0.3
 
 
 class UnidentifiedGroup(NamedTuple):
-    """The names of parameters that are not identified for one and the same cause, with what to do about it."""
+    """The names of parameters that are not identified for the same cause, with advice."""
 
     advice: Advice
     names: tuple[str, ...]
@@ -272,12 +272,12 @@ def unidentified_groups(parameters: Sequence[ParameterRow]) -> tuple[Unidentifie
 
 
 def narrow_joints(calibration: Calibration) -> tuple[tuple[str, float], ...]:
-    """Return joints that moved through little of their range, with the part of it that they did."""
+    """Return joints that moved through little of their range, with the fraction that they covered."""
     robot, q = calibration.robot, np.vstack([rows.train.of_joints(calibration.robot).q for rows in calibration.stations])
     found = []
     for i, name in enumerate(robot.joint_names):
         width = float(robot.upper[i] - robot.lower[i])
-        # Beyond a turn a joint shows nothing new.
+        # Beyond one revolution a joint adds nothing new.
         if robot.joint_types[i] != "prismatic":
             width = min(width, 2.0 * np.pi)
         share = float(np.ptp(q[:, i])) / width if np.isfinite(width) and width > 0.0 else 1.0

@@ -1,4 +1,4 @@
-"""The sections of the page on a calibration: each a function from what is reported to a section, or to None."""
+"""The sections of the page on a calibration: each a function from the subject to a section, or to None."""
 
 from __future__ import annotations
 
@@ -63,12 +63,12 @@ REPEATED = Markup(
     "repeatability RP</b> their scatter about this mean, mean distance plus three standard deviations (ISO 9283). "
     "Calibration improves AP; it cannot improve RP, which includes the noise of the instrument."
 )
-"""What accuracy and repeatability are."""
+"""Definition of accuracy and repeatability."""
 
 _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
-# Lines of rejected rows that are listed.
+# Number of rejected rows whose lines are listed.
 _LISTED = 12
-# Ratio of errors before and after from which an improvement is mentioned; below it rounds to 1.0.
+# Smallest ratio of errors before and after that is mentioned; a smaller one rounds to 1.0.
 _IMPROVED = 1.05
 _TONES: dict[str, RowTone] = {Verdict.ADEQUATE: "good", Verdict.NOT_JUDGED: "care"}
 
@@ -92,7 +92,7 @@ def _headline(subject: Subject) -> Markup:
     unit = leading_unit(result.error["calibrated"][part])
     before, after = (result.error[model][part][f"mean_{unit}"] for model in ("nominal", "calibrated"))
     rows = (
-        "On set-ups not used by the calibration, each predicted by the model of the others"
+        "On set-ups not used by the calibration, each predicted with the model of the others"
         if result.left_out_mm is not None
         else f"On {subject.calibration.n_poses('test')} poses not used by the calibration"
         if part == "test"
@@ -103,7 +103,7 @@ def _headline(subject: Subject) -> Markup:
     noise = (
         "The declared noise of the instrument is"
         if result.noise["source"] == "declared"
-        else "The residuals, instrument noise and whatever the model lacks, have a standard deviation of"
+        else "The residuals, which contain the noise and all errors that the model lacks, have a standard deviation of"
     )
     return rich(
         "{}, the mean error of the model is <b>{}</b>; before calibration it was <b>{}</b>{}. {} {}.",
@@ -172,8 +172,8 @@ def _rows_of(rows: StationRows, outliers: Sequence[int]) -> Markup:
 
 
 _CLOCKS = (
-    "Instruments that read the arm while it moved have clocks of their own. Each was aligned with that of the joints by the "
-    "speeds that both see; offset and drift were then fitted with everything else."
+    "Instruments that measured the arm in motion have clocks of their own. Each was aligned with that of the joints by the "
+    "speeds that both measure; offset and drift were then fitted together with all other parameters."
 )
 
 
@@ -183,12 +183,12 @@ def accuracy(subject: Subject) -> Section:
     intro = rich(
         "The error at a pose is the distance from the predicted to the measured target: the <b>accuracy</b> of a single "
         "measurement (ISO 9283). It is not the <b>repeatability</b>, the scatter between repeated measurements of a pose, "
-        "which no calibration improves. “Nominal” is the robot as in its URDF, with only the placement of instrument and "
+        "which no calibration improves. “Nominal” is the robot of the URDF, with only the placement of instrument and "
         "target fitted."
     )
     if "mean_mm" not in result.error["calibrated"]["train"]:
         intro = rich(
-            "An IMU measures no places: an error is the difference between a reading, filtered in time, and its prediction. "
+            "An IMU measures no positions: an error is a reading, filtered in time, minus its prediction. "
             "Most of it is vibration of the arm and noise, which no calibration improves."
         )
     blocks: list[PageBlock] = [paragraph(intro)]
@@ -205,12 +205,12 @@ def accuracy(subject: Subject) -> Section:
 
 
 def _replicates(result: Result) -> list[PageBlock]:
-    """Return what repeated measurements of poses show of accuracy, repeatability and lack of fit."""
+    """Return accuracy, repeatability and lack of fit from repeated measurements of poses."""
     iso, lack = result.iso9283, result.lack_of_fit
     blocks: list[PageBlock] = [heading("Repeated measurements of a pose", "repeatability")] if iso or lack else []
     if iso:
         text = rich(
-            "{} {}. A pose that the fit has used in any of its measurements does not count as held out.",
+            "{} {}. A pose of which the fit has used any measurement does not count as held out.",
             REPEATED,
             cycle_words(iso),
         )
@@ -232,13 +232,13 @@ def stations(subject: Subject) -> Section | None:
     )
     if any("left_out" in record for record in records):
         text += (
-            " Left out: the model of the other stations, with only the placement of this one fitted to it. That is the "
+            " Left out: errors of the model of the other stations, with only the placement of this one fitted. This is the "
             "accuracy to expect on another day."
         )
     shown = []
     for record in records:
         nominal, calibrated = (by_part.get(subject.part, by_part["train"]) for by_part in record["error"].values())
-        # Of a station that was left out, by the model of the others.
+        # A station that was left out is predicted with the model of the others.
         unit = leading_unit(calibrated)
         before, after = nominal[f"mean_{unit}"], record.get("left_out", calibrated)[f"mean_{unit}"]
         shown.append((f"{record['name']}: mean error", (before, after), (f"{before:.3f}", f"{after:.4f} {unit}")))
@@ -249,30 +249,30 @@ def stations(subject: Subject) -> Section | None:
 
 
 def elsewhere(subject: Subject) -> Section | None:
-    """How far predictions are improved where nobody measured; None where an instrument saw the robot."""
+    """Predicted errors before and after where nothing was measured; None if an instrument measured the robot."""
     if subject.result.improvement is UNSET:
         return None
     text = (
-        "No instrument saw the robot. Before the calibration the standard deviation of a position is that of its priors, "
-        "afterwards that of what priors and readings leave unknown, both as an instrument would see them once it is placed."
+        "No instrument measured the robot. The standard deviation of a position follows before the calibration from priors, "
+        "afterwards from priors and readings; both are errors that an instrument would measure once it is placed."
     )
     blocks = (paragraph(text), improvement_table(subject.result.improvement))
-    return Section("elsewhere", "Where nobody measured", blocks, "Elsewhere")
+    return Section("elsewhere", "Where nothing was measured", blocks, "Elsewhere")
 
 
 def _moved(records: Sequence[StationRecord]) -> Iterator[PageBlock]:
-    """Yield which parameters of the robot are not the same at all stations."""
+    """Yield the parameters of the robot that differ between stations."""
     yield heading("Changes between stations", "moved")
     table = moved_table(records)
     if table is None:
         yield paragraph(
-            "No parameter of the robot differs between stations, as far as these rows show; if the robot is the same at all "
-            "of them, the probability of a false report is 1 %."
+            "No difference between stations was detected in any parameter of the robot; if the robot is the same at all "
+            "of them, the probability of a false detection is 1 %."
         )
         return
     yield paragraph(
         "One model describes the robot at all stations, except that these parameters have different values at some of "
-        "them. Where several could have moved, the one that explains most is named; pincal diagnose lists the alternatives "
+        "them. If several could have changed, the one that explains most is named; pincal diagnose lists the alternatives "
         "for the rows of a later station.",
         "care",
     )
@@ -288,7 +288,7 @@ def where(subject: Subject) -> Section:
         '<span style="background:var(--after)"></span>after</span>'
     )
     by_joint = (
-        "Lines are medians, bands hold 90 % of the poses, fitted and held out together. A calibrated arm has flat bands; a "
+        "Lines are medians, bands contain 90 % of all poses, fitted and held out. A calibrated arm has flat bands; a "
         "remaining periodic pattern or slope means that the model lacks an effect of this joint. "
     )
     line = "" if is_timed else " No times were recorded, so the line of the table is used instead."
@@ -302,7 +302,7 @@ def where(subject: Subject) -> Section:
 
 
 def moments(subject: Subject) -> Section | None:
-    """Which moments are identified, at a typical pose; None where the masses are those of the URDF."""
+    """The identified moments at a typical pose; None if the masses are those of the URDF."""
     found = found_moments(subject.calibration.fit)
     if found is None:
         return None
@@ -318,7 +318,7 @@ def moments(subject: Subject) -> Section | None:
 
 
 def moment_table(found: FoundMoments, where: str) -> Table:
-    """Return the moments that are felt at a pose, and how well they are known if the common factor is held."""
+    """Return the moments at a pose, and their standard deviations if the common factor is held fixed."""
     columns = (
         Column("joint", kind=Kind.NAME),
         Column("axis", kind=Kind.LABEL),
@@ -330,7 +330,9 @@ def moment_table(found: FoundMoments, where: str) -> Table:
         (of.joint, of.axis, of.moment, of.sigma, "identified" if of.is_identified else "fixed by the shape")
         for of in found.axes
     )
-    note = f"sigma: with the moment about {found.largest.axis} of {found.largest.joint} held, and so the common factor."
+    note = (
+        f"sigma: with the moment about {found.largest.axis} of {found.largest.joint}, and so the common factor, held fixed."
+    )
     return Table(f"Static moments {where}", columns, rows, (note,))
 
 
@@ -338,18 +340,18 @@ def parameters(subject: Subject) -> Section:
     """Every parameter with its uncertainty, and the strong correlations."""
     result = subject.result
     intro = rich(
-        "Symbols follow Denavit and Hartenberg: theta and d about and along the joint axis, a and alpha along and about "
-        "the link; s_x and s_y tilt the axis. k is a <b>compliance</b>, the rotation of a joint or bearing per unit of "
-        "moment. Sigma is the standard deviation. Status: <b>identified</b>: determined by the data; <b>prior</b>: "
-        "dominated by prior knowledge; <b>unidentifiable</b>: these poses cannot determine it by itself, whatever the "
-        "noise; predictions do not depend on it."
+        "Symbols follow Denavit and Hartenberg: theta and d are about and along the joint axis, a and alpha along and about "
+        "the link; s_x and s_y tilt the axis; x, y, z and rx, ry, rz are position and rotation of base and tool. k is a "
+        "<b>compliance</b>, the rotation of a joint or bearing per unit of moment. Sigma is the standard deviation. Status: "
+        "<b>identified</b>: determined by the data; <b>prior</b>: dominated by prior knowledge; <b>unidentifiable</b>: "
+        "these poses cannot determine it by itself, whatever the noise; predictions do not depend on it."
     )
     blocks: list[PageBlock] = [paragraph(intro), figures("correction", correction_drawings(result.parameters))]
     blocks += [parameter_table(result.parameters), heading("Strong correlations")]
     if result.correlations:
         text = (
             "Each of these pairs is known much better in combination than individually: an error of one is compensated by "
-            "the other. Quote them together."
+            "the other. Always use both together."
         )
         blocks += [paragraph(text), correlation_table(result.correlations)]
     else:

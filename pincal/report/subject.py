@@ -1,4 +1,4 @@
-"""What a page reports on; errors row by row, before and after, with all that they may depend on, are drawn in figures."""
+"""The subject of a page; and errors row by row, before and after, with the quantities that figures show them against."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from pincal.units import readable_unit
 
 @dataclass(frozen=True)
 class RowErrors:
-    """Errors of one kind of reading at N rows, fitted and held-out ones together.
+    """Errors of one kind of reading in N rows, fitted and held-out ones together.
 
     Attributes:
         name: of the reading: "position", "orientation" or "distance".
         unit: of all errors: "mm" or "mrad".
         before: shape (k, N), reading minus prediction with base and tool fitted alone.
-        after: shape (k, N), the same of the calibrated model.
-        is_held: shape (N,), whether the fit never saw the row.
-        is_outlier: shape (N,), whether it was left out of the fit.
+        after: shape (k, N), the same for the calibrated model.
+        is_held: shape (N,), whether the row was held out of the fit.
+        is_outlier: shape (N,), whether the row was rejected as an outlier.
         noise: standard deviation of one component.
         joint_names: of the n joints.
         is_prismatic: shape (n,).
         q: shape (N, n), joint positions [rad or m].
         place: shape (N, 3), tip of the nominal arm in the robot's base frame [m].
-        up: shape (3,), against gravity in this frame.
+        up: shape (3,), direction against gravity in this frame.
         line: shape (N,), line of each row in its file.
         time: shape (N,) [s], None where it was not recorded.
 
@@ -66,12 +66,12 @@ class RowErrors:
         return np.asarray(np.linalg.norm(self.before if which == "before" else self.after, axis=0))
 
     def part(self, *, held: bool) -> np.ndarray:
-        """Return which rows were held out, or were fitted, shape (N,)."""
+        """Return which rows were held out, or fitted, shape (N,)."""
         return self.is_held if held else ~self.is_held
 
 
 def evidence_of(calibration: Calibration) -> tuple[RowErrors, ...]:
-    """Return the errors of a calibration, one :class:`RowErrors` per kind of reading, that of places first."""
+    """Return the errors of a calibration, one :class:`RowErrors` per kind of reading, positions first."""
     found: dict[tuple[str, str], list[RowErrors]] = {}
     for k in range(len(calibration.stations)):
         for part in _of_station(calibration, k):
@@ -118,7 +118,7 @@ def _of_station(calibration: Calibration, k: int) -> Iterator[RowErrors]:
 
 
 def _together(parts: list[RowErrors]) -> RowErrors:
-    """Return the errors of all stations, one after the other: neither lines of files nor times of days mix."""
+    """Return the errors of all stations, one after the other, without times, and with rows counted from 1."""
     if len(parts) == 1:
         return parts[0]
     joined: dict[str, Any] = {
@@ -133,14 +133,14 @@ def _together(parts: list[RowErrors]) -> RowErrors:
 
 @dataclass(frozen=True)
 class Subject:
-    """What a page reports on.
+    """The subject of a page.
 
     Attributes:
         calibration: the calibration.
         provenance: versions, command, inputs with hashes.
-        notes: what the exported URDF does not carry.
-        discovery: what was found missing, if it was looked for.
-        view: name of the file next to the report that holds the view in three dimensions, if there is one.
+        notes: on effects that the exported URDF does not represent.
+        discovery: the result of a search for missing effects, if there was one.
+        view: name of the 3D view next to the report, if there is one.
     """
 
     calibration: Calibration

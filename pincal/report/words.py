@@ -1,4 +1,4 @@
-"""Effects, noise and the terms of the report in words, for readers who do not know the paper."""
+"""Words for effects and noise, and the terms of the report, for readers who do not know the paper."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from pincal.io.discovery_file import Bootstrap, EffectName, Findings, FoundEffec
 from pincal.model.effect_registry import meaning_of
 from pincal.units import readable_unit
 
-# What became of parameters that the data do not identify, of so many of them.
+# Words for the numbers of parameters that the data do not identify.
 _NOT_IDENTIFIED = {
     Status.UNIDENTIFIABLE: "unidentifiable",
     Status.PRIOR: "determined by priors",
     Status.AT_BOUND: "at a bound",
     Status.FIXED: "fixed",
 }
-# What an effect may follow whose name is not plain.
+# Words for variables whose names do not explain themselves.
 _VARIABLES = {"move": "its last move"}
-# What a fit finds other than effects of the robot -> what it is.
-_BESIDE = {"lens_distortion": "the camera's lens bends the image"}
+# Effects other than those of the robot, with their meanings.
+_OTHER = {"lens_distortion": "the camera's lens bends the image"}
 
 TERMS = (
     (
@@ -36,15 +36,20 @@ TERMS = (
     ),
     ("replicates", "repeated measurements of the same pose, one per measurement cycle."),
     ("lack of fit", "residuals that exceed the scatter between replicates: the model is incomplete."),
-    ("residual", "measured minus predicted value: what the model does not explain."),
-    ("held out", "poses that were not used by the fit. Only these show what to expect of new poses."),
+    ("residual", "measured minus predicted value: the part of a reading that the model does not explain."),
+    (
+        "held out",
+        "poses that were not used by the fit: whole regions of joint space, and stretches of consecutive rows. Only these "
+        "show what to expect at new poses.",
+    ),
+    ("95 %", "of errors: 95 of 100 poses have a smaller error."),
     ("noise", "standard deviation of the instrument's readings; no model can be better than this."),
     ("sigma", "standard deviation: in 95 of 100 cases the true value lies within two of them."),
     (
         "identifiable rank",
         "number of independent combinations of parameters that the data determine better than the priors do.",
     ),
-    ("prior", "what is known of a parameter before any measurement, as a standard deviation about its nominal value."),
+    ("prior", "knowledge of a parameter before any measurement: a standard deviation about its nominal value."),
     ("compliance", "rotation of a joint or bearing per unit of moment, in rad per N m: the inverse of stiffness."),
     ("rms", "root mean square: like the mean, but large errors count more."),
     ("p", "probability that noise alone would look like this. A small value shows that there is an effect, not which one."),
@@ -53,17 +58,17 @@ TERMS = (
 
 
 def effect_meaning(name: str) -> str:
-    """Return what an effect means, in plain words; one that nobody registered has only its name.
+    """Return the meaning of an effect in plain words.
 
     Example:
         >>> effect_meaning("link_bending")
         'the link itself bends under load'
     """
-    return meaning_of(name) or _BESIDE.get(name, "an effect of your own")
+    return meaning_of(name) or _OTHER.get(name, "an effect of your own")
 
 
 def effect_words(entry: EffectName, *, joint: bool = True) -> str:
-    """Return an effect in words, with its joint unless that stands elsewhere.
+    """Return an effect in words, with or without its joint.
 
     Example:
         >>> effect_words(EffectName(effect="joint_coupling", joint="axis_5", source="axis_4"))
@@ -99,7 +104,7 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
 
 
 def line_words(entry: FoundEffect) -> str:
-    """Return the remark on a spectral line in addition to its order; empty if nothing.
+    """Return a remark on a spectral line in addition to its order, or an empty text.
 
     Example:
         >>> names = {"effect": "gear_ripple", "joint": "wrist_2", "parameters": {}, "equivalent": (), "tell_apart": ""}
@@ -116,13 +121,13 @@ HINTS = "Hints: named in less than 60 % of the subsamples"
 
 
 def subsample_only_words(found: Findings) -> str:
-    """Return which names most halves of the poses bring up and all poses don't."""
+    """Return the names that most subsamples have and the full data set has not."""
     names = ", ".join(f"{effect_words(entry)} ({entry.stability})" for entry in found.only_in_halves)
     return f"Named in most subsamples, but not in the full data set: {names}"
 
 
 def bootstrap_words(last: Bootstrap) -> str:
-    """Return how likely the effect that was accepted last is chance.
+    """Return the bootstrap test of the effect accepted last in words.
 
     Example:
         >>> bootstrap_words(Bootstrap(effect="base_drift", joint=None, p_value=2 / 201, draws=200))
@@ -135,7 +140,7 @@ def bootstrap_words(last: Bootstrap) -> str:
 
 
 def gain_words(entry: FoundEffect) -> str:
-    """Return how the mean held-out error changed as an effect entered the model, in the words that its numbers bear out.
+    """Return how the mean held-out error changed as an effect entered the model.
 
     Example:
         >>> from msgspec import structs
@@ -156,7 +161,7 @@ def gain_words(entry: FoundEffect) -> str:
 
 
 def _falls(entry: FoundEffect, unit: str) -> bool:
-    """Return whether an error falls as it is shown, to four places."""
+    """Return whether an error falls to the four digits that are shown."""
     before, after = getattr(entry, f"gap_before_{unit}"), getattr(entry, f"gap_after_{unit}")
     return float(f"{after:.4f}") < float(f"{before:.4f}")
 
@@ -179,20 +184,20 @@ def noise_words(noise: Mapping[str, Any]) -> str:
 
 
 def rank_words(statuses: Iterable[Status], *, rank: int, condition: float, why: str = "") -> str:
-    """Return how many of all parameters the data identify, what became of the others, and how well it is determined.
+    """Return how many of all parameters the data identify, the statuses of the others, rank and condition number.
 
     Args:
-        statuses: of every parameter; the numbers of the sentence add up to how many there are.
+        statuses: of every parameter; the numbers in the sentence add up to the number of parameters.
         rank: number of independent combinations that are identified.
         condition: condition number of these.
         why: where the reasons are given, in words.
 
     Example:
-        >>> rank_words([Status.IDENTIFIED] * 2 + [Status.UNIDENTIFIABLE] * 3 + [Status.FIXED], rank=3, condition=52.0)[:69]
-        '2 of 6 parameters identified by themselves, 3 unidentifiable, 1 fixed'
+        >>> rank_words([Status.IDENTIFIED] * 2 + [Status.UNIDENTIFIABLE] * 3 + [Status.FIXED], rank=3, condition=52.0)[:68]
+        '2 of 6 parameters identified individually, 3 unidentifiable, 1 fixed'
     """
     counts = Counter(statuses)
     others = [f"{counts[status]} {words}" for status, words in _NOT_IDENTIFIED.items() if counts[status]]
-    told = ", ".join([f"{counts[Status.IDENTIFIED]} of {counts.total()} parameters identified by themselves", *others])
+    words = ", ".join([f"{counts[Status.IDENTIFIED]} of {counts.total()} parameters identified individually", *others])
     why = f" ({why})" if why and others else ""
-    return f"{told}{why}; identifiable rank {rank}, condition number {condition:.2g}"
+    return f"{words}{why}; identifiable rank {rank}, condition number {condition:.2g}"

@@ -1,4 +1,4 @@
-"""Fields of position deviations: where the target should be, and which way and how far it is off."""
+"""Fields of position deviations: arrows from nominal or predicted to actual positions of the target."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.report.words import effect_words
 
-# Poses over which nominal base and tool are laid onto the calibrated robot where there are no measurements.
+# Number of poses over which nominal base and tool are fitted to the calibrated robot if there are no measurements.
 _ENOUGH = 400
-# Random poses per place: enough that hardly a cell of the grid is missed.
+# Random poses per cell of the grid, enough that hardly any cell is missed.
 _DRAWS = 40
 _MOST_DRAWS = 400_000
 _PIECE = 20_000
-# Halvings of the interval in which the size of a cell is looked for.
+# Bisections in the search for the size of a cell.
 _HALVINGS = 16
 
 
 @dataclass(frozen=True)
 class FieldPoses:
-    """Poses that a field stands on.
+    """Poses at which a field is given.
 
     Attributes:
         name: "measured" or "workspace".
         q: shape (N, n), joint positions [rad or m].
         target: shape (N,), index into the chain's targets.
         lines: shape (N,), line of each row in its file; None for poses from no file.
-        held_out: shape (N,), rows that the fit did not see; None if unknown.
-        position: shape (N, 3), measured positions in the instrument's frame [m]; None where none were measured.
+        held_out: shape (N,), rows that were held out of the fit; None if unknown.
+        position: shape (N, 3), measured positions in the instrument's frame [m]; None without positions.
     """
 
     name: str
@@ -60,10 +60,10 @@ class Layer:
 
     Attributes:
         name: its path in the control tree, such as "deviations/before" or "workspace/explained by ...".
-        poses: name of the poses that it stands on.
+        poses: name of the poses at which it is given.
         points: shape (N, 3), tails, in the instrument's frame [m].
         vectors: shape (N, 3), from tail to head [m], true to scale.
-        words: what the arrows mean.
+        words: meaning of the arrows.
     """
 
     name: str
@@ -80,12 +80,12 @@ class Layer:
 
 @dataclass(frozen=True)
 class Fields:
-    """All fields of a robot and the poses they stand on.
+    """All fields of a robot and their poses.
 
     Attributes:
-        layers: the fields, the first the one to look at first.
+        layers: the fields, the most important first.
         poses: the poses.
-        notes: what is not shown, and what the fields rest on, in words.
+        notes: on what is not shown, and on assumptions.
     """
 
     layers: tuple[Layer, ...]
@@ -93,7 +93,7 @@ class Fields:
     notes: tuple[str, ...]
 
     def seen_from(self, T: np.ndarray) -> Fields:
-        """Return the fields in the frame that ``T``, shape (4, 4), takes their coordinates to."""
+        """Return the fields transformed by ``T``, shape (4, 4), into another frame."""
         R, t = T[:3, :3].T, T[:3, 3]
         layers = (replace(layer, points=layer.points @ R + t, vectors=layer.vectors @ R) for layer in self.layers)
         poses = (p if p.position is None else replace(p, position=p.position @ R + t) for p in self.poses)
@@ -110,17 +110,17 @@ def deviation_fields(
 ) -> Fields:
     """Return the deviations of a robot over measured poses and over its workspace.
 
-    Over measured poses: from nominal (only base and tool fitted) to measured, from calibrated to measured, and what each
-    effect explains: from the prediction without to the prediction with it, all else unchanged. Over the workspace: from
-    nominal to calibrated, and again each effect. A distance determines only the part along the line of sight, other readings
-    none of three directions: "before" then leads to the calibrated prediction.
+    Over measured poses: from nominal (only base and tool fitted) to measured, from calibrated to measured, and for each
+    effect from the prediction without it to the prediction with it, all else unchanged. Over the workspace: from nominal to
+    calibrated, and again each effect. A distance determines only the deviation along the line of sight; for readings that
+    determine no direction, "before" leads to the calibrated prediction.
 
     Args:
         calibrated: the robot.
         measurements: its measured poses.
-        held_out: shape (N,), which of them the fit did not see; None if unknown.
-        grid: about how many places of the workspace get an arrow; 0 for none.
-        seed: of the choice of poses that reach them.
+        held_out: shape (N,), which of them were held out of the fit; None if unknown.
+        grid: approximate number of workspace points with an arrow; 0 for none.
+        seed: random seed of the poses that reach them.
 
     Returns:
         The fields, positions in the instrument's frame.
@@ -140,7 +140,7 @@ def deviation_fields(
         layers += _measured_layers(calibrated, measurements, conditions, nominal)
     if grid > 0:
         over, part, note = _workspace(calibrated, grid, seed, conditions)
-        # Distances and contacts leave room in where the base stands, which would show as deviations where nobody measured.
+        # Distances and contacts do not determine the base well, which would show as deviations elsewhere in the workspace.
         if position is None:
             nominal = _nominal_from_predictions(part, over)
         notes += note
@@ -151,7 +151,7 @@ def deviation_fields(
         layers += _explained("workspace", "workspace", part.model, after, over, heads)
         poses.append(FieldPoses("workspace", over.q, over.target))
     if not layers:
-        raise BadInputError("nothing to show: no measured poses, and no place of the workspace asked for")
+        raise BadInputError("nothing to show: no measured poses, and no points of the workspace requested")
     return Fields(tuple(layers), tuple(poses), tuple(notes))
 
 
@@ -171,7 +171,7 @@ def _measured_layers(
 def _explained(
     folder: str, poses: str, model: Model, values: np.ndarray, conditions: Conditions, whole: np.ndarray
 ) -> Iterator[Layer]:
-    """Yield what each effect explains: from the prediction without it to that with it."""
+    """Yield a layer for each effect, from the prediction without it to the prediction with it."""
     used = set()
     for effect, span in zip(model.effects, model.spans, strict=True):
         if effect.family is not Family.EXTRINSICS and np.any(values[span]):
@@ -182,12 +182,12 @@ def _explained(
                 name += " again"
             used.add(name)
             tails = _positions(model, without, conditions)
-            words = f"from the prediction without to that with {name}, all else unchanged"
+            words = f"from the prediction without {name} to the prediction with it, all else unchanged"
             yield Layer(f"{folder}/explained by {name}", poses, tails, whole - tails, words)
 
 
 def effect_name(effect: Effect) -> str:
-    """Return what an effect is called in the control tree."""
+    """Return the name of an effect in the control tree."""
     words = effect_words(EffectName.of(effect))
     return f"{words} seen from the moving link" if effect.locus.frame == "after" else words
 
@@ -205,13 +205,15 @@ def _nominal_from_data(
     problem = calibrated.readings(measurements)
     fitted = np.ones(len(problem), bool) if held_out is None else ~held_out
     if fitted.sum() < min(len(problem), 6):
-        words = "base and tool of the nominal robot are fitted to the rows shown: none of them was fitted before"
+        words = (
+            "base and tool of the nominal robot are fitted to the rows shown, since few of them were used by the calibration"
+        )
         return _frames_fitted(calibrated, problem), [words]
     return _frames_fitted(calibrated, problem.select(fitted)), []
 
 
 def _nominal_from_predictions(calibrated: CalibratedModel, over: Conditions) -> np.ndarray:
-    """Return the values with only base and tool fitted, to what the calibrated robot does over its workspace."""
+    """Return the values with only base and tool fitted, to the calibrated robot over its workspace."""
     rows = np.unique(np.linspace(0, len(over) - 1, _ENOUGH).astype(int))
     sample = over.select(rows)
     poses = calibrated.predict(sample)
@@ -220,7 +222,7 @@ def _nominal_from_predictions(calibrated: CalibratedModel, over: Conditions) -> 
 
 
 def _frames_fitted(calibrated: CalibratedModel, station: Station) -> np.ndarray:
-    """Fit base and tool alone; a frame that the calibration took as known stays where it is."""
+    """Fit only base and tool; a frame that was known in the calibration is held fixed."""
     found = calibrated.estimate.take(parameter.name for parameter in station.parameters)
     frames = np.array([parameter.is_extrinsic for parameter in found.parameters], bool)
     free = frames & (found.free if np.any(found.free & frames) else frames)
@@ -228,7 +230,7 @@ def _frames_fitted(calibrated: CalibratedModel, station: Station) -> np.ndarray:
     station.split(start)[1][:] = station.split(found.values)[1]
     if not free.any():
         return start
-    # Other targets than those of these rows are not seen: they stay.
+    # Targets that these rows do not measure are held fixed.
     station.split(free)[0][:] &= largest_basis(station.model, station.conditions)[1]
     nothing = np.full(len(start), np.inf)
     noise = Noise((None,) * len(station.sensor.blocks))
@@ -238,7 +240,7 @@ def _frames_fitted(calibrated: CalibratedModel, station: Station) -> np.ndarray:
 def _workspace(
     calibrated: CalibratedModel, grid: int, seed: int, seen: Conditions | None
 ) -> tuple[Conditions, CalibratedModel, list[str]]:
-    """Return poses all over the workspace, the model that can predict there, and what was assumed."""
+    """Return poses all over the workspace, the model that can predict there, and notes on assumptions."""
     payload = float(np.mean(calibrated.covered.payload)) if seen is None else float(np.median(seen.payload))
     columns = {} if seen is None else {"temperature": seen.temperature, "time": seen.time}
     known = {name: float(np.median(values)) for name, values in columns.items() if values is not None}
@@ -251,28 +253,20 @@ def _workspace(
     q = _workspace_poses(part, grid, payload=payload, known=known, seed=seed)
     over = _at_conditions(q, calibrated, payload, known)
     notes = [
-        f"workspace: {len(q)} places that the joints reach within the range that the calibration covered, each with one of "
-        f"the poses that reach it, at a payload of {payload:g} kg"
+        f"workspace: {len(q)} points within the joint ranges of the calibration, each reached by one pose, at a payload of "
+        f"{payload:g} kg"
     ]
     if left_out:
-        notes.append(f"workspace: without {', '.join(left_out)}: what it needs is known of measured poses only")
+        notes.append(f"workspace: without {', '.join(left_out)}, whose conditions are known at measured poses only")
     return over, part, notes
 
 
 def _workspace_poses(
     calibrated: CalibratedModel, places: int, *, payload: float, known: dict[str, float], seed: int
 ) -> np.ndarray:
-    """Return joint positions that reach about ``places`` cells of a regular grid, one pose per cell.
+    """Return joint positions within the calibrated range, shape (about ``places``, n), one for each cell of a regular grid.
 
-    Args:
-        calibrated: the robot; poses lie within the joint range that its calibration covered.
-        places: about how many cells.
-        payload: mass at the tip [kg].
-        known: temperature [deg C] and time [s], where the model needs them.
-        seed: of the random poses from which those nearest to the cells' centres are taken.
-
-    Returns:
-        Shape (about ``places``, n) [rad or m].
+    Of random poses, the one nearest to the centre of a cell is taken.
     """
     rng = np.random.default_rng(seed)
     lower, upper = calibrated.covered.q.T
@@ -288,16 +282,16 @@ def _workspace_poses(
 
 
 def _at_conditions(q: np.ndarray, calibrated: CalibratedModel, payload: float, known: dict[str, float]) -> Conditions:
-    """Return the conditions of joint positions, shape (N, n), that share payload [kg], temperature and time."""
+    """Return the conditions of joint positions, shape (N, n), with the same payload [kg], temperature and time."""
     plain = Conditions.at(q, payload=payload, payload_centre=calibrated.payload_centre)
     columns = {name: np.full(len(q), value) for name, value in known.items()}
-    # How joints arrived is unknown: 0, as for a table without these columns; and they are where they are commanded.
+    # Directions of approach are unknown, 0 as for a table without these columns; joints are at the commanded positions.
     unknown = np.zeros(q.shape)
     return replace(plain, approach=unknown, move=unknown, droop=unknown, **columns)
 
 
 def _cell_size(reached: np.ndarray, places: int) -> float:
-    """Return the size of a cell [m] at which about ``places`` of them are reached."""
+    """Return the cell size [m] with which about ``places`` cells are reached."""
     extent = float(np.ptp(reached, axis=0).max())
     if extent == 0.0:
         return 1.0
@@ -310,7 +304,7 @@ def _cell_size(reached: np.ndarray, places: int) -> float:
 
 
 def _cells(points: np.ndarray, size: float) -> np.ndarray:
-    """Return the number of each point's cell, shape (N,)."""
+    """Return the index of each point's cell, shape (N,)."""
     steps = np.round(points / size).astype(np.int64)
     steps -= steps.min(axis=0)
     return np.asarray(np.ravel_multi_index(tuple(steps.T), tuple(steps.max(axis=0) + 1)))

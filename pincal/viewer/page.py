@@ -1,6 +1,6 @@
 """The page: meshcat's viewer, a scene as numbers, and a control panel, in one file that needs no network.
 
-A server for it, on this machine alone, can move the robot while it is looked at. A viewer of the user's own, such as
+A server on this machine can move the robot in open pages. A viewer of the user's own, such as
 Pinocchio's ``MeshcatVisualizer``, can show a field of deviations, too.
 """
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     import meshcat
     from pinocchio.visualize import MeshcatVisualizer
 
-# Nothing may be loaded from anywhere: what the page shows is in it. The viewer's library evaluates code of its own.
+# The page contains everything and may load nothing. The viewer's library evaluates code of its own.
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'"
@@ -64,7 +64,7 @@ def write_html(path: str | os.PathLike[str], scene: Scene) -> int:
 
 
 def page(scene: Scene, *, live: bool = False) -> str:
-    """Return the page of a scene; a ``live`` one listens to the server that it comes from."""
+    """Return the page of a scene; a ``live`` one listens to its server."""
     shown = {"live": live} | {field.name: getattr(scene, field.name) for field in fields(scene)}
     parts = {
         "@TITLE@": html.escape(scene.title),
@@ -77,14 +77,14 @@ def page(scene: Scene, *, live: bool = False) -> str:
     text = _resource("view.html")
     for mark, content in parts.items():
         before, _, after = text.partition(mark)
-        # Contents are put in once each, from the end of the last: none is searched for the marks of others.
+        # Each mark is searched for after the last one, never in contents that were inserted.
         parts[mark] = before + content
         text = after
     return "".join(parts.values()) + text
 
 
 def _encoded(value: np.ndarray | np.generic) -> Any:
-    """Return an array, row by row, as little-endian numbers of 32 bits in base 64."""
+    """Return an array, row by row, as little-endian 32-bit numbers in base64."""
     if isinstance(value, np.generic):
         return value.item()
     kind = "<f4" if value.dtype.kind == "f" else "<u4"
@@ -98,7 +98,7 @@ def _resource(name: str) -> str:
 
 @cache
 def _viewer() -> str:
-    """Return meshcat's viewer; its Python side, which talks to a server of its own, is not loaded."""
+    """Return meshcat's viewer without loading its Python side, which runs a server of its own."""
     spec = find_spec("meshcat")
     if spec is None or spec.submodule_search_locations is None:
         raise OutputError("pages in 3D need meshcat: run pip install meshcat")
@@ -110,7 +110,7 @@ def _viewer() -> str:
 
 
 _HOST = "127.0.0.1"
-# Interval of messages by which it is noticed that nobody listens any more [s].
+# Interval of messages that detect closed connections [s].
 _PULSE = 5.0
 
 
@@ -157,7 +157,7 @@ class LiveView:
             self._thread.join(0.5)
 
     def close(self) -> None:
-        """Stop serving; open pages stay as they are."""
+        """Stop serving; open pages remain."""
         self._server.shutdown()
         self._server.server_close()
         with self._lock:
@@ -215,7 +215,7 @@ class _Server(ThreadingHTTPServer):
     view: LiveView
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that goes away is no error."""
+        """Ignore a browser that disconnects."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -224,7 +224,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer with the page, or with the events of the program from now on."""
-        # A page of another site that calls this address by a name of its own is not served.
+        # Requests under another host name, as from a page of another site, are not served.
         host = (self.headers.get("Host") or "").rsplit(":", 1)[0]
         if host not in (_HOST, "localhost"):
             self.send_error(403)
@@ -266,7 +266,7 @@ class _Handler(BaseHTTPRequestHandler):
                 self.wfile.write(f"data: {message}\n\n".encode())
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: the library never prints."""
+        """Print nothing: the library never prints."""
 
 
 # Length of the strokes of an arrow's head, over its length.
@@ -285,16 +285,16 @@ def draw_field(
 ) -> Layer:
     """Draw a deviation field as arrows into a meshcat viewer that shows the robot.
 
-    The viewer's world is the root of the URDF, as ``MeshcatVisualizer`` has it. A field of the same name is replaced.
+    The viewer's world is the root of the URDF, as in ``MeshcatVisualizer``. A field of the same name is replaced.
 
     Args:
         viz: a ``meshcat.Visualizer``, or a viewer that has one as ``viewer``, such as Pinocchio's ``MeshcatVisualizer``.
         calibrated: the robot.
-        measurements: its measured poses; default: none, arrows stand over the workspace.
+        measurements: its measured poses; default: none, arrows cover the workspace.
         layer: which field, by its name; default: the first one, from nominal to measured or to calibrated.
-        scale: factor of the arrows' lengths; default: a round number that makes them visible.
+        scale: scale factor of the arrows; default: a round number that makes them visible.
         path: node of meshcat's tree below which the field is drawn, under its own name.
-        grid: about how many places of the workspace get an arrow; 0 for none.
+        grid: approximate number of workspace points with an arrow; 0 for none.
 
     Returns:
         The field, true to scale, in the frame of the viewer.

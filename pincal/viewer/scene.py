@@ -1,4 +1,4 @@
-"""All that a page shows, in one frame: upright, with the robot's base in its origin."""
+"""The contents of a page in one frame: upright, with the robot's base at its origin."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pincal.robot.se3 import placed, rotation, shortest_turn, translation
 from pincal.viewer.field import FieldPoses, Fields, Layer, deviation_fields
 from pincal.viewer.shapes import DrawnShape, shapes_of
 
-# Angle [rad] as which the largest tilt of an axis is drawn, at most; and part of the reach for the largest offset.
+# Largest drawn tilt of an axis [rad], and largest drawn offset as a fraction of the reach.
 _DRAWN_TILT = 0.25
 _DRAWN_OFFSET = 0.06
 # Tilts and offsets below which an axis counts as undistorted [rad, m].
@@ -35,9 +35,9 @@ class Axis:
     Attributes:
         joint: name.
         nominal: shape (2, 3), its ends [m].
-        actual: shape (2, 3), likewise, tilt and offset times the factor.
-        tilt: how far the calibration tilts it [rad].
-        offset: how far it moves it sideways where the URDF has the joint [m].
+        actual: shape (2, 3), the same with tilt and offset times the factor.
+        tilt: by the calibration [rad].
+        offset: sideways, at the joint frame of the URDF [m].
     """
 
     joint: str
@@ -52,11 +52,11 @@ def axes_of(calibrated: CalibratedModel, factor: float | None = None) -> tuple[t
 
     Args:
         calibrated: the robot.
-        factor: of tilts and offsets; default: a round number, such that the largest can be seen and none misleads.
+        factor: of tilts and offsets; default: a round number that makes the largest visible without exaggeration.
     """
     chain = calibrated.model.chain
     coordinates = calibrated.model.rigid_coordinates(calibrated.model_values)
-    # Where along its own axis the URDF has each joint, from the foot of its Denavit-Hartenberg frame [m].
+    # Position of each joint frame of the URDF along its axis, from the origin of the Denavit-Hartenberg frame [m].
     after = chain.robot.kinematics.after
     heights = [float((B @ T)[2, 3]) for B, T in zip(after, chain.robot.T_link_joint, strict=True)]
     found = [_distortion(chain, coordinates, i, height) for i, height in enumerate(heights)]
@@ -92,7 +92,7 @@ def round_down(value: float) -> float:
 
 
 def _distortion(chain: Chain, coordinates: np.ndarray, i: int, height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the nominal axis' frame in the link before it, and tilt [rad] and offset [m] across it, shape (2,) each."""
+    """Return the frame of the nominal axis in the link before it, and tilt [rad] and offset [m] across it, shape (2,)."""
 
     def mounted(values: np.ndarray) -> np.ndarray:
         link = np.eye(4)
@@ -104,7 +104,7 @@ def _distortion(chain: Chain, coordinates: np.ndarray, i: int, height: float) ->
 
     nominal = mounted(chain.nominal)
     change = np.linalg.inv(nominal) @ mounted(coordinates)
-    # The nominal step from the frame before the link's to the link's own is in both.
+    # Both include the nominal transform from the frame before the link's to the link's own.
     link = np.eye(4) if i == 0 else chain.robot.kinematics.after[i - 1]
     return np.linalg.inv(link) @ nominal, change[:2, 2], change[:2, 3] + change[:2, 2] * height
 
@@ -119,7 +119,7 @@ def _line(frame: np.ndarray, tilt: np.ndarray, offset: np.ndarray, height: float
     return np.asarray(ends @ frame[:3, :3].T + frame[:3, 3])
 
 
-# Length, as part of the robot's reach and of the way from one arrow to the next, at which nearly all deviations are drawn.
+# Largest length of nearly all arrows, as a fraction of the robot's reach and of the distance between arrows.
 _DRAWN, _CROWDED = 0.12, 0.8
 
 
@@ -129,8 +129,8 @@ class DrawnFrame:
 
     Attributes:
         name: "base", "instrument", or the name of a target.
-        body: what it moves with: 0 for what stands, n for the last link.
-        placement: shape (4, 4), in the scene for body 0, else in the frame S_i.
+        body: the body that it moves with: 0 for stationary frames, n for the last link.
+        placement: shape (4, 4), in the scene for body 0, otherwise in the frame S_i.
     """
 
     name: str
@@ -146,18 +146,18 @@ class Scene:
         title: the robot's name.
         joints: their names.
         lower: shape (n,), ends of the joints' sliders [rad or m].
-        upper: shape (n,), likewise.
-        q: shape (n,), the pose to begin with.
-        T_scene_base: shape (4, 4), the robot's base in the scene: upright, whichever way it is mounted.
-        kinematics: how the arm moves.
-        shapes: what it looks like.
+        upper: shape (n,), upper ends.
+        q: shape (n,), the initial pose.
+        T_scene_base: shape (4, 4), pose of the robot's base in the scene, in which gravity points down.
+        kinematics: of the arm.
+        shapes: of its links.
         axes: its joint axes, with distortions times ``axis_scale``.
         axis_scale: that factor.
         frames: base, tools, instrument.
         fields: the deviations, in the scene.
-        scale: factor of the arrows' lengths to begin with.
-        reach: how far the arm reaches [m].
-        notes: what is missing, and what the page rests on, in words.
+        scale: initial scale factor of the arrows.
+        reach: of the arm [m].
+        notes: on what is missing, and on assumptions.
     """
 
     title: str
@@ -200,22 +200,22 @@ def build_scene(
     axis_scale: float | None = None,
     mesh_folders: Sequence[str | os.PathLike[str]] = (),
 ) -> Scene:
-    """Return all there is to see of a calibrated robot, at the first measured pose.
+    """Return the scene of a calibrated robot, at the first measured pose.
 
     Args:
         calibrated: the robot.
         measurements: measured poses, of its targets.
-        held_out: shape (N,), which of them the fit did not see; None if unknown.
-        grid: about how many places of the workspace get an arrow; 0 for none.
-        scale: factor of the arrows' lengths; default: a round number that makes them visible.
-        axis_scale: factor of the axes' distortions, likewise.
-        mesh_folders: where else to look for meshes and the packages that the URDF names.
+        held_out: shape (N,), which of them were held out of the fit; None if unknown.
+        grid: approximate number of workspace points with an arrow; 0 for none.
+        scale: scale factor of the arrows; default: a round number that makes them visible.
+        axis_scale: scale factor of the distortions of axes, with the same default.
+        mesh_folders: further folders with the meshes and packages that the URDF names.
 
     Returns:
         The scene.
 
     Raises:
-        BadInputError: if a factor can't be, or there is nothing to show.
+        BadInputError: if a factor is not positive, or there is nothing to show.
     """
     chain = calibrated.model.chain
     for name, factor in (("scale", scale), ("axis_scale", axis_scale)):
@@ -247,7 +247,7 @@ def build_scene(
 
 
 def _slider_ends(calibrated: CalibratedModel, poses: tuple[FieldPoses, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends of the joints' sliders, shape (n,) each: limits and all that is shown lie between them."""
+    """Return the ends of the joints' sliders, shape (n,) each, which enclose the limits and all poses shown."""
     robot = calibrated.model.chain.robot
     lower = np.vstack([calibrated.covered.q[:, 0], *(part.q for part in poses)]).min(axis=0)
     upper = np.vstack([calibrated.covered.q[:, 1], *(part.q for part in poses)]).max(axis=0)
@@ -265,7 +265,7 @@ def base_of(calibrated: CalibratedModel) -> np.ndarray:
 
 
 def visible_scale(layer: Layer, reach: float) -> float:
-    """Return a round factor at which nearly all arrows are long enough to see and short enough to be distinguished."""
+    """Return a round factor with which nearly all arrows are visible and do not overlap."""
     size = float(np.percentile(layer.sizes, 95.0))
     apart = float(np.cbrt(np.prod(np.ptp(layer.points, axis=0)) / len(layer.points)))
     drawn = min(_DRAWN * reach, _CROWDED * apart) if apart > 0.0 else _DRAWN * reach
@@ -285,7 +285,7 @@ def _row_notes(poses: tuple[FieldPoses, ...]) -> tuple[str, ...]:
 
 
 def _upright(gravity: np.ndarray) -> np.ndarray:
-    """Return the rotation, shape (4, 4), that turns gravity downwards by the shortest way."""
+    """Return the smallest rotation, shape (4, 4), that turns gravity downwards."""
     size = float(np.linalg.norm(gravity))
     if size == 0.0:
         return np.eye(4)
@@ -312,7 +312,7 @@ def _frames(
 def held_out_rows(
     provenance: dict[str, Any], residuals: Path, data: Path, measurements: Measurements
 ) -> tuple[np.ndarray | None, str]:
-    """Return which rows of a table were held out of a calibration, and in words how this is known.
+    """Return which rows of a table were held out of a calibration, and how this is known, in words.
 
     Args:
         provenance: of the calibrated model; names its input files with their SHA-256, the training table first.
@@ -321,21 +321,21 @@ def held_out_rows(
         measurements: its rows.
 
     Returns:
-        Shape (N,), True for rows that the fit did not see, or None if unknown; and the reason.
+        Shape (N,), True for rows that were held out of the fit, or None if unknown; and the reason.
     """
     import polars as pl
 
     inputs = provenance.get("inputs")
     known = list(inputs.values()) if isinstance(inputs, dict) else []
     if not known:
-        return None, f"the model names no input files, so nobody knows which rows of {data.name} it was fitted to"
+        return None, f"the model names no input files, so it is unknown which rows of {data.name} it was fitted to"
     digest, unseen = hashlib.sha256(data.read_bytes()).hexdigest(), np.ones(len(measurements), bool)
     if digest not in known:
         return unseen, f"{data.name} is none of the model's input files: all rows count as held out"
     try:
         table = pl.read_csv(residuals)
         if "station" in table.columns:
-            # Of several stations each table is one of them, named by its file.
+            # With several stations, each table is one, named after its file.
             table = table.filter(pl.col("station") == data.stem)
         if digest != known[0] and not ("station" in table.columns and len(table)):
             return unseen, f"{data.name} was held out of the fit as a whole"

@@ -1,4 +1,4 @@
-"""What an arm looks like: the meshes of its URDF where they are, simple shapes where not."""
+"""The shapes of an arm: the meshes of its URDF, or simple shapes where these are missing."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from pincal.robot.se3 import rotation_of_rpy
 from pincal.robot.urdf_file import parse_xml
 from pincal.units import plain_numbers
 
-# Faces of all meshes of a robot together; finer ones are thinned, since the page has to stay small and quick.
+# Most faces of all meshes of a robot; finer ones are decimated to keep the page small and fast.
 _FACES = 60_000
 _SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
-# Faces of one file beyond which it is not shown: as many as the largest file that is read has room for, 50 bytes a face in a
-# binary STL; files of scenes may show a mesh any number of times.
+# Most faces of a file that is shown: as many as the largest file that is read can contain, 50 bytes a face in a
+# binary STL; scene files may contain a mesh any number of times.
 _MOST_FACES = 800_000
 _GREY = (0.72, 0.75, 0.79)
 # Sides of a drawn cylinder.
@@ -34,7 +34,7 @@ class DrawnShape:
 
     Attributes:
         link: name of the link that it belongs to, as the control tree shows it.
-        body: 0 for what stands, i for what moves with joint i; its frame is S_i (the base frame for 0).
+        body: 0 for stationary links, i for those that move with joint i; its frame is S_i (the base frame for 0).
         vertices: shape (V, 3) [m], in the frame of the body.
         faces: shape (F, 3).
         colour: red, green, blue from 0 to 1.
@@ -50,14 +50,14 @@ class DrawnShape:
 def shapes_of(
     robot: Robot, folders: Sequence[str | os.PathLike[str]] = ()
 ) -> tuple[tuple[DrawnShape, ...], tuple[str, ...]]:
-    """Return what to draw of an arm, and in words what is drawn in another way than the URDF has it.
+    """Return the shapes of an arm, and notes on differences from the URDF.
 
     Args:
-        robot: the arm; its URDF's text gives the look of its links, its source where their meshes may be.
+        robot: the arm; the text of its URDF has the visuals of its links, its source the folder of their meshes.
         folders: further folders with meshes, or with the packages that the URDF names.
 
     Returns:
-        The shapes, and notes on meshes that are missing and links without a look.
+        The shapes, and notes on missing meshes and links without visuals.
     """
     drawn: list[DrawnShape] = []
     notes: list[str] = []
@@ -65,26 +65,26 @@ def shapes_of(
         try:
             drawn, notes = _visuals(robot, [Path(folder) for folder in folders])
         except (RobotFileError, ValueError, RuntimeError) as error:
-            notes = [f"the look of the robot can't be read from its URDF ({error})"]
+            notes = [f"the visuals of the robot can't be read from its URDF ({error})"]
     bare = sorted(set(range(1, robot.n_joints + 1)) - {shape.body for shape in drawn})
     if not drawn:
         why = "the URDF shows no link" if not notes else "none of the URDF's meshes can be shown"
         notes.append(f"{why if robot.urdf else 'the model holds no URDF'}: the arm is drawn in simple shapes")
         bare = list(range(robot.n_joints + 1))
     elif bare:
-        notes.append(f"drawn as simple shapes: what moves with {', '.join(robot.joint_names[i - 1] for i in bare)}")
+        notes.append(f"drawn as simple shapes: links that move with {', '.join(robot.joint_names[i - 1] for i in bare)}")
     if (total := sum(len(shape.faces) for shape in drawn)) > _FACES:
-        # The finest meshes are thinned until all together have no more than the page can carry.
+        # Meshes are decimated in proportion to their size.
         drawn = [_thin(shape, max(200, int(len(shape.faces) * _FACES / total))) for shape in drawn]
     return (*drawn, *_simple(robot, bare)), tuple(notes)
 
 
 class _NotShown(Exception):
-    """A visual that can't be drawn; the message says why."""
+    """A visual that can't be drawn, with the reason as its message."""
 
 
 def _visuals(robot: Robot, folders: list[Path]) -> tuple[list[DrawnShape], list[str]]:
-    """Return the shapes of the URDF's visuals, and in words why others can't be shown."""
+    """Return the shapes of the URDF's visuals, and notes on those that can't be shown."""
     root = parse_xml(robot.urdf, robot.source)
     colours = {m.get("name"): _colour(m) for m in root.iterfind("material")}
     places = _link_places(robot)
@@ -108,7 +108,7 @@ def _visuals(robot: Robot, folders: list[Path]) -> tuple[list[DrawnShape], list[
 
 
 def _link_places(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
-    """Return link -> the body it moves with and its place in the body's frame; other arms of the URDF are left out."""
+    """Return link -> the body that it moves with, and its pose in the body's frame; other arms are left out."""
     import pinocchio as pin
 
     model = robot.pinocchio_model()
@@ -129,7 +129,7 @@ def _geometry(visual: Any, files: Meshes) -> list[_Mesh]:
     """Return the meshes of a visual, shape (V, 3) and (F, 3) with a colour of their own.
 
     Raises:
-        _NotShown: if it has none, or they are not here.
+        _NotShown: if there are none, or they can't be read.
     """
     geometry = visual.find("geometry")
     shape = None if geometry is None else next((e for e in geometry if isinstance(e.tag, str)), None)
@@ -156,7 +156,7 @@ def _geometry(visual: Any, files: Meshes) -> list[_Mesh]:
         return _read_mesh(path, _numbers(shape, "scale", 3) if shape.get("scale") else np.ones(3))
     except BadInputError as error:
         raise _NotShown(f"mesh {name} is not shown: {error}") from None
-    except Exception as error:  # Readers of meshes fail in every way there is; the page is worth more than one of them.
+    except Exception as error:  # Mesh readers fail in many ways, which must not prevent the page.
         raise _NotShown(f"mesh {name} can't be read ({type(error).__name__}: {str(error)[:120]})") from None
 
 
@@ -188,18 +188,18 @@ def _thin(shape: DrawnShape, most: int) -> DrawnShape:
     cell = extent / 400
     faces, vertices = shape.faces, shape.vertices
     while len(faces) > most and cell < extent:
-        # What was merged once stays so: each round works on what the one before has left.
-        place = _alike(np.round((vertices - vertices.min(axis=0)) / cell).astype(np.int64))[1]
+        # Each round continues with the vertices merged in the round before.
+        place = _unique_rows(np.round((vertices - vertices.min(axis=0)) / cell).astype(np.int64))[1]
         count = np.bincount(place)
         vertices = np.column_stack([np.bincount(place, column) / count for column in vertices.T])
         faces = place[faces]
         faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-        faces = faces[_alike(faces)[0]]
+        faces = faces[_unique_rows(faces)[0]]
         cell *= 1.3
     return replace(shape, vertices=vertices, faces=faces)
 
 
-def _alike(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the first of each group of equal rows of three numbers >= 0, and the group of each row."""
     span = int(rows.max(initial=0)) + 1
     # Three numbers below 2^21 are one below 2^63; others are first replaced by their ranks.
@@ -241,7 +241,7 @@ def _cylinder(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[np.nda
 
 
 def _hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the convex body with these corners as triangles, flat ones as well."""
+    """Return the convex hull of points as triangles, also of flat ones."""
     from scipy.spatial import ConvexHull
 
     return points, np.asarray(ConvexHull(points, qhull_options="QJ").simplices)

@@ -69,7 +69,7 @@
     return value.toFixed(Math.min(places, 6)).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "");
   }
   const lengthUnit = (top) => (top < 1e-4 ? [1e6, "\u00b5m"] : [1e3, "mm"]);
-  function told(length) {
+  function inWords(length) {
     const [factor, unit] = lengthUnit(length);
     return `${digits(length * factor)} ${unit}`;
   }
@@ -222,7 +222,7 @@
     return geometry;
   }
 
-  // Viridis without its dark end, which would not be told from the background: steps of equal lightness, for every eye.
+  // Viridis without its dark end, which would be indistinguishable from the background: steps of equal lightness, for every eye.
   const COLOURS = ["#375a8c", "#2d718e", "#24868e", "#1e9c89", "#2cb17e", "#52c569", "#86d549", "#c2df23", "#fde725"];
   const stops = COLOURS.map((code) => new THREE.Color(code));
   function colourOf(part, out) {
@@ -397,7 +397,7 @@
       ticks.replaceChildren(...[0, 0.25, 0.5, 0.75, 1].map(tick));
       ticks.lastChild.textContent = `\u2265 ${ticks.lastChild.textContent} ${name}`;
       shown.textContent = factorWords(factor);
-      measure.textContent = `10 cm in the view are ${told(Number((0.1 / factor).toPrecision(2)))} of deviation`;
+      measure.textContent = `10 cm in the view are ${inWords(Number((0.1 / factor).toPrecision(2)))} of deviation`;
     };
     panel.append(
       heading("Size of a deviation"), bar, ticks,
@@ -459,7 +459,7 @@
       if (current.lines) words.push(`line ${current.lines[i]}`);
       if (current.held) words.push(current.held[i] ? "held out" : "fitted");
       for (const layer of layers) {
-        if (layer.poses === current.name && node(layer.path).object.visible) words.push(`${layer.path[1]} ${told(layer.sizes[i])}`);
+        if (layer.poses === current.name && node(layer.path).object.visible) words.push(`${layer.path[1]} ${inWords(layer.sizes[i])}`);
       }
       shown.textContent = words.join(", ");
     };
@@ -615,9 +615,9 @@
   if (scene.live) {
     // What the program that serves this page has to say: another pose, or another scene.
     new EventSource("events").onmessage = (event) => {
-      const said = JSON.parse(event.data);
-      if (said.reload) location.reload();
-      else if (said.q) { control.stop(); setPose(said.q); control.shown.textContent = "a pose set by the program"; }
+      const message = JSON.parse(event.data);
+      if (message.reload) location.reload();
+      else if (message.q) { control.stop(); setPose(message.q); control.shown.textContent = "a pose set by the program"; }
     };
   }
 
