@@ -118,7 +118,7 @@ class DrivenOptions:
         type=DURATION,
     )
     speed: float = option(
-        "Largest speed of a joint [rad/s], half as much for a prismatic one [m/s]; lower limits of the URDF apply.", 1.0
+        "Largest speed of a joint [rad/s], half as much for a prismatic one [m/s]; less if the URDF says so.", 1.0
     )
     acceleration: float = option("Largest acceleration of a joint [rad/s^2], half as much for a prismatic one [m/s^2].", 3.0)
 

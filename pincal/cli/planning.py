@@ -113,7 +113,7 @@ class ConstraintOptions:
     """Constraints on arm, target and instrument."""
 
     instrument: Triple | None = option(
-        "Position in the robot's base frame [m]; the target must be visible from there.", words="sees everything"
+        "Position in the robot's base frame [m]; the target must be visible from there.", words="no constraint"
     )
     normal: Triple | None = option("Direction in which the target faces, in the tip frame.", words="visible from all sides")
     cone: float = option(

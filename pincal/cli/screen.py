@@ -137,7 +137,7 @@ def _errors(by_part: Mapping[str, Mapping[str, float]], name: str) -> str:
     ways, named = [way for way in ("regions", "stretches") if way in by_part], result_tables.PARTS
     lead = next((way for way in ways if by_part[way] == values), part)
     others = [f"; {named[way]} {by_part[way][f'mean_{unit}']:.4f}" for way in ways if way != lead and name != "before"]
-    return f"{words}: {model}, {named[lead]}{''.join(others)}"
+    return f"{words}: {model}, {'no rows held out' if lead == 'train' else named[lead]}{''.join(others)}"
 
 
 def _found(discovery: Discovery) -> str:

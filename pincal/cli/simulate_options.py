@@ -186,7 +186,7 @@ class SensorArguments:
         "Number of sockets for the tool point; the poses are divided among them.", metavar="K", type=_COUNT, words="4"
     )
     socket_spacing: float | None = option(
-        "Distance of the two sockets of a pair.", metavar="LENGTH", type=LENGTH, words="50mm"
+        "Distance between the two sockets of a pair.", metavar="LENGTH", type=LENGTH, words="50mm"
     )
     anchors: int | None = option(
         "Number of fixed points from which distances are measured.", metavar="K", type=_COUNT, words="one without a name"
