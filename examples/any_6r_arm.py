@@ -1,8 +1,8 @@
 """Any arm: a random 6R robot, from its URDF to a calibrated URDF that any program reads.
 
-The robot is drawn on the spot: lengths, twists, how each joint frame is turned about its axis, masses. The real machine
-behind it has errors in all of them, drives and bearings that give way under its own weight, and stands somewhere in a hall
-with a laser tracker. 300 noisy positions are measured; the result is judged at 500 other poses against the truth. Run it as
+The robot is drawn at random: lengths, twists, the rotation of each joint frame about its axis, masses. The real machine has
+errors in all of them, drives and bearings that are compliant under its own weight, and an unknown pose in a hall with a
+laser tracker. 300 noisy positions are measured; the result is compared with the truth at 500 other poses. Run it as
 
     python examples/any_6r_arm.py [--seed 3] [--out FOLDER]
 """
@@ -68,7 +68,7 @@ def random_urdf(rng: np.random.Generator) -> str:
         text.append(_joint(f"joint_{i + 1}", "revolute", parent, name, xyz, turn) + _AXIS + "  </joint>\n")
         to_next = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
         xyz = lengths[i] * to_next.apply([0.9, 0.0, rng.uniform(-0.4, 0.4)])
-        # The next axis is skew to this one, and its frame turned about it in any way.
+        # The next axis is skew to this one, and its frame has a random rotation about it.
         twist = Rotation.from_euler("x", rng.uniform(0.3, np.pi / 2) * rng.choice([-1.0, 1.0]))
         turn = to_next * twist * Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
         centre = rng.uniform(0.2, 0.8) * xyz + rng.normal(0.0, 0.02, 3)
@@ -92,22 +92,22 @@ def build_machine(urdf: Path, rng: np.random.Generator) -> TrueMachine:
     machine = TrueMachine.from_urdf(urdf, tip="flange")
     machine = machine.draw_errors(rng, sigma_length=5e-4, sigma_angle=1e-3, sigma_offset=2e-3).draw_masses(rng, sigma=0.03)
     drive, bearing = rng.uniform(*COMPLIANCE, (2, JOINTS))
-    # A bearing gives way alike about all axes across its own, and turns with the link: so it does not matter how the
-    # URDF turns the joint frames.
+    # A bearing has the same compliance about all axes across its own, and rotates with the link, so that the rotation of
+    # the joint frames in the URDF does not matter.
     return replace(machine, compliance=np.column_stack([bearing, bearing, drive]), moment_frame="after")
 
 
 def observe(
     machine: TrueMachine, q: np.ndarray, hall: np.ndarray, tool: np.ndarray, *, rng: np.random.Generator | None
 ) -> Measurements:
-    """Measure a reflector on the flange with the tracker; exactly where there is no source of noise."""
+    """Measure a reflector on the flange with the tracker; without a source of noise, exactly."""
     tracker = Instrument(pose=hall, targets=tool, sigma=0.0 if rng is None else NOISE)
     columns = tracker.measure(machine, q, rng=rng)
     return measurements_from_arrays(machine.names, q, position=np.column_stack([columns[axis] for axis in "xyz"]))
 
 
 def calibrate_and_judge(folder: Path, seed: int) -> None:
-    """Draw, measure, calibrate, export, reload and judge."""
+    """Draw, measure, calibrate, export, reload and validate."""
     rng = np.random.default_rng(seed)
     urdf = folder / "robot.urdf"
     urdf.write_text(random_urdf(rng), encoding="utf-8")

@@ -1,13 +1,13 @@
 """Readings between any two links: hands that touch, a head that looks, an arm on a track, a palletizer with rods.
 
-Five machines with errors that nobody knows are simulated and calibrated, with the commands that are printed:
+Five machines with unknown errors are simulated and calibrated, with the commands that are printed:
 
-- Baxter's hands touch: a ball on the right one in two sockets on the left one, and a tracker that sees the left hand alone;
-  the right hand is predicted in the tracker's frame.
+- Baxter's hands touch: a ball on the right one in two sockets on the left one, and a tracker that measures only the left
+  hand; the right hand is predicted in the tracker's frame.
 - TALOS: a camera on the head reads marks on the left wrist.
-- A KUKA on a track of 4 m, seen by a tracker: the track is a joint like any other.
-- A palletizer: the joints of its rods follow, and need no columns.
-- A cell of two robots with a file each: nobody told where the second one stands, contacts show it.
+- A KUKA on a track of 4 m, measured by a tracker: the track is a joint like any other.
+- A palletizer: the joints of its rods follow from the drives, and need no columns.
+- A cell of two robots with a file each: the pose of the second one is not given but identified from contacts.
 
 Run it as ``python examples/any_two_links.py [--out FOLDER]``.
 """
@@ -53,7 +53,7 @@ def shown(results: Path) -> None:
 
 
 def two_arms(out: Path) -> None:
-    """Calibrate both of Baxter's arms by contacts and a tracker that sees one hand."""
+    """Calibrate both of Baxter's arms by contacts and a tracker that measures one hand."""
     noise = "--no-floor --noise 0.05mm --seed 1"
     left, right, touch = (out / f"{name}.csv" for name in ("left", "right", "touch"))
     run(f"simulate baxter --tip left_gripper --also right_gripper --poses 150 {noise} --out {left}")
@@ -94,7 +94,7 @@ def palletizer(out: Path) -> None:
 
 
 def cell(out: Path) -> None:
-    """Calibrate a UR5 that a tracker sees, and a UR10 beside it that touches it."""
+    """Calibrate a UR5 that a tracker measures, and a UR10 next to it that touches it."""
     left, right, touch = (out / f"cell_{name}.csv" for name in ("left", "right", "touch"))
     both, noise = "ur5 --beside right=ur10@1.3m,0.2m,0,0,0,170deg", "--no-floor --noise 0.05mm --seed 1"
     run(f"simulate {both} --tip tool0 --also right_tool0 --poses 120 {noise} --out {left}")

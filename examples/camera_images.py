@@ -1,12 +1,12 @@
 """From photographs of a ChArUco board to a calibrated robot: a camera in its hand, and nothing else to measure with.
 
-Without arguments they are rendered: a simulated KUKA KR 125/2 turns a camera, somewhere on its flange, to a board somewhere.
-OpenCV finds the corners; robot, lens and the places of both are identified at once, and the truth judges the result.
+Without arguments, images are rendered: a simulated KUKA KR 125/2 points a camera on its flange at a board, both in unknown
+poses. OpenCV finds the corners; robot, lens and both poses are identified jointly and compared with the truth.
 
     python examples/camera_images.py [--out FOLDER] [--seed 1] [--quick]
     python examples/camera_images.py --images FOLDER --joints joints.csv --robot robot.urdf --squares 12 9 --square 0.06
 
-takes photographs of your own: ``joints.csv`` has a column ``image`` with the names of the files and one column a joint, in
+takes your own photographs: ``joints.csv`` has a column ``image`` with the names of the files and one column per joint, in
 rad unless its header says ``joint_1 [deg]``. Needs OpenCV: ``pip install '.[images]'``.
 """
 
@@ -49,7 +49,7 @@ BLUR, GRAIN = 1.0, 6.0  # standard deviations: of the image of a point [px], of 
 
 @dataclass(frozen=True)
 class Scene:
-    """What is true of the simulated photographs.
+    """The truth of the simulated photographs.
 
     Attributes:
         machine: the robot as it is.
@@ -62,7 +62,7 @@ class Scene:
     T_base_board: np.ndarray
 
     def cameras(self, q: np.ndarray) -> np.ndarray:
-        """Return where the camera really is, as transforms to the board's frame, shape (N, 4, 4)."""
+        """Return the true poses of the camera in the board's frame, shape (N, 4, 4)."""
         return np.asarray(np.linalg.inv(self.T_base_board) @ self.machine.tip(q) @ self.T_tip_camera)
 
 
@@ -139,7 +139,7 @@ def render(board: cv2.aruco.CharucoBoard, T_board_camera: np.ndarray, *, slopes:
 
 
 def find_corners(detector: cv2.aruco.CharucoDetector, path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers of the board's corners in an image, shape (N,), and where they are, shape (N, 2) [px]."""
+    """Return the numbers of the board's corners in an image, shape (N,), and their positions, shape (N, 2) [px]."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise pincal.BadInputError(f"{path}: can't be read as an image; expected one for each line of the joint positions")
@@ -171,7 +171,7 @@ def measure(robot: pincal.Robot, board: cv2.aruco.CharucoBoard, *, images: Path,
 
 
 def identify(robot: pincal.Robot, folder: Path, *, truth: dict[str, float]) -> pincal.Calibration:
-    """Identify robot, lens and the places of camera and board from the two tables at once, and print what came of it."""
+    """Identify robot, lens and the poses of camera and board jointly from the two tables, and print the result."""
     setup = pincal.Setup(points=read_points(folder / "points.csv"))
     table = pincal.read_measurements(folder / "measurements.csv", robot.joint_names, joint_types=robot.joint_types)
     calibration = pincal.run_calibration(robot, table, pincal.Options(setup=setup))
@@ -188,7 +188,7 @@ def identify(robot: pincal.Robot, folder: Path, *, truth: dict[str, float]) -> p
 
 
 def judge(scene: Scene, board: cv2.aruco.CharucoBoard, calibration: pincal.Calibration, *, rng: np.random.Generator) -> None:
-    """Print how far corners, and the camera at other views of the board, are from where they really are."""
+    """Print the errors of the corners, and of the camera at other views of the board."""
     rows, fit = calibration.train, calibration.fit
     q, view = np.unique(rows.q, axis=0, return_inverse=True)
     places = np.array([fit.options.setup.points[name] for name in rows.point])
@@ -204,7 +204,7 @@ def judge(scene: Scene, board: cv2.aruco.CharucoBoard, calibration: pincal.Calib
 
 
 def run(chosen: argparse.Namespace, out: Path) -> None:
-    """Take photographs, or those that are given; identify; judge where the truth is known."""
+    """Take photographs, or use given ones; identify; compare with the truth if it is known."""
     markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, chosen.dictionary))
     board = cv2.aruco.CharucoBoard(chosen.squares, chosen.square, chosen.marker, markers)
     out.mkdir(parents=True, exist_ok=True)

@@ -1,9 +1,10 @@
-"""Compensation: a robot that misses by a centimetre is calibrated, and told where to go so that it arrives.
+"""Compensation: a robot with errors of a centimetre is calibrated, and commanded such that it reaches its targets.
 
-The machine is a simulated KUKA KR 125/2 whose geometry is off, which bends under its own weight and a load of 100 kg, whose
-masses differ by 3 % from the URDF, with an eccentric gear in joint 3 and play in joint 2. A laser tracker with 0.05 mm of
-noise measures 300 poses. Then a program for other poses, made with the nominal model, is corrected by what was found, and
-the true machine runs the corrected joint positions. The errors are those of the machine, not of the model. Run it as
+The machine is a simulated KUKA KR 125/2 with errors of geometry, which deflects under its own weight and a load of 100 kg,
+whose masses differ by 3 % from the URDF, with an eccentric gear in joint 3 and backlash in joint 2. A laser tracker with
+0.05 mm of noise measures 300 poses. Then a program of other poses, made with the nominal model, is corrected with the
+calibrated one, and the true machine runs the corrected joint positions. Errors are those of the machine, not of the model.
+Run it as
 
     python examples/compensate.py [--seed 1]
 """
@@ -60,13 +61,13 @@ class Cell:
         return cls(machine, hall, rng.uniform(0.05, 0.2, 3))
 
     def plan(self, poses: int, rng: np.random.Generator) -> tuple[np.ndarray, dict[str, Any]]:
-        """Return joint positions; with and without the load, reached from either side."""
+        """Return joint positions, with and without the load, approached from either side."""
         conditions = draw_conditions(["approach"], poses, joints=len(self.machine.names), rng=rng)
         conditions["payload"] = spread_payloads([0.0, LOAD], poses, order="alternating")
         return plan_poses(self.machine.nominal, poses, rng), conditions
 
     def see(self, q: np.ndarray, conditions: dict[str, Any], rng: np.random.Generator | None = None) -> np.ndarray:
-        """Return where the tracker sees the reflector, shape (N, 3) [m]; exactly where there is no source of noise."""
+        """Return positions of the reflector in the tracker's frame, shape (N, 3) [m]; exact without a source of noise."""
         tracker = Instrument(pose=self.hall, targets=self.reflector, sigma=0.0 if rng is None else NOISE)
         table = tracker.measure(self.machine, q, rng=rng, payload_com=LOAD_COM, **conditions)
         return np.column_stack([table[axis] for axis in "xyz"])

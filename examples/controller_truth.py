@@ -1,10 +1,10 @@
-"""Truth from the controller: what a robot reports of itself gives away the calibration that its maker keeps in it.
+"""Truth from the controller: the poses that a robot reports reveal the calibration that its manufacturer stored in it.
 
-Makers calibrate their arms and leave the result in the controller: every arm of Universal Robots has corrections of its own
-Denavit-Hartenberg parameters, KUKA and Fanuc sell such a calibration as an option. The URDF knows nothing of it. But the
-controller calculates with it, so that a log of joint positions and of the tool pose that it reports beside them is a
-measurement without an instrument, as exact as its last digit: some tens of poses give the calibration back. The robot need
-not even move where the controller answers for any joint positions (get_forward_kin of a UR).
+Manufacturers calibrate their arms and store the result in the controller: every arm of Universal Robots has corrections of
+its Denavit-Hartenberg parameters, KUKA and FANUC sell such a calibration as an option. The URDF does not contain it. But the
+controller computes with it, so that a log of joint positions and of the tool poses that it reports is a measurement without
+an instrument, exact to the last digit: some tens of poses recover the calibration. The robot need not even move if the
+controller computes poses for any joint positions (get_forward_kin of a UR).
 
 Here the controller is a UR10 with hidden corrections that reports six decimals; pincal gets its log and the URDF. Run it as
 
@@ -34,7 +34,7 @@ CHECKED = 1000
 
 
 class Controller:
-    """A controller with a calibration of its own that nobody may see."""
+    """A controller with a hidden calibration."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         """Draw the corrections of one arm."""
@@ -53,7 +53,7 @@ class Controller:
 
 
 def write_log(path: Path, robot: Robot, controller: Controller, *, poses: int, decimals: int) -> None:
-    """Write what a logger writes: joints and the reported pose in the controller's own convention."""
+    """Write a log: joint positions and reported poses in the controller's own convention."""
     q = robot.random_configurations(poses, np.random.default_rng(1))
     rows = np.hstack([q, controller.report(q)])
     header = ",".join([*robot.joint_names, "x", "y", "z", "rx", "ry", "rz"])

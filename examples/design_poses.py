@@ -1,10 +1,10 @@
-"""Poses that are chosen against poses that are drawn: what is predicted, and what comes out on a machine.
+"""Designed poses compared with random ones: predicted errors, and errors on simulated machines.
 
 A KUKA KR 125/2 carries 100 kg and is calibrated, geometry and elasticity, from 40 positions that a laser tracker measures
-with 0.05 mm of noise. It is used over all of its reach. Two campaigns: in a cell where the tracker stands in front of the
-robot and sees a box, and in an open hall where it sees every pose. Each is done with designed poses and with random ones
-that keep to the same constraints. The machines are simulated, know nothing of the model that is fitted, and differ in
-geometry and compliance from draw to draw; errors are those at poses held out, anywhere in reach. Run it as
+with 0.05 mm of noise. It is used over all of its reach. There are two campaigns: in a cell, the tracker is in front of the
+robot and sees a box; in an open hall, it sees every pose. Each is done with designed poses and with random ones under the
+same constraints. The machines are simulated, share no code with the fitted model, and differ in geometry and compliance
+from draw to draw; errors are those at held-out poses, anywhere within reach. Run it as
 
     python examples/design_poses.py [--draws 50] [--poses 40]
 """
@@ -46,13 +46,13 @@ CAMPAIGNS = {
 
 
 def draw_machine(rng: np.random.Generator) -> TrueMachine:
-    """Return a machine with errors of geometry, and with drives and bearings that give way."""
+    """Return a machine with errors of geometry, and with compliant drives and bearings."""
     machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
     return draw_typical_elasticity(draw_typical_errors(machine, rng), rng)
 
 
 def positions(machine: TrueMachine, q: np.ndarray, rng: np.random.Generator | None = None) -> np.ndarray:
-    """Return where the target is, shape (N, 3) [m], with noise if there is a source of it."""
+    """Return positions of the target, shape (N, 3) [m], with noise if there is a source of noise."""
     load = np.full(len(q), LOAD)
     sigma = 0.0 if rng is None else NOISE
     tracker = Instrument(targets=TARGET, sigma=sigma)

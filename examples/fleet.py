@@ -1,11 +1,11 @@
-"""A fleet: forty siblings of a KUKA KR 125/2, the type that they are, further units, and weeks of checks.
+"""A fleet: forty machines of the type KUKA KR 125/2, the type learned from them, further machines, and weeks of checks.
 
 Lengths differ by 0.1 mm and angles by 0.15 mrad from machine to machine, and the data sheet is off by 0.3 mm. Three robots
-change in the second week. Everything that is measured stands in a store, a folder of Parquet files. Run it as
+change in the second week. All measurements are in a store, a folder of Parquet files. Run it as
 
     python examples/fleet.py [--robots 40] [--store fleet-store]
 
-It goes on where it was if it is stopped. Then look at the pages that it writes, or ask it from the command line:
+If it is stopped, the next run continues. Then look at the pages that it writes, or use the command line:
 
     pincal fleet learn fleet-store --robot kuka.urdf --out type.json
     pincal fleet check type.json fleet-store
@@ -67,7 +67,7 @@ def measured(
 
 
 def errors_mm(fit: pincal.Fit, truth: pincal.Measurements) -> tuple[float, float]:
-    """Return the mean error of predictions and what the fit states for it [mm]."""
+    """Return the mean error of predictions and the standard deviation that the fit states [mm]."""
     off, sigma = fit.predict(truth.q)[:, :, 3] - truth.position, fit.position_sigma(fit.readings(truth).conditions)
     return 1e3 * float(np.linalg.norm(off, axis=1).mean()), 1e3 * float(np.linalg.norm(sigma, axis=1).mean())
 

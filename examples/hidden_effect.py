@@ -1,8 +1,8 @@
 """A robot that stays inaccurate after calibration: find where model and data disagree, name the cause, close the gap.
 
-The machine is a simulated KUKA KR 125/2 that knows nothing of the model that is fitted: its geometry is off, it bends under
-its own weight and a load of 100 kg, its masses differ by 3 % from the URDF, and something is wrong with it that no standard
-calibration describes. A laser tracker with 0.05 mm of noise measures 300 poses. Run it as
+The machine is a simulated KUKA KR 125/2 that shares no code with the fitted model: it has errors of geometry, it deflects
+under its own weight and a load of 100 kg, its masses differ by 3 % from the URDF, and it has an effect that no standard
+calibration models. A laser tracker with 0.05 mm of noise measures 300 poses. Run it as
 
     python examples/hidden_effect.py [--effect gear_eccentricity] [--joint joint_3] [--seed 1]
 """
@@ -35,7 +35,7 @@ COMPARABLE = ("gear_eccentricity", "gear_ratio", "joint_coupling", "thermal_offs
 
 
 def build_machine(effect: str, joint: str | None, rng: np.random.Generator) -> tuple[TrueMachine, HiddenEffect]:
-    """Return the true machine, and the effect that hides in it."""
+    """Return the true machine, and its hidden effect."""
     sound = draw_typical_errors(TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0"), rng)
     sound = draw_typical_elasticity(sound, rng).draw_masses(rng, sigma=0.03)
     given = {} if joint is None or HIDDEN_EFFECTS[effect].scope is Scope.ARM else {"joint": joint}
@@ -44,7 +44,7 @@ def build_machine(effect: str, joint: str | None, rng: np.random.Generator) -> t
 
 
 def measure(machine: TrueMachine, effect: str, rng: np.random.Generator) -> tuple[Measurements, Campaign]:
-    """Return what a tracker somewhere in the hall reads; temperature, time or approach are recorded where they matter."""
+    """Return the readings of a tracker in a random pose; temperature, time or approach are recorded if they matter."""
     q = plan_poses(machine.nominal, POSES, rng)
     column = HIDDEN_EFFECTS[effect].column
     conditions: dict[str, Any] = draw_conditions([column] if column else [], POSES, joints=len(machine.names), rng=rng)
@@ -66,7 +66,7 @@ def in_words(entry: dict[str, Any]) -> str:
 
 
 def print_findings(report: dict[str, Any]) -> None:
-    """Print step by step where the disagreement was, what was named and how far the gap shrank on held-out rows."""
+    """Print where the disagreement was, the effects named, and the error on held-out rows after each step."""
     for place in report["where"]:
         print(f"  {place['statement']} ({100.0 * place['share']:.0f} %)")
     print("  named                                      p      gap before    after [mm]")
@@ -78,7 +78,7 @@ def print_findings(report: dict[str, Any]) -> None:
 
 
 def print_truth(hidden: HiddenEffect, shift: float, report: dict[str, Any]) -> None:
-    """Print what was put in beside what came out."""
+    """Print the simulated and the identified effect."""
     unit = hidden.unit
     print(f"  simulated  {hidden.effect} of {hidden.joint or 'the whole arm'}, size {hidden.size:.3g} {unit}, "
           f"moves the target by {1e3 * shift:.3f} mm rms")  # fmt: skip

@@ -1,6 +1,6 @@
-"""An effect from outside: a hose that is too short. Wound up by one joint, it pulls at the next, which turns by p q^2 more.
+"""A custom effect: a hose that is too short. Wound up by one joint, it pulls at the next, which turns by p q^2 more.
 
-Every verb takes it: ``pincal discover robot.urdf tracker.csv --plugin hose_pull.py --out results``
+Every command takes it: ``pincal discover robot.urdf tracker.csv --plugin hose_pull.py --out results``
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""An IMU on the flange, with eight poses before a tracker: what each tells of an arm, and what both tell together."""
+"""An IMU on the flange and eight poses measured with a tracker: the accuracy with each alone, and with both together."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def run(*words: str) -> None:
 
 
 def simulated(folder: Path) -> tuple[Path, Path, Path]:
-    """Drive the same UR5 for a minute with an IMU, hold eight poses before a tracker, and hundred others to judge by."""
+    """Drive the same UR5 for a minute with an IMU, measure eight poses with a tracker, and a hundred others to validate."""
     machine = ["ur5", "--elastic", "0", "--seed", "3"]
     files = folder / "monday", folder / "eight.csv", folder / "judge.csv"
     run("simulate", *machine, "--path", "60s", "--imu", "--out", str(files[0]))
@@ -30,7 +30,7 @@ def simulated(folder: Path) -> tuple[Path, Path, Path]:
 
 
 def error(robot: pincal.CalibratedRobot, table: pincal.Measurements) -> float:
-    """Return the mean error at other poses, instrument and target placed anew [mm]."""
+    """Return the mean error at other poses, with instrument and target located again [mm]."""
     placed = pincal.place_station(robot, table)
     return 1e3 * float(np.mean(np.linalg.norm(placed.station.residuals(placed.values), axis=0)))
 

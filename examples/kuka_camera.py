@@ -1,9 +1,9 @@
 """The measuring setup of the paper: a camera in the hand of the KUKA KR 125/2 looks at the two-sided object of Fig. 5.
 
 Radkhah, Hemker, Friedmann, von Stryk, "Towards the deployment of industrial robots as measurement instruments", sections
-IV.A and V: points 25 mm apart on two sides, three image fields a side, each seen in two joint configurations. The robot is
-that of Table I (exact readings), or one drawn as real ones differ (readings with noise), evaluated by code that shares
-nothing with the model that is fitted; 36 geometric parameters and the 9 elastic ones of joints 1 to 3 are released.
+IV.A and V: points 25 mm apart on two sides, three image fields per side, each seen in two joint configurations. The robot is
+that of Table I (exact readings), or drawn with the spread of real ones (readings with noise), and evaluated by code that is
+independent of the fitted model; 36 geometric parameters and the 9 elastic ones of joints 1 to 3 are free.
 Run it as
 
     python examples/kuka_camera.py [--draws 40]
@@ -51,7 +51,7 @@ T_BASE_OBJECT = frame((0.03, -0.02, 0.4), (1.5, 0.2, 0.9))
 
 @dataclass(frozen=True)
 class Case:
-    """What is measured, and what is known of it beforehand.
+    """A kind of measurement, and the quantities known beforehand.
 
     Attributes:
         words: its name.
@@ -67,7 +67,7 @@ class Case:
 
     @property
     def setup(self) -> Setup:
-        """The object is a known artefact; the lens is found with all else unless everything is given."""
+        """The object is a known artefact; the lens is identified with everything else unless all is given."""
         places = OBJECT.places.tolist()
         points = {name: (x, y, z) for name, (x, y, z) in zip(OBJECT.names, places, strict=True)}
         return Setup(points=points, lens=LENS if self.in_pixels and self.is_placed else None)
@@ -90,14 +90,14 @@ CASES = (
 
 @dataclass(frozen=True)
 class Machine:
-    """A robot of this make: that of Table I unless another is given."""
+    """A robot of this type: that of Table I unless another is given."""
 
     geometry: Geometry = field(default_factory=lambda: REAL)
     elasticity: Geometry = field(default_factory=lambda: ELASTICITY)
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Machine:
-        """Draw a robot as the calibration expects robots to differ: 3 mm, 3 mrad, and 1 mrad of bending at the most."""
+        """Draw a robot from the priors of the calibration: 3 mm, 3 mrad, and at most 1 mrad of deflection."""
         geometry = {name: tuple(np.array(row) + rng.normal(0.0, SPREAD, 6)) for name, row in NOMINAL.items()}
         largest = np.abs(paper_moments(plan(VIEWS, np.random.default_rng(0))[0], geometry=NOMINAL)).max(axis=0)[:3]
         constants = rng.normal(0.0, BENDING / np.maximum(largest, 0.1 * largest.max()))
@@ -121,7 +121,7 @@ def plan(views: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 def measure(
     case: Case, views: tuple[np.ndarray, np.ndarray], robot: Machine, noise: np.random.Generator | None = None
 ) -> Measurements:
-    """Return what the camera reads of the points of the field before it; without noise unless there is a source of it."""
+    """Return the camera's readings of the points of the field in view; exact without a source of noise."""
     q, fields = views
     flange = paper_transform(q, geometry=robot.geometry, elasticity=robot.elasticity)
     T_object_camera = np.linalg.inv(T_BASE_OBJECT) @ flange @ T_TIP_CAMERA
@@ -145,7 +145,7 @@ def errors(found: Fit, table: Measurements, values: np.ndarray | None = None) ->
 
 
 def foretold(found: Fit, table: Measurements) -> float:
-    """Return the root mean square error that the covariance expects of held-out readings [reading's unit]."""
+    """Return the root mean square error of held-out readings predicted by the covariance [reading's unit]."""
     problem = found.readings(table)
     J = np.concatenate([part for _, _, part in problem.linearise(found.values, found.solution.free)], axis=2)
     J = J.reshape(len(J), -1)
@@ -165,7 +165,7 @@ def without_noise(case: Case, seeds: int) -> None:
 
 
 def with_noise(case: Case, draws: int) -> None:
-    """Fit readings with noise, each time of another robot: is the error on others what the covariance says?"""
+    """Fit readings with noise, each time of another robot, and compare the held-out error with the covariance."""
     squares, expected, chi2 = [], [], []
     for seed in range(draws):
         rng = np.random.default_rng([1, seed])

@@ -1,9 +1,8 @@
-"""The case study of the paper, on the KUKA KR 125/2: Tables I and II, Fig. 6, and what the uncertainties are worth.
+"""The case study of the paper, on the KUKA KR 125/2: Tables I and II, Fig. 6, and the coverage of the uncertainties.
 
 Radkhah, Hemker, Friedmann, von Stryk, "Towards the deployment of industrial robots as measurement instruments", section V.
-The robot that is measured is that of Table I, evaluated by code that shares nothing with the model that is fitted. 36
-geometric parameters and the 9 elastic ones of the first three joints are released; base and tool (the paper's camera) are
-known. Run it as
+The measured robot is that of Table I, evaluated by code that is independent of the fitted model. 36 geometric parameters
+and the 9 elastic ones of the first three joints are free; base and tool (the paper's camera) are known. Run it as
 
     python examples/kuka_kr125_2.py [--draws 200] [--figure FILE.png]
 """
@@ -30,7 +29,7 @@ NOISE = 5e-5  # standard deviation of one component of a position [m]
 MEASURED, OTHER = 60, 500  # poses to fit, and others to predict
 PAPER_ITERATIONS = 122  # Table II: 10 + 51 + 61
 INTERVAL = 1.96  # half width of a 95 % interval in standard deviations
-# A direction with more information than this, in units of what was known beforehand, is told by the data alone.
+# A direction with more information than this, relative to its prior, is determined by the data alone.
 STRONG = 100.0
 ROUNDING = 1e-15
 
@@ -44,7 +43,7 @@ EFFECTS: tuple[Effect, ...] = (
 )
 # Table I's letters by the symbols of pincal; o holds the constant part of the joint angle.
 LETTERS = {"theta": "o", "d": "d", "a": "a", "alpha": "alpha", "s_x": "s_x", "s_y": "s_y"}
-# Neighbours that turn about, or shift along, one and the same nominal axis: a measurement tells their sum.
+# Neighbours that rotate about, or shift along, the same nominal axis: only their sum is observable.
 SUMS = (
     ("joint_1.alpha", "joint_2.s_x"),
     ("joint_2.alpha", "joint_3.s_x"),
@@ -56,7 +55,7 @@ SUMS = (
 
 
 def measure(q: np.ndarray, rng: np.random.Generator | None = None) -> Measurements:
-    """Measure the true robot; without noise unless there is a source of it."""
+    """Measure the true robot; without a source of noise, exactly."""
     noise = 0.0 if rng is None else rng.normal(0.0, NOISE, (len(q), 3))
     position = paper_positions(q, tool_offset=TOOL) + noise
     return measurements_from_arrays(ROBOT.joint_names, q, position=position, payload=np.full(len(q), PAYLOAD_MASS))
@@ -73,7 +72,7 @@ def fit(
 
 
 def deviations(found: Fit, q: np.ndarray, values: np.ndarray | None = None) -> np.ndarray:
-    """Return how far predictions are from the truth, shape (N,) [m]."""
+    """Return the distances of predictions from the truth, shape (N,) [m]."""
     residuals = found.readings(measure(q)).residuals(found.values if values is None else values)
     return np.asarray(np.linalg.norm(residuals, axis=0))
 
@@ -93,7 +92,7 @@ def true_values(model: Model) -> np.ndarray:
 
 
 def combination_error(found: Fit, values: np.ndarray, reference: np.ndarray) -> float:
-    """Return the difference of two sets of values in the combinations that the measured poses tell, relative to their size.
+    """Return the relative difference of two sets of values in the combinations that the measured poses determine.
 
     Single parameters can't be compared: alpha_1 and s_x,2 turn about the same axis, and beside which masses they carry
     along (nanometres) only their sum moves the tool. Which of many equivalent sets a fit returns is its choice, so the
@@ -107,14 +106,14 @@ def combination_error(found: Fit, values: np.ndarray, reference: np.ndarray) -> 
         between = reference + node * (values - reference)
         J += weight * found.model.linearise(between, found.station.conditions, free=free)[1].reshape(len(J), -1)
     _, singular, Vt = np.linalg.svd(J * sizes, full_matrices=False)
-    # Told is what moves the readings by more than their noise when it changes by as much as real robots differ.
+    # A combination is determined if a change of the size of its prior moves the readings by more than their noise.
     told = Vt[singular > NOISE]
     difference, size = (told @ (v[free] / sizes) for v in (values - reference, reference))
     return float(np.abs(difference).max() / np.abs(size).max())
 
 
 def identify_without_noise(seeds: int) -> None:
-    """Fit exact measurements: the robot of Table I has to come out, at poses that no fit has seen, too."""
+    """Fit exact measurements: the robot of Table I has to be recovered, also at held-out poses."""
     print(f"(a) Exact measurements: {MEASURED} poses to fit, {OTHER} others to predict, {seeds} seeds")
     first: Fit | None = None
     worst: dict[str, float] = dict.fromkeys(("initial", "joint", "paper", "real", "fits", "apart"), 0.0)
@@ -148,7 +147,7 @@ def number(value: float) -> str:
 
 
 def print_table_one() -> None:
-    """Print Table I: what exact measurements give, and what measurements with noise can really tell."""
+    """Print Table I: identified from exact measurements, and from measurements with noise."""
     rng = np.random.default_rng(0)
     q = plan_poses(ARM, MEASURED, rng)
     exact, noisy = fit(measure(q)), fit(measure(q, rng), sigma=NOISE)
@@ -191,12 +190,12 @@ def print_table_two(figure: Path) -> None:
 
 
 def check_uncertainties(draws: int) -> None:
-    """Fit measurements with noise, again and again: do the intervals hold the truth as often as they say?"""
+    """Fit many draws of measurements with noise: do the intervals have their nominal coverage?"""
     chi2, combinations, predictions = [], [], []
     for seed in range(draws):
         rng = np.random.default_rng([1, seed])
         measured, other = plan_poses(ARM, MEASURED, rng), plan_poses(ARM, 200, rng)
-        # The truth as this choice among equivalent parameters has it: what the same poses give without noise.
+        # The truth in this choice of equivalent parameters: the estimate from the same poses without noise.
         truth, found = fit(measure(measured), sigma=NOISE), fit(measure(measured, rng), sigma=NOISE)
         chi2.append(found.solution.cost)
         told, free = found.solution.posterior, found.solution.free

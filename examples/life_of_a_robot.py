@@ -1,7 +1,7 @@
 """A robot's life: calibrated over two set-ups, hit, diagnosed from twelve poses, re-identified, and updated with new rows.
 
-The machine is a simulated KUKA KR 125/2 whose geometry is off; a laser tracker with 0.05 mm of noise stands elsewhere each
-time, and nobody tells where. Run it as
+The machine is a simulated KUKA KR 125/2 with errors of geometry; a laser tracker with 0.05 mm of noise has a new, unknown
+pose each time. Run it as
 
     python examples/life_of_a_robot.py [--seed 1]
 """
@@ -22,7 +22,7 @@ HIT = 5e-4  # shift of the zero of joint_2 by a collision [rad]
 
 
 class Machine:
-    """A true machine; its controller knows nothing of the collision."""
+    """A true machine; its controller does not register the collision."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         """Draw errors of lengths and angles, of half a millimetre and a milliradian."""
@@ -31,7 +31,7 @@ class Machine:
         self.shift = np.zeros(len(sound.names))
 
     def measure(self, poses: int, *, sigma: float = NOISE) -> pincal.Measurements:
-        """Return what a tracker reads that was set up afresh."""
+        """Return the readings of a tracker in a new pose."""
         q, place = sim.plan_poses(self.true.nominal, poses, self.rng), np.eye(4)
         place[:3, :3], place[:3, 3] = Rotation.random(rng=self.rng).as_matrix(), self.rng.uniform(-3.0, 3.0, 3)
         tracker = sim.Instrument(pose=place, targets=(0.1, 0.0, 0.2), sigma=sigma)
@@ -41,7 +41,7 @@ class Machine:
 
 
 def accuracy(model: pincal.CalibratedModel, machine: Machine) -> float:
-    """Return the mean error [mm] in 200 new poses, instrument and target placed by themselves."""
+    """Return the mean error [mm] in 200 new poses, with instrument and target located from them."""
     placed = pincal.place_station(model, machine.measure(200, sigma=0.0))
     return float(1e3 * np.linalg.norm(placed.station.residuals(placed.values), axis=0).mean())
 

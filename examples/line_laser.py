@@ -1,8 +1,8 @@
-"""A sensor from outside: a line laser on the tool that reads its distance to a plane of unknown place.
+"""A custom sensor: a line laser on the tool that measures the distance to a plane of unknown pose.
 
-The laser sits on the tool and looks about along the tool's z axis: its place and its direction are found. The plane (a
-granite table, a sheet of glass) stands still and is not vertical. A table has the joints and one column ``range``, the
-distance along the beam [m]:
+The laser is mounted on the tool, roughly along its z axis; its position and direction are identified. The plane (a granite
+table, a sheet of glass) is stationary and not vertical. A table has the joints and one column ``range``, the distance along
+the beam [m]:
 
     pincal calibrate robot.urdf ranges.csv --plugin line_laser.py --out results
 
@@ -64,7 +64,7 @@ class LineLaser(Sensor, OwnParameters):
         return (self.range - _hit(poses, own)[0])[None]
 
     def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return how the range changes: ds = -(dc + dm.x + m.(dp + s dd)) / (m.d) at the point x that is hit."""
+        """Return the derivative of the range: ds = -(dc + dm.x + m.(dp + s dd)) / (m.d) at the point x that is hit."""
         s, towards = _hit(poses, own)
         d, m = poses[:, :, 2], _normal(own)
         x = poses[:, :, 3] + s[:, None] * d
@@ -74,7 +74,7 @@ class LineLaser(Sensor, OwnParameters):
         return (-np.concatenate([moved, by_plane]) / towards)[:, None]
 
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the part across the plane."""
+        """Return the component normal to the plane."""
         return self.least_displacement(residuals, poses, own)
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
@@ -95,7 +95,7 @@ class LineLaser(Sensor, OwnParameters):
             yield Extrinsics(np.eye(4), tools.copy(), own)
 
     def unobservable(self) -> Iterator[str]:
-        """Yield what a single plane leaves open."""
+        """Yield the quantities that a single plane does not determine."""
         yield "ranges to a plane do not determine the position of the base in the plane or its rotation about the normal"
 
 

@@ -1,7 +1,8 @@
-"""Two hundred bootstrap draws by the workers of a cluster: a Dask cluster, or MPI.
+"""Two hundred bootstrap draws on the workers of a cluster: a Dask cluster, or MPI.
 
-How sure is the position of the tool? Refitting rows drawn with replacement says it without a model of the noise. Each refit
-is a task of its own; the fit goes to each worker once, and the draws are the same wherever they are made. Run it as
+How uncertain is the position of the tool? The bootstrap, refits of rows drawn with replacement, estimates this without a
+model of the noise. Each refit is a task; the fit is sent to each worker once, and the draws are the same on any workers. Run
+it as
 
     python examples/on_a_cluster.py                                           # a Dask cluster of two processes, started here
     python examples/on_a_cluster.py --dask tcp://10.0.0.5:8786                # one that runs: dask scheduler, dask worker

@@ -1,7 +1,7 @@
-"""An effect of your own (``hose_pull.py``) takes part in discovery, in the fit and in everything after it.
+"""A custom effect (``hose_pull.py``) takes part in discovery, in the fit and in everything after it.
 
-The hose package along the forearm of this KUKA is too short. Wound up by joint 4 it pulls, and joint 5 gives way. No
-catalogue lists that; without help, discovery can only say "something at joint_5 that depends on joint_4". Run it as
+The hose package along the forearm of this KUKA is too short. Wound up by joint 4 it pulls, and joint 5 yields. The catalogue
+has no such effect; without the custom one, discovery reports an unnamed effect at joint_5 that depends on joint_4. Run it as
 
     python examples/own_effect.py
 """

@@ -4,8 +4,8 @@ The measurements are those of Fraunhofer IPA (MIT licence, (c) 2021 Christian La
 christianlandgraf/ipa-robot-accuracy on GitHub: series B, 6D poses in the tracker's frame at random joint positions. The
 file is a table with the UR10's joint names, x y z [m] and qx qy qz qw.
 
-Geometry and elasticity leave some 0.4 mm. What makes it is found by itself: curves of the drives' own angles, judged on
-whole regions of joint space that neither fit nor search has seen. This takes about a minute. Run it as
+Geometry and elasticity leave some 0.4 mm. A discovery finds the cause: curves of the drives' own angles, validated on whole
+regions of joint space used neither by the fit nor by the search. This takes about a minute. Run it as
 
     python examples/ur10_tracker.py series_B.csv [--fraction 0.25]
 """
@@ -42,7 +42,7 @@ and give its path."""
 
 
 def compare(robot: Robot, table: Measurements, fraction: float) -> None:
-    """Calibrate without and with elasticity, and print the errors at poses that the fits have not seen."""
+    """Calibrate without and with elasticity, and print the errors at held-out poses."""
     models = {"geometric": Options(effects=GEOMETRIC), "elastic": Options(effects=ELASTIC)}
     found = {
         name: run_calibration(robot, table, options, test_fraction=fraction, split="random")
@@ -65,7 +65,7 @@ def compare(robot: Robot, table: Measurements, fraction: float) -> None:
 
 
 def explain(robot: Robot, table: Measurements) -> None:
-    """Find what is missing, and print the curves of the drives and how far the gap shrinks in regions held out."""
+    """Find missing effects, and print the curves of the drives and the errors in held-out regions."""
     found = run_discovery(robot, table, Options(effects=GEOMETRIC))
     print("What is missing; mean position errors in held-out regions of joint space [mm]:")
     for entry in found.report["effects"]:
@@ -81,7 +81,7 @@ def _place(entry: dict[str, Any]) -> str:
 
 
 def _curve(found: Discovery, entry: dict[str, Any]) -> str:
-    """Say how large the curve of a drive is at the measured poses; its constant part is the joint's zero."""
+    """Return the size of a drive's curve at the measured poses in words; its constant part is the joint's zero."""
     fit = found.calibration.fit
     for effect in fit.model.effects:
         if isinstance(effect, TransmissionError) and (effect.name, effect.joint) == (entry["effect"], entry["joint"]):

@@ -373,7 +373,9 @@ def test_what_a_model_left_is_no_change(tmp_path: Path) -> None:
     found = pincal.diagnose(case.model, case.new)
     assert not found.changed and headline(found.found).endswith("the robot still matches its model.")
     beyond_chance = msgspec.structs.replace(found.found, p_value=1e-9)
-    assert headline(beyond_chance).endswith("(p = 1e-09), in the way in which it was incomplete when the robot was calibrated.")
+    assert headline(beyond_chance).endswith(
+        "(p = 1e-09), in the way in which it was incomplete when the robot was calibrated."
+    )
     assert pincal.diagnose(read, case.new).report == pincal.diagnose(case.model, case.new).report
     assert read.left is not None and read.left.effects == case.model.left.effects
     sizes = [(tmp_path / name).stat().st_size for name in ("model.json", "forgetful.json")]
