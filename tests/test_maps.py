@@ -50,7 +50,7 @@ def test_a_map_is_drawn_over_both_joints(found: Discovery) -> None:
     trace = next(trace for trace in found.traces if trace.own is not None)
     seen, fitted, _ = map_figure(trace, "a map").axes
 
-    assert [axes.get_title(loc="left") for axes in (seen, fitted)] == ["seen", "fitted"]
+    assert [axes.get_title(loc="left") for axes in (seen, fitted)] == ["measured", "fitted"]
     assert seen.get_xlabel() == "joint_5 [deg]" and seen.get_ylabel() == "joint_3 [deg]"
     drawn = fitted.collections[0].get_array()
     assert 0.5 * np.ptp(1e6 * trace.fitted) < np.ptp(drawn) <= np.ptp(1e6 * trace.fitted)

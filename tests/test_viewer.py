@@ -132,7 +132,7 @@ def test_effects_of_one_joint_have_names_of_their_own() -> None:
     wobbles = [AxisWobble("joint_3", order, frame) for order in (1, 2) for frame in ("before", "after")]
     names = [effect_name(effect) for effect in wobbles]
 
-    assert names[:2] == ["axis_wobble of joint_3", "axis_wobble of joint_3 seen from the moving link"]
+    assert names[:2] == ["axis_wobble of joint_3", "axis_wobble of joint_3 in the frame of the moving link"]
     assert len(set(names)) == 4
 
 

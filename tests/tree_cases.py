@@ -90,7 +90,7 @@ class TrueTree:
         return out
 
 
-def seen_from(T_world_instrument: np.ndarray, T_world_link: np.ndarray, offset: np.ndarray) -> np.ndarray:
+def transformed(T_world_instrument: np.ndarray, T_world_link: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """Return points on a link, at an offset in its frame [m], in an instrument's frame, shape (N, 3)."""
     points = T_world_link[:, :3, :3] @ offset + T_world_link[:, :3, 3]
     T = np.broadcast_to(T_world_instrument, (len(points), 4, 4))

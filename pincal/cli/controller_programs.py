@@ -140,7 +140,7 @@ def _cell(robot: Robot, language: ControllerLanguage, options: ProgramOptions, l
     from pincal.programs.correct import ProgramCell
 
     places = {
-        name: _place(robot, language, text, usual=usual, link=link)
+        name: _pose_of(robot, language, text, usual=usual, link=link)
         for name, text, usual, link in (
             ("world", options.world, _WORLD, robot.base),
             ("flange", options.flange, _FLANGE, robot.tip),
@@ -158,7 +158,7 @@ def _cell(robot: Robot, language: ControllerLanguage, options: ProgramOptions, l
     )
 
 
-def _place(robot: Robot, language: ControllerLanguage, text: str | None, *, usual: str, link: str) -> np.ndarray:
+def _pose_of(robot: Robot, language: ControllerLanguage, text: str | None, *, usual: str, link: str) -> np.ndarray:
     """Return the pose, shape (4, 4), of a link or of numbers in the frame of a link of the model."""
     from pincal.errors import BadInputError
     from pincal.programs.arms import rigid_pose

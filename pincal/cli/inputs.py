@@ -163,8 +163,8 @@ def _described(source: InputOptions) -> Robot:
     base = source.base or tree.root
     further = [(first or base, str(last)) for first, last in others]
     beyond = [name for name in (*recorded, *rested) if name in movable]
-    told = tuple(recorded) if tree.loops else None
-    wanted = TreeRequest(tip, start, source.base, told, paths=further, others=beyond)
+    driven = tuple(recorded) if tree.loops else None
+    wanted = TreeRequest(tip, start, source.base, driven, paths=further, others=beyond)
     return Robot.from_tree(tree, wanted, mass=source.mass)
 
 

@@ -94,7 +94,7 @@ def simulate(arguments: SimulateArguments) -> Exit:
     found = _origin(robot, machine, arguments) | campaign.truth(machine, tip=robot.tip)
     origin = {"made_by": provenance(robot_files(robot.source, given.beside))}
     out: _Files = {"--out": (arguments.out, lambda path: write_table(path, table))}
-    write_all(out | _beside(arguments, campaign.setup, found | origin))
+    write_all(out | _further_files(arguments, campaign.setup, found | origin))
     end_progress()
     if arguments.general.as_json:
         print_json({"rows": rows, "columns": list(table), "out": str(arguments.out)} | found)
@@ -140,7 +140,7 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
         arguments.out.mkdir(exist_ok=True)
     except OSError as error:
         raise OutputError(f"{arguments.out}: can't be made ({error.strerror}); choose another --out") from None
-    write_all(files | _beside(arguments, seen.setup, found | origin))
+    write_all(files | _further_files(arguments, seen.setup, found | origin))
     end_progress()
     rows = {name: len(table["time"]) for name, table in tables.items()}
     if arguments.general.as_json:
@@ -154,14 +154,14 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
                 f"  the clock of the {name} is {clock.offset:+.3f} s off and drifts by {1e6 * clock.drift:+.0f} ppm"
             )
     written = f", the truth to {arguments.truth}" if arguments.truth else ""
-    told = [*lines, *_hidden_lines(found), f"written to {arguments.out}{written}"]
+    lines = [*lines, *_hidden_lines(found), f"written to {arguments.out}{written}"]
     click.echo(
-        "\n".join([*told, f"next: {' '.join([_of_arm('calibrate', arguments), *_known(arguments.sensor)])} --out results"])
+        "\n".join([*lines, f"next: {' '.join([_of_arm('calibrate', arguments), *_known(arguments.sensor)])} --out results"])
     )
     return Exit.DONE
 
 
-def _beside(arguments: SimulateArguments, setup: SensorSetup, truth: dict[str, Any]) -> _Files:
+def _further_files(arguments: SimulateArguments, setup: SensorSetup, truth: dict[str, Any]) -> _Files:
     """Return the files that are written in addition to the table or the logs."""
     from pincal.measure.table import write_table
 
@@ -275,8 +275,8 @@ def _summary(arguments: SimulateArguments, truth: dict[str, Any], *, setup: Sens
         lines.append(f"  the URDF has no masses of {len(drawn)} links: {sum(drawn.values()):.3g} kg were drawn for them")
     lines += _hidden_lines(truth)
     given = arguments.sensor
-    beside = {"the truth": arguments.truth, "named points": given.points_out, "the camera": given.camera_out}
-    written = "".join(f", {what} to {path}" for what, path in beside.items() if path)
+    further = {"the truth": arguments.truth, "named points": given.points_out, "the camera": given.camera_out}
+    written = "".join(f", {what} to {path}" for what, path in further.items() if path)
     lines += [f"written to {arguments.out}{written}", f"next: {_next_command(arguments, setup)}"]
     return "\n".join(lines)
 
@@ -335,7 +335,7 @@ def parse_effect(text: str, joints: tuple[str, ...]) -> tuple[str, dict[str, Any
     separated by a slash, as commas separate keys.
 
     Raises:
-        BadInputError: For a name, joint, key or value that can't be, with those that can.
+        BadInputError: for a name, joint, key or value that is invalid, with the valid ones.
 
     Example:
         >>> parse_effect("axis_wobble:j2:size=1e-4,order=1,frame=after", ("j1", "j2"))

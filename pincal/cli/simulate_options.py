@@ -233,7 +233,7 @@ class SimulateArguments:
 
     @property
     def setup_seed(self) -> int:
-        """Seed of the place of instrument and target."""
+        """Seed of the poses of instrument and target."""
         return self.campaign.seed if self.campaign.setup_seed is None else self.campaign.setup_seed
 
     @property

@@ -48,9 +48,9 @@ def judged(result: Result, discovery: Discovery | None = None) -> Judged:
         return Judged(verdict, f"Do not use it: {result.doubt}.")
     if discovery is not None:
         return verdict_of_search(discovery.findings)
-    beside = result.beside
-    if verdict is Verdict.NOT_ADEQUATE and beside is not None and beside.is_misfit:
-        words = f"The residuals are {relative_to_noise(beside.ratio, beside.noise, is_misfit=True)}"
+    compared = result.beside
+    if verdict is Verdict.NOT_ADEQUATE and compared is not None and compared.is_misfit:
+        words = f"The residuals are {relative_to_noise(compared.ratio, compared.noise, is_misfit=True)}"
         return Judged(verdict, f"{words}: the robot has errors that this model does not describe.")
     if verdict is Verdict.NOT_ADEQUATE:
         return Judged(verdict, f"{_against(result.doubts)}.")
@@ -63,8 +63,8 @@ def judged(result: Result, discovery: Discovery | None = None) -> Judged:
             "missing effects."
         )
         return Judged(verdict, words)
-    assert beside is not None
-    return Judged(verdict, f"The residuals are {relative_to_noise(beside.ratio, beside.noise, is_misfit=False)}.")
+    assert compared is not None
+    return Judged(verdict, f"The residuals are {relative_to_noise(compared.ratio, compared.noise, is_misfit=False)}.")
 
 
 def _against(doubts: Sequence[Note]) -> str:

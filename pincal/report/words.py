@@ -156,8 +156,8 @@ def gain_words(entry: FoundEffect) -> str:
     if entry.gap_before_mrad is not None:
         figures.append(f"{entry.gap_before_mrad:.4f} to {entry.gap_after_mrad:.4f} mrad")
         gains.append(_falls(entry, "mrad"))
-    said = "" if gains[0] else ": improves orientation only" if any(gains) else ": no improvement on these rows"
-    return ", ".join(figures) + said
+    remark = "" if gains[0] else ": improves orientation only" if any(gains) else ": no improvement on these rows"
+    return ", ".join(figures) + remark
 
 
 def _falls(entry: FoundEffect, unit: str) -> bool:

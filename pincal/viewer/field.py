@@ -92,7 +92,7 @@ class Fields:
     poses: tuple[FieldPoses, ...]
     notes: tuple[str, ...]
 
-    def seen_from(self, T: np.ndarray) -> Fields:
+    def transformed(self, T: np.ndarray) -> Fields:
         """Return the fields transformed by ``T``, shape (4, 4), into another frame."""
         R, t = T[:3, :3].T, T[:3, 3]
         layers = (replace(layer, points=layer.points @ R + t, vectors=layer.vectors @ R) for layer in self.layers)
@@ -189,7 +189,7 @@ def _explained(
 def effect_name(effect: Effect) -> str:
     """Return the name of an effect in the control tree."""
     words = effect_words(EffectName.of(effect))
-    return f"{words} seen from the moving link" if effect.locus.frame == "after" else words
+    return f"{words} in the frame of the moving link" if effect.locus.frame == "after" else words
 
 
 def _positions(model: Model, values: np.ndarray, conditions: Conditions) -> np.ndarray:

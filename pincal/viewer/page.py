@@ -144,12 +144,12 @@ class LiveView:
         values = np.asarray(q, float)
         if values.shape != self._scene.q.shape or not np.isfinite(values).all():
             raise BadInputError(f"a pose of shape {values.shape}; expected {len(self._scene.q)} finite numbers")
-        self._tell({"q": values.tolist()})
+        self._send({"q": values.tolist()})
 
     def replace(self, scene: Scene) -> None:
         """Show another scene in every open page."""
         self._scene, self._page = scene, page(scene, live=True).encode()
-        self._tell({"reload": True})
+        self._send({"reload": True})
 
     def wait(self) -> None:
         """Serve until :meth:`close` is called elsewhere, or the program is interrupted."""
@@ -171,7 +171,7 @@ class LiveView:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _tell(self, message: dict[str, Any]) -> None:
+    def _send(self, message: dict[str, Any]) -> None:
         with self._lock:
             for listener in self._listeners:
                 listener.put(json.dumps(message))
@@ -310,7 +310,7 @@ def draw_field(
         raise BadInputError(f"scale is {scale}; expected a positive number")
     model = calibrated.to_model()
     robot = model.model.chain.robot
-    fields = deviation_fields(model, measurements, grid=grid).seen_from(_root_of(robot) @ np.linalg.inv(base_of(model)))
+    fields = deviation_fields(model, measurements, grid=grid).transformed(_root_of(robot) @ np.linalg.inv(base_of(model)))
     names = [field.name for field in fields.layers]
     if layer is not None and layer not in names:
         raise BadInputError(f"no field {layer!r}; expected one of {', '.join(nearest_first([layer], names))}")

@@ -225,7 +225,7 @@ def build_scene(
     shapes, missing = shapes_of(chain.robot, mesh_folders)
     axes, axis_scale = axes_of(calibrated, axis_scale)
     upright, coordinates = _upright(chain.gravity), calibrated.model.rigid_coordinates(calibrated.model_values)
-    seen = upright @ np.linalg.inv(base_of(calibrated))
+    T_scene_instrument = upright @ np.linalg.inv(base_of(calibrated))
     lower, upper = _slider_ends(calibrated, fields.poses)
     return Scene(
         title=chain.robot.name,
@@ -238,8 +238,8 @@ def build_scene(
         shapes=shapes,
         axes=axes,
         axis_scale=axis_scale,
-        frames=_frames(calibrated, upright, seen, coordinates),
-        fields=fields.seen_from(seen),
+        frames=_frames(calibrated, upright, T_scene_instrument, coordinates),
+        fields=fields.transformed(T_scene_instrument),
         scale=visible_scale(fields.layers[0], chain.robot.reach) if scale is None else scale,
         reach=chain.robot.reach,
         notes=(*_row_notes(fields.poses), *missing, *fields.notes),
@@ -293,14 +293,14 @@ def _upright(gravity: np.ndarray) -> np.ndarray:
 
 
 def _frames(
-    calibrated: CalibratedModel, upright: np.ndarray, seen: np.ndarray, coordinates: np.ndarray
+    calibrated: CalibratedModel, upright: np.ndarray, T_scene_instrument: np.ndarray, coordinates: np.ndarray
 ) -> tuple[DrawnFrame, ...]:
     chain, n = calibrated.model.chain, calibrated.model.chain.robot.n_joints
     known = {p.name: v for p, v in zip(calibrated.model.parameters, calibrated.values, strict=False)}
     found = [DrawnFrame("base", 0, upright)]
     # A contact has no instrument: everything is relative to the robot's base.
     if any(p.effect == "base_frame" for p in calibrated.model.parameters):
-        found.append(DrawnFrame("instrument", 0, seen))
+        found.append(DrawnFrame("instrument", 0, T_scene_instrument))
     for target, reference in zip(chain.targets, chain.tool_rotations, strict=True):
         one = len(chain.targets) == 1
         at = [coordinates[chain.tool(s)] if one else known.get(f"{target}.{s}", 0.0) for s in FRAME_SYMBOLS]

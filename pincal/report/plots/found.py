@@ -1,4 +1,4 @@
-"""What was found: how far models are from the truth, corrections, how the error shrinks, what each effect explains."""
+"""Figures of results: errors of models, corrections of parameters, the error after each step, and each effect."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ from pincal.validate.outcome import MovedParameter
 
 # Cells of a map along one joint.
 _CELLS = 14
-# Bins of a variable, and rows that a bin needs.
+# Number of bins of a variable, and fewest rows of a bin.
 _BINS, _FEWEST = 30, 4
-# A variable with no more values than this is a category.
+# A variable with at most this many values is categorical.
 _CATEGORIES = 5
 # Height of one step, of a row of corrections, and width of a letter [in].
 _PER_STEP, _PER_ROW, _LETTER = 0.5, 0.22, 0.082
-# Parameters that are drawn at most, the largest corrections first.
+# Most parameters that are drawn, the largest corrections first.
 _MOST = 24
-# Names of stations that fit under an axis, and their letters.
+# Most names of stations under an axis, and most letters of each.
 _MOST_NAMES, _LETTERS = 8, 12
-# A logarithmic axis has no place for zero: deviations below rounding stand here [m].
+# Smallest deviation that is drawn, since a logarithmic axis has no zero [m].
 _SMALLEST = 1e-17
 
 
 def deviation_figure(series: Mapping[str, np.ndarray]) -> Figure:
-    r"""Draw how far each model is from the truth, pose by pose: Fig. 6 of the paper.
+    r"""Draw the error of each model, pose by pose: Fig. 6 of the paper.
 
     Args:
         series: name of a model -> shape (N,), distance between its prediction and the truth at each pose [m].
@@ -87,16 +87,16 @@ def deviation_figure(series: Mapping[str, np.ndarray]) -> Figure:
 
 
 def _length(metres: float) -> str:
-    """Write a length in the unit that suits it."""
+    """Return a length in a readable unit."""
     if metres >= 1e-4:
         return f"{metres * 1e3:.2f} mm"
     return f"{metres * 1e6:.2f} µm" if metres >= 1e-8 else f"{metres:.2e} m"
 
 
 def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
-    """Draw how far the identified parameters in "m" or "rad" are from the nominal robot, with 95 % intervals.
+    """Draw identified minus nominal values of the parameters in "m" or "rad", with 95 % intervals.
 
-    Where instrument and target are was never known, so they are left out.
+    The poses of instrument and target have no nominal values and are left out.
 
     Raises:
         ValueError: if none is identified.
@@ -121,12 +121,12 @@ def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
 
 
 def course_figure(name: str, stations: Sequence[str], course: Sequence[tuple[int, MovedParameter]]) -> Figure:
-    """Draw a parameter of the robot from station to station, with intervals of 95 %.
+    """Draw a parameter of the robot from station to station, with 95 % intervals.
 
     Args:
-        name: of the parameter.
+        name: name of the parameter.
         stations: names of all stations, in their order.
-        course: station, by its place, and what the parameter is there.
+        course: index of a station, and the parameter at this station.
     """
     factor, unit = readable_unit(course[0][1]["unit"])
     at = np.array([k for k, _ in course])
@@ -145,12 +145,12 @@ def course_figure(name: str, stations: Sequence[str], course: Sequence[tuple[int
 
 
 def stability_figure(counts: Mapping[str, int], of: int, sure: float) -> Figure:
-    """Draw in how many halves of the poses each name came up.
+    """Draw in how many subsamples each name is found.
 
     Args:
-        counts: name -> number of halves.
-        of: how many halves there were.
-        sure: part of them from which a name is more than a hint.
+        counts: name -> number of subsamples.
+        of: number of subsamples in all.
+        sure: fraction of them from which on a name is more than a hint.
     """
     names = [drawable(name) for name in counts][::-1]
     figure, axes = panel(1.1 + _PER_ROW * len(names), left=0.3 + _LETTER * max(map(len, names)))
@@ -191,10 +191,10 @@ def shrinking_figure(names: Sequence[str], errors: Mapping[str, Sequence[float]]
     axes.hlines(steps, sizes.min(axis=0), sizes.max(axis=0), color=MUTED, linewidth=1.0)
     for k, (statistic, values) in enumerate(errors.items()):
         axes.plot(values, steps, "osD"[k % 3], color=(AFTER, style.THIRD, BEFORE)[k % 3], markersize=6, label=statistic)
-    # Not through the names above.
+    # These lines do not cross the names above.
     axes.vlines(np.full(len(names), floor), steps - 0.24, steps + 0.14, color=INK, linewidth=1.6, label="noise (rms)")
     log_axis(axes, "x", 0.6 * min(floor, sizes.min()), 1.6 * max(floor, sizes.max()))
-    # Names stand above their own line, where a phone has room for them.
+    # Names are above their lines, where a phone has room for them.
     for step, name in zip(steps, names, strict=True):
         where = (0.01, step + 0.26)
         axes.annotate(drawable(name, 58), where, xycoords=("axes fraction", "data"), fontsize=SMALL, color=INK)
@@ -207,10 +207,10 @@ def shrinking_figure(names: Sequence[str], errors: Mapping[str, Sequence[float]]
 
 
 def effect_figure(trace: PartialResidual, title: str) -> Figure:
-    """Draw what an effect explains: errors against the variable that it follows, before and after it entered the model.
+    """Draw errors against the variable of an effect, before and after it entered the model.
 
-    Grey is each row's error at the coordinate on which the effect acts, black the mean in a bin of the variable with its
-    standard deviation, blue the fitted effect.
+    Grey dots are errors of rows at the coordinate on which the effect acts, black dots means in bins of the variable with
+    their standard deviations; the blue line is the fitted effect.
 
     Raises:
         ValueError: if the trace has no rows.
@@ -241,10 +241,10 @@ def effect_figure(trace: PartialResidual, title: str) -> Figure:
 
 
 def map_figure(trace: PartialResidual, title: str) -> Figure:
-    """Draw what an effect of two joints explains over the positions of both: what the rows show, and the fitted effect.
+    """Draw an effect of two joints over the positions of both: the errors of the rows, and the fitted effect.
 
     Raises:
-        ValueError: if the trace has no rows, or follows one variable only.
+        ValueError: if the trace has no rows, or only one variable.
     """
     if len(trace.x) == 0 or trace.own is None:
         raise ValueError(f"no rows of {title} to draw over two joints; expected at least one")
@@ -257,11 +257,11 @@ def map_figure(trace: PartialResidual, title: str) -> Figure:
     own = np.degrees(trace.own) if turns else trace.own
     most = float(np.abs(trace.fitted).max()) * factor or 1.0
     # Rows with a short lever carry little information on the joint.
-    telling = trace.weights > 0.05 * np.quantile(trace.weights, 0.9)
+    informative = trace.weights > 0.05 * np.quantile(trace.weights, 0.9)
     extent = (float(x.min()), float(x.max()), float(own.min()), float(own.max()))
     cells = {"gridsize": _CELLS, "extent": extent, "cmap": "PuOr", "vmin": -most, "vmax": most, "linewidths": 0.1}
     for axes, errors, rows, name in zip(
-        panels, (trace.before, trace.fitted), (telling, np.ones(len(x), bool)), ("seen", "fitted"), strict=True
+        panels, (trace.before, trace.fitted), (informative, np.ones(len(x), bool)), ("measured", "fitted"), strict=True
     ):
         drawn = axes.hexbin(x[rows], own[rows], C=errors[rows] * factor, **cells)
         dress(axes, x=label, title=name)
@@ -288,7 +288,7 @@ def _axis(trace: PartialResidual) -> tuple[np.ndarray, str]:
 
 
 def _draw_errors(axes: Axes, x: np.ndarray, errors: np.ndarray, weights: np.ndarray) -> list[float]:
-    """Draw rows and their means in bins; return what the axis should reach, regardless of rows with short levers."""
+    """Draw rows and their means in bins; return the ends of the axis, regardless of rows with short levers."""
     shown = thinned(len(x))
     jitter = np.zeros(len(x))
     values = np.unique(x)
@@ -311,7 +311,7 @@ def _draw_errors(axes: Axes, x: np.ndarray, errors: np.ndarray, weights: np.ndar
 
 
 def _binned(x: np.ndarray, errors: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return centres, weighted means and their standard deviations in bins of x; each value of few is a bin."""
+    """Return centres, weighted means and their standard deviations in bins of x; a category is a bin."""
     values = np.unique(x)
     if len(values) <= _CATEGORIES:
         edges = np.concatenate([[values[0] - 1.0], (values[1:] + values[:-1]) / 2.0, [values[-1] + 1.0]])
@@ -324,7 +324,7 @@ def _binned(x: np.ndarray, errors: np.ndarray, weights: np.ndarray) -> tuple[np.
 
 
 def _draw_effect(axes: Axes, x: np.ndarray, fitted: np.ndarray) -> None:
-    """Draw the fitted effect: a line where it is a function of x, else points."""
+    """Draw the fitted effect: a line if it is a function of x, otherwise points."""
     order = np.argsort(x, kind="stable")
     x, y = x[order], fitted[order]
     size = np.ptp(y) or 1.0

@@ -1,4 +1,4 @@
-"""Errors of a calibration: how large, at which joint positions, where in the workspace, and when."""
+"""Figures of the errors of a calibration: distribution, by joint position, over the workspace, and in time."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from pincal.report.subject import RowErrors
 _MODELS = (("before", BEFORE), ("after", AFTER))
 # Bins of a histogram over the whole logarithmic axis.
 _BARS = 36
-# Points of a curve; more are indistinguishable at its size.
+# Points of a curve; more would be indistinguishable.
 _POINTS = 400
-# Bins of a variable, rows that a bin needs on average, and the fewest that it needs by itself.
+# Most bins of a variable, rows per bin on average, and fewest rows of a bin.
 _BINS, _FEWEST = 18, 12
 _SOME = 3
-# Pauses longer than this part of the whole time break a line.
+# Pauses longer than this fraction of the whole time break a line.
 _PAUSE = 0.04
 # Hexagons across the workspace.
 _CELLS = 15
@@ -31,7 +31,7 @@ _MAP = "viridis"
 
 
 def _error_axis(axes: Axes, which: Literal["x", "y"], evidence: RowErrors) -> tuple[float, float]:
-    """Make an axis one of errors, on which nearly all before and after are seen; return its ends."""
+    """Scale an axis such that nearly all errors before and after are visible; return its ends."""
     low, high = style.span_of(evidence.sizes("before"), evidence.sizes("after"))
     log_axis(axes, which, low, high)
     return low, high
@@ -42,7 +42,7 @@ def _error_label(evidence: RowErrors) -> str:
 
 
 def histogram_figure(evidence: RowErrors, *, held: bool = True) -> Figure:
-    """Draw how many poses have which error, before and after calibration, on a logarithmic axis.
+    """Draw a histogram of errors, before and after calibration, on a logarithmic axis.
 
     Raises:
         ValueError: if there are no held-out or, with ``held=False``, no fitted rows.
@@ -66,7 +66,7 @@ def histogram_figure(evidence: RowErrors, *, held: bool = True) -> Figure:
 
 
 def cumulative_figure(evidence: RowErrors) -> Figure:
-    """Draw which share of poses has an error below each size, compared with noise alone."""
+    """Draw the cumulative distribution of errors, compared with noise alone."""
     figure, axes = panel()
     low, high = _error_axis(axes, "x", evidence)
     for which, colour in _MODELS:
@@ -111,7 +111,7 @@ def median_range(evidence: RowErrors, joint: int) -> tuple[float, float]:
 
 
 def _band(x: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return centres, 5 %, median and 95 % in bins of equal width; not a number where there are too few rows."""
+    """Return centres, 5 %, median and 95 % in bins of equal width; NaN where there are too few rows."""
     count = int(np.clip(len(x) // _FEWEST, 1, _BINS))
     edges = np.linspace(x.min(), x.max(), count + 1)
     place = np.clip(np.digitize(x, edges) - 1, 0, count - 1)
@@ -126,7 +126,7 @@ def _band(x: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def workspace_figure(evidence: RowErrors, view: Literal["top", "side"]) -> Figure:
-    """Draw the mean error over the workspace, before and after calibration on one scale of colours.
+    """Draw the mean error over the workspace, before and after calibration, with the same colour scale.
 
     Args:
         evidence: errors row by row.
@@ -139,7 +139,7 @@ def workspace_figure(evidence: RowErrors, view: Literal["top", "side"]) -> Figur
     means = np.concatenate([evidence.sizes("before"), evidence.sizes("after")])
     low, high = np.quantile(means[means > 0.0], [0.1, 0.98]) if np.any(means > 0.0) else (1e-3, 1.0)
     low, high = float(low), float(max(high, 1.01 * low))
-    # A square map, as long one way as the other.
+    # A square map.
     half = 0.52 * max(float(np.ptp(across)), float(np.ptp(along)), 1e-3)
     a, b = (float(v.min() + v.max()) / 2.0 for v in (across, along))
     cells = dict(gridsize=_CELLS, extent=(a - half, a + half, b - half, b + half), cmap=_MAP, norm=LogNorm(low, high))
@@ -194,7 +194,7 @@ def _order(evidence: RowErrors) -> tuple[np.ndarray, str]:
 
 
 def _sessions(x: np.ndarray, most: int, fewest: int) -> list[list[np.ndarray]]:
-    """Return the rows between two long pauses in bins of equally many, x in ascending order."""
+    """Return the rows between two long pauses, in bins of equal size; x is in ascending order."""
     pauses = np.flatnonzero(np.diff(x) > _PAUSE * np.ptp(x)) + 1 if len(x) > most else np.zeros(0, int)
     size = max(len(x) / most, fewest)
     sessions = np.split(np.arange(len(x)), pauses)
@@ -202,9 +202,9 @@ def _sessions(x: np.ndarray, most: int, fewest: int) -> list[list[np.ndarray]]:
 
 
 def drift_figure(evidence: RowErrors) -> Figure:
-    """Draw the mean of what calibration leaves, component by component, in the order of measurement.
+    """Draw the mean residual of each component in the order of measurement.
 
-    Bars are two standard deviations of a mean: where most of them reach zero nothing has moved.
+    Bars are two standard deviations of a mean: if most of them include zero, nothing has moved.
     """
     x, label = _order(evidence)
     rows = np.flatnonzero(~evidence.is_outlier)
