@@ -31,7 +31,6 @@ from pincal.units import GRAVITIES, is_gravity
 
 if TYPE_CHECKING:
     from pincal.identify.options import Options
-    from pincal.model.effect import Effect
 
 Triple = tuple[float, float, float]
 
@@ -225,19 +224,13 @@ class ModelOptions:
     payload_com: Triple = option("Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0))
     gravity: Triple | None = gravity_option()
 
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """The effects of the model."""
-        from pincal.model.effects import ELASTIC, GEOMETRIC
-
-        return {"geometric": GEOMETRIC, "elastic": ELASTIC}[self.model]
-
     def options(self, noise: float | None, noise_angle: float | None) -> Options:
         """Return the options for the library, with the noise of readings [m, rad]."""
         from pincal.identify.options import Options
+        from pincal.model.effects import ELASTIC, GEOMETRIC
 
         return Options(
-            effects=self.effects,
+            effects={"geometric": GEOMETRIC, "elastic": ELASTIC}[self.model],
             sigma=noise,
             sigma_orientation=noise_angle,
             moment_frame=self.moment_frame,

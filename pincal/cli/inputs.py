@@ -253,16 +253,12 @@ def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -
     Raises:
         BadInputError: if no station has readings in the unit of the given noise.
     """
-    model, setup, fit = chosen.model, chosen.setup, chosen.fit
+    setup, fit = chosen.setup, chosen.fit
     listed = () if setup.distances is None else read_distances(setup.distances)
     _refuse_unused(setup, tables)
-    return Options(
-        effects=model.effects,
-        sigma_orientation=setup.noise_angle,
-        moment_frame=model.moment_frame,
+    return replace(
+        chosen.model.options(None, setup.noise_angle),
         equilibrium=fit.equilibrium,
-        gravity=model.gravity,
-        payload_centre=model.payload_com,
         stages=fit.stages,
         loss=fit.loss,
         length_bound=fit.length_bound,

@@ -153,9 +153,9 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
     if len(found) > 1 and unseen and "mean_mm" in result:
         out.print(hanging("never seen", f"by the model: {', '.join(unseen)}: mean {result['mean_mm']:.4f} mm"))
     for each in found:
-        place = f"instrument and target were located again from these rows: {each.moved}"
-        place = "instrument and target are where they were calibrated" if each.placed == "as calibrated" else place
-        out.print(hanging(f"{each.name}:", f"{place}; {each.verdict}"))
+        is_there = each.placed == "as calibrated"
+        place = "are where they were calibrated" if is_there else f"were located again from these rows: {each.moved}"
+        out.print(hanging(f"{each.name}:", f"instrument and target {place}; {each.verdict}"))
     parts = {part["name"]: part["error"] for part in result["stations"]}
     if len(found) == 1 and found[0].fitted_rows:
         parts = {"train" if found[0].fitted_rows == len(found[0].table) else "new and fitted": found[0].error}
@@ -285,7 +285,7 @@ def update_verb(arguments: UpdateArguments) -> Exit:
     """Add new measurements to a calibrated model permanently.
 
     The result equals a calibration from old and new rows together, but does not need the old ones. Rows of a robot that has
-    changed are refused (exit code 6): see diagnose. With --anew, only the named effect is re-estimated.
+    changed are refused (exit code 6): see diagnose. With --anew, the named effect is re-estimated from its prior.
     """
     from pincal.calibration.calibrated_robot import load_stations
     from pincal.diagnosis.model_update import update

@@ -185,21 +185,14 @@ def lines(found: DiagnosisFile) -> Iterator[str]:
     else:
         yield f"mean error {before:.4f} mm"
     yield f"{set_up_words(found)}; this is not a change of the robot"
-    if worst := _least_offsets(found):
-        yield worst
-
-
-def _least_offsets(found: DiagnosisFile) -> str:
-    """Return the smallest excluded size of the kind of change that is listed first, in a line."""
-    if not found.excluded:
-        return ""
-    first = [entry for entry in found.excluded if entry.effect == found.excluded[0].effect]
-    largest = max(first, key=lambda entry: entry.smallest)
-    size = format_small(largest.smallest, largest.unit)
-    return (
-        f"excluded with 90 % probability: any other {first[0].effect} of at least {size} ({largest.tip_mm:.2f} mm at the "
-        f"target); {len(found.excluded)} more in diagnosis.json"
-    )
+    if found.excluded:
+        first = [entry for entry in found.excluded if entry.effect == found.excluded[0].effect]
+        largest = max(first, key=lambda entry: entry.smallest)
+        size = format_small(largest.smallest, largest.unit)
+        yield (
+            f"excluded with 90 % probability: any other {first[0].effect} of at least {size} ({largest.tip_mm:.2f} mm at "
+            f"the target); {len(found.excluded)} more in diagnosis.json"
+        )
 
 
 def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:
