@@ -28,19 +28,20 @@ from signatures import ALIKE, Signature, draw, own_effects, signatures
 REFERENCE = Path(__file__).parent / "reference"
 # What a user meets of each file.
 _FILES = {
-    "model": ("model.json", "The calibrated robot: predicts without its URDF. Written by every verb that fits."),
+    "model": ("model.json", "The calibrated robot: predicts without its URDF. Written by every command that fits."),
     "stations": ("model.json of several stations", "The robot, and the individual data of each station."),
     "result": ("result.json", "Results of a calibration. Written by `calibrate` and `discover`."),
     "discovery": ("discovery.json", "Missing effects and their alternatives. Written by `discover`."),
     "diagnosis": ("diagnosis.json", "Whether the robot has changed, and what. Written by `diagnose`."),
     "information": (
         "INFORMATION.json",
-        "Information on a robot, as `fit.information().save(PATH)` writes it and `pincal.load_information` adds it up.",
+        "The information of a fit's rows on a robot: written by `fit.information().save(PATH)`, summed by "
+        "`pincal.load_information`.",
     ),
     "type": (
         "TYPE.json",
-        "A type of robot, as `pincal fleet learn` writes it: what machines have in common and how far they differ. Nothing "
-        "of single machines is in it.",
+        "A type of robot, written by `pincal fleet learn`: mean and spread of its machines. It has no data of single "
+        "machines.",
     ),
     "camera": ("CAMERA.json", "A camera's parameters, as `--camera` takes and `simulate --camera-out` writes them."),
 }
@@ -113,20 +114,20 @@ def files() -> Iterator[str]:
     """Yield the page of files, from their schemas and from the sensors."""
     yield "# Files"
     yield (
-        "Tables of measurements, and what pincal writes. Values are in SI units unless a name says otherwise (`_mm`, "
-        "`_mrad`, or `x [mm]` in the header of a table). JSON Schemas come with the package, in `pincal/schemas`."
+        "Tables of measurements, and the files that pincal writes. Values are in SI units unless a name says otherwise "
+        "(`_mm`, `_mrad`, or `x [mm]` in the header of a table). JSON Schemas come with the package, in `pincal/io/schemas`."
     )
     yield "## Tables of measurements"
     yield (
-        "CSV or other text, Excel, Parquet, or recordings of ROS; one row per measured pose. One column per joint, named as "
-        "in the URDF, and those of one kind of reading. `approach_<joint>` is the direction of approach (-1, 0 or 1); with "
-        "`--rows-in-order` it is the sign of the move from the row before."
+        "Tables are CSV or other text, Excel, Parquet, or ROS recordings, with one row per measured pose. They have a "
+        "column per joint, named as in the URDF, and the columns of one kind of reading. `approach_<joint>` is the direction "
+        "of approach (-1, 0 or 1); with `--rows-in-order` it is the sign of the move from the row before."
     )
     rows = []
     for sensor in (cls for cls in SENSORS.known().values() if cls.__module__.startswith("pincal.")):
         columns = " ".join(f"`{column}`" for field in sensor.fields for column in field.columns)
         rows.append((f"`{sensor.kind}`", columns, _first_sentence(sensor)))
-    yield _table(("kind of reading", "columns", "what is read"), rows)
+    yield _table(("kind of reading", "columns", "quantity"), rows)
     told: set[type] = set()
     for key, (name, about) in _FILES.items():
         yield f"## {name}"
@@ -196,17 +197,15 @@ def effects() -> Iterator[str]:
     """Yield the page of effects, from what each says of itself."""
     yield "# Effects"
     yield (
-        "An effect is one physical cause with its own parameters. The arm's coordinates are sums over effects, so their "
-        "order has no meaning. Names are those of `--add`, `model.json`, `discovery.json` and `diagnosis.json`."
+        "An effect is one physical cause of error with its own parameters. The arm's coordinates are sums over effects, so "
+        "that the order of effects has no meaning. The names are used in `--add`, `model.json`, `discovery.json` and "
+        "`diagnosis.json`."
     )
     yield (
-        "Each section says what the effect is and what its parameters are; its **signature**, drawn for a "
-        "KUKA KR 125/2 in 400 "
-        "random poses with random loads and temperatures, scaled to move the target by 0.1 mm rms; "
-        "its **look-alikes** "
-        "in the same poses, given geometry and elasticity; which measurement **distinguishes it** from them; "
-        "and its **source**. "
-        "In your poses look-alikes may differ: `discovery.json` lists them."
+        "Each section defines the effect and its parameters, and gives its **signature**, drawn for a KUKA KR 125/2 in 400 "
+        "random poses with random loads and temperatures, scaled to move the target by 0.1 mm rms; its **look-alikes** in "
+        "the same poses, given geometry and elasticity; the measurement that **distinguishes it** from them; and its "
+        "**source**. In your poses, look-alikes may differ: `discovery.json` lists them."
     )
     families: dict[str, list[tuple[str, str]]] = {}
     for name, cls in own_effects().items():
@@ -228,7 +227,7 @@ def effects() -> Iterator[str]:
 def _seen(name: str, signature: Signature | None) -> Iterator[str]:
     """Yield how an effect shows, and what else would look like it."""
     if signature is None:
-        yield "**Signature** and **look-alikes**: those of whatever it stands for."
+        yield "**Signature** and **look-alikes**: those of the actual cause."
         return
     needs = " and ".join(f"`{column}`" for column in signature.effect.needs)
     yield f"**Signature**: {signature.what}." + (f" It is observable only in tables with {needs}." if needs else "")
@@ -263,7 +262,7 @@ def _told(cls: type) -> Iterator[str]:
 def names() -> Iterator[str]:
     """Yield the page of the Python API: every public name with its docstring."""
     yield "# Python"
-    yield "What `import pincal` offers. Angles are in radians, lengths in metres, unless a name says otherwise."
+    yield "The names of `import pincal`. Angles are in radians, lengths in metres, unless a name says otherwise."
     public = [name for name in pincal.__all__ if not name.isupper()]
     rows = [(f"[`{name}`](#{name.lower()})", _first_sentence(getattr(pincal, name))) for name in public]
     yield _table(("name", "what it is"), rows)

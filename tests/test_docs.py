@@ -63,7 +63,7 @@ def test_every_effect_is_drawn_and_explained() -> None:
             "", "Signature", "look-alikes" if "](" not in section else "Look-alikes", "Distinguished by", "Source"
         ], name  # fmt: skip
         # What stands for others has no picture of its own.
-        assert f"](../pictures/effects/{name}.png)" in section or "those of whatever it stands for" in section, name
+        assert f"](../pictures/effects/{name}.png)" in section or "those of the actual cause" in section, name
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
