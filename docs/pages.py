@@ -120,8 +120,8 @@ def files() -> Iterator[str]:
     yield "## Tables of measurements"
     yield (
         "Tables are CSV or other text, Excel, Parquet, or ROS recordings, with one row per measured pose. They have a "
-        "column per joint, named as in the URDF, and the columns of one kind of reading. `approach_<joint>` is the direction "
-        "of approach (-1, 0 or 1); with `--rows-in-order` it is the sign of the move from the row before."
+        "column per joint, named as in the URDF, and the columns of one kind of reading. `approach_<joint>` is the "
+        "direction of approach (-1, 0 or 1); with `--rows-in-order` it is the sign of the move from the row before."
     )
     rows = []
     for sensor in (cls for cls in SENSORS.known().values() if cls.__module__.startswith("pincal.")):

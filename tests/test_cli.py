@@ -383,7 +383,7 @@ def test_demo_tells_the_story(tmp_path, capsys):
     assert {file.name for file in (tmp_path / "demo").iterdir()} > {"model.json", "hidden_effect", "measurements.csv"}
     programmed, corrected = (
         float(re.search(rf"{words} +error: mean +([\d.]+) mm", text)[1])
-        for words in ("as programmed", "corrected by this model")
+        for words in ("as programmed", "corrected with this model")
     )
     assert programmed > 2.0 and corrected < 0.06
     hit = json.loads((tmp_path / "demo" / "hit" / "diagnosis.json").read_text())

@@ -198,8 +198,8 @@ def _print_hidden(found: Discovery, screen: Console, *, folder: Path) -> None:
     screen.rule("A hidden effect")
     screen.print(
         f"\nThe same robot, but a gear wheel of {_JOINT} is elliptical: the joint has an error of {size}, twice per "
-        f"revolution.\n{_ROWS} poses are measured again and calibrated with all of the above. The calibration knows "
-        "nothing\nof the wheel, and the held-out error stays above the noise. What is missing, and where?\n"
+        f"revolution.\n{_ROWS} poses are measured again and calibrated with all of the above. The model does not include "
+        "the\nwheel, and the held-out error stays above the noise. What is missing, and where?\n"
     )
     print_brief(found.calibration, found, screen, more=str(folder / "report.html"))
     for entry in found.report["effects"]:
@@ -211,7 +211,7 @@ def _print_hidden(found: Discovery, screen: Console, *, folder: Path) -> None:
 def _print_program(missed: dict[str, dict[str, float]], screen: Console) -> None:
     screen.rule("Compensation")
     screen.print(f"\nA program of {_PROGRAM} other poses, made with the nominal robot, is run on this machine:\n")
-    for name, words in (("as programmed", "as programmed"), ("corrected", "corrected by this model")):
+    for name, words in (("as programmed", "as programmed"), ("corrected", "corrected with this model")):
         mean, largest = missed[name]["mean"], missed[name]["max"]
         screen.print(f"  {words:28s} error: mean {mean:8.4f} mm, max {largest:8.4f} mm")
     if short := int(missed["corrected"]["out_of_reach"]):
