@@ -46,9 +46,9 @@ def missing(subject: Subject) -> Section | None:
     blocks: list[PageBlock] = [paragraph(intro)]
     if found.where:
         text = (
-            "Shares of the residuals in excess of the noise: that of elasticity refers to the residuals of the geometric "
-            "model, those of joints to the residuals of the elastic one, in sequence, so nothing counts twice. Regions "
-            "show the same error by location."
+            "Shares of the residuals in excess of the noise. The share of elasticity is of the residuals of the geometric "
+            "model, those of joints are of the residuals of the elastic one, in sequence, so that nothing counts twice. "
+            "Regions show the same error by location."
         )
         blocks += [heading("Where model and data disagreed"), location_table(found.where), paragraph(text, "mute")]
     blocks.append(heading("Effects found"))
