@@ -115,7 +115,7 @@ def files() -> Iterator[str]:
     yield "# Files"
     yield (
         "Tables of measurements, and the files that pincal writes. Values are in SI units unless a name says otherwise "
-        "(`_mm`, `_mrad`, or `x [mm]` in the header of a table). JSON Schemas come with the package, in `pincal/io/schemas`."
+        "(`_mm`, `_mrad`, or `x [mm]` in the header of a table). JSON Schemas come with the package, in `pincal/schemas`."
     )
     yield "## Tables of measurements"
     yield (
