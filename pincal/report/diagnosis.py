@@ -191,7 +191,7 @@ def lines(found: DiagnosisFile) -> Iterator[str]:
         size = format_small(largest.smallest, largest.unit)
         yield (
             f"excluded with 90 % probability: any other {first[0].effect} of at least {size} ({largest.tip_mm:.2f} mm at "
-            f"the target); {len(found.excluded)} more in diagnosis.json"
+            f"the target); all {len(found.excluded)} in diagnosis.json"
         )
 
 
