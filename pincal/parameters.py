@@ -1,12 +1,12 @@
 r"""Named parameters, and estimates of them: values with covariance, looked up by name.
 
-A fit of several stations has a robot's parameters once and each station's own parameters (where its instrument stands, its
-targets) once per station. Their joint covariance is
+A fit of several stations has a robot's parameters once and each station's own parameters (instrument pose, targets) once per
+station. Their joint covariance
 
-.. math:: C = A A^T + \operatorname{diag}(K_1, K_2, \ldots),
+.. math:: C = A A^T + \operatorname{diag}(K_1, K_2, \ldots)
 
-with one row of A per parameter and one block K per station: what stations share correlates everything, what is left
-correlates only the parameters of one station. So it is never stored as a whole.
+has one row of A per parameter and one block K per station, and is never stored as a dense matrix: shared parameters
+correlate all stations, the rest correlates only the parameters of one.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ import numpy as np
 FRAME_SYMBOLS = ("x", "y", "z", "rx", "ry", "rz")
 
 ANYWHERE = float("inf")
-"""Size of what says where things stand around the robot: it may lie anywhere."""
+"""Size of a parameter without a prior: a coordinate of the base, a tool or an object."""
 
 Scope = Literal["robot", "station"]
-# Powers of the moment in the unit of what answers to it.
+# Powers of the moment in units of compliances.
 _MOMENT_POWERS = {"(N m)": -1, "(N m)^2": -2}
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that a fit may find.
+    """One number that a fit may estimate.
 
     Attributes:
-        name: ``<element>.<symbol>``, e.g. ``joint_2.s_x``; unique within a fit, so that a parameter of one station among
-            several is ``<station>/<element>.<symbol>``.
+        name: ``<element>.<symbol>``, e.g. ``joint_2.s_x``; unique within a fit: ``<station>/<element>.<symbol>`` for a
+            parameter of one of several stations.
         unit: "rad", "m" or "rad/(N m)".
         effect: name of the effect that owns it.
-        nominal: value of the URDF; a fit estimates the deviation from it.
+        nominal: value in the URDF; a fit estimates the deviation from it.
         size: standard deviation of its prior [rad or m]; inf for unknown frames.
-        station: name of the station that it belongs to; "" for robot parameters and where there is only one station.
+        station: name of its station; "" for robot parameters and for a single station.
     """
 
     name: str
@@ -52,17 +52,17 @@ class Parameter:
 
     @property
     def element(self) -> str:
-        """What it belongs to: a joint, "base", "tool", a target, a point, ..."""
+        """The element that it belongs to: a joint, "base", "tool", a target, a point, ..."""
         return split_name(self.local_name)[0]
 
     @property
     def symbol(self) -> str:
-        """What it is of its element."""
+        """Its symbol within its element."""
         return split_name(self.name)[1]
 
     @property
     def moment_power(self) -> int:
-        """By which power of a factor on all masses it has to change for the same robot: 1 of masses, -1 of compliances."""
+        """Power with which it scales with all masses if the robot is unchanged: 1 for masses, -1 for compliances."""
         return _MOMENT_POWERS.get(self.unit.partition("/")[2], 0) or int(self.unit in ("kg", "kg m"))
 
     @property
@@ -76,7 +76,7 @@ class Parameter:
         return self.size == ANYWHERE
 
     def at(self, station: str) -> Parameter:
-        """Return the same parameter as that of one station among several; unchanged if the station has no name."""
+        """Return the parameter as one of a station among several; unchanged if the station has no name."""
         return replace(self, name=f"{station}/{self.name}", station=station) if station else self
 
     @property
@@ -86,7 +86,7 @@ class Parameter:
 
 
 def is_on_link(element: str) -> bool:
-    """Return whether an element is a point of a link, ``LINK:NAME``."""
+    """Return whether an element is a point on a link, ``LINK:NAME``."""
     return ":" in element
 
 
@@ -104,9 +104,9 @@ def split_name(name: str) -> tuple[str, str]:
 def root_of(covariance: np.ndarray) -> np.ndarray:
     """Return a matrix L with L L^T = C for a covariance C; both of shape (n, n).
 
-    Variances differ by twelve orders of magnitude; rounding must not carry the large ones into the small ones. It is the
-    symmetric root of the correlation, one matrix whatever signs and order an algorithm gives its eigenvectors: what is drawn
-    with one seed is the same on every machine.
+    It is the symmetric root of the correlation matrix: variances differ by twelve orders of magnitude, and rounding must not
+    carry large ones into small ones. It does not depend on the signs and the order of eigenvectors, so samples drawn with
+    one seed are the same on every machine.
     """
     sigma = np.sqrt(np.diag(covariance))
     scale = np.where(sigma > 0.0, sigma, 1.0)
@@ -120,7 +120,7 @@ class Covariance:
 
     Attributes:
         factor: A, shape (n, k).
-        groups: for each block, shape (b,), the parameters that it belongs to, and the block, shape (b, b).
+        groups: indices of the parameters of each block, shape (b,), and the block, shape (b, b).
 
     Example:
         >>> found = Covariance(np.array([[1.0], [2.0]]), ((np.array([1]), np.array([[3.0]])),))
@@ -133,7 +133,7 @@ class Covariance:
 
     @classmethod
     def of(cls, matrix: np.ndarray) -> Covariance:
-        """Return a covariance that is given as a matrix, shape (n, n)."""
+        """Return a covariance given as a dense matrix, shape (n, n)."""
         return cls(np.zeros((len(matrix), 0)), ((np.arange(len(matrix)), matrix),))
 
     def __len__(self) -> int:
@@ -142,10 +142,10 @@ class Covariance:
     @cached_property
     def variance(self) -> np.ndarray:
         """Its diagonal, shape (n,)."""
-        found = np.einsum("nk,nk->n", self.factor, self.factor)
+        found = np.asarray(np.einsum("nk,nk->n", self.factor, self.factor))
         for places, block in self.groups:
             found[places] += np.diag(block)
-        return np.asarray(found)
+        return found
 
     @property
     def root(self) -> np.ndarray:
@@ -158,14 +158,14 @@ class Covariance:
         return np.hstack(columns)
 
     def dense(self) -> np.ndarray:
-        """Return it as a matrix, shape (n, n)."""
+        """Return the dense matrix, shape (n, n)."""
         found = self.factor @ self.factor.T
         for places, block in self.groups:
             found[np.ix_(places, places)] += block
         return np.asarray(found)
 
     def take(self, places: np.ndarray) -> Covariance:
-        """Return the covariance of some of the parameters, in the order of ``places``, shape (m,), each at most once."""
+        """Return the covariance of the parameters at indices ``places``, shape (m,), in this order, each at most once."""
         where = np.full(len(self), -1)
         where[places] = np.arange(len(places))
         groups = []
@@ -184,8 +184,8 @@ class Estimate:
         parameters: the P parameters.
         values: shape (P,), deviations from the nominal.
         free: shape (P,), which of them were fitted.
-        covariance: of the fitted ones, in their order.
-        prior: shape (P,), what was known of each before: standard deviations about zero; inf for nothing.
+        covariance: of the fitted parameters, in their order.
+        prior: shape (P,), prior standard deviations about zero; inf for none.
 
     Example:
         >>> a, b = (Parameter(name, "m", "frame", 0.0, np.inf) for name in ("a.x", "b.x"))
@@ -217,54 +217,42 @@ class Estimate:
         return {name: i for i, name in enumerate(self.names)}
 
     def index(self, name: str) -> int:
-        """Return the place of a parameter.
-
-        Raises:
-            KeyError: if there is none of this name.
-        """
+        """Return the index of a parameter; a KeyError if there is none of this name."""
         return self._index[name]
 
     def places(self, names: Iterable[str]) -> np.ndarray:
-        """Return the places of parameters, shape (n,).
-
-        Raises:
-            KeyError: if there is none of one of the names.
-        """
+        """Return the indices of parameters, shape (n,); a KeyError if there is none of one of the names."""
         return np.array([self._index[name] for name in names], int)
 
     def frame(self, element: str) -> np.ndarray:
-        """Return the coordinates of a frame, shape (6,) [m, rad]; zero for those that are not among the parameters."""
+        """Return the coordinates of a frame, shape (6,) [m, rad]; zero where they are not among the parameters."""
         names = [f"{element}.{symbol}" for symbol in FRAME_SYMBOLS]
         return np.array([self[name] if name in self._index else 0.0 for name in names])
 
     @cached_property
     def sigma(self) -> np.ndarray:
-        """What is known of each parameter, shape (P,): its standard deviation, that of the prior where it was not fitted."""
+        """Standard deviation of each parameter, shape (P,): the prior's where it was not fitted."""
         found = np.array(self.prior, float)
         found[self.free] = np.sqrt(self.covariance.variance)
         return found
 
     @cached_property
     def fitted_sigma(self) -> np.ndarray:
-        """What the fit knows of each parameter, shape (P,): its standard deviation, inf where it was not fitted."""
+        """Standard deviation of each parameter, shape (P,): inf where it was not fitted."""
         return np.where(self.free, self.sigma, np.inf)
 
     def dense_covariance(self) -> np.ndarray:
-        """Return the covariance as a matrix, shape (P, P), zero for parameters that were not fitted."""
+        """Return the covariance matrix, shape (P, P), zero for parameters that were not fitted."""
         found = np.zeros((len(self), len(self)))
         found[np.ix_(self.free, self.free)] = self.covariance.dense()
         return found
 
     def take(self, names: Iterable[str]) -> Estimate:
-        """Return the estimate of some parameters, in the order of ``names``.
-
-        Raises:
-            KeyError: if there is none of one of the names.
-        """
+        """Return the estimate of some parameters, in the order of ``names``; a KeyError if there is none of one of them."""
         return self._at(self.places(names))
 
     def drop(self, names: Iterable[str]) -> Estimate:
-        """Return the estimate of all parameters but some; names that it doesn't have are ignored."""
+        """Return the estimate without some parameters; unknown names are ignored."""
         gone = set(names)
         return self._at(np.array([i for i, name in enumerate(self.names) if name not in gone], int))
 
@@ -281,12 +269,9 @@ class Estimate:
 
 
 def estimate_of(parameters: Sequence[Parameter], values: np.ndarray, covariance: np.ndarray) -> Estimate:
-    """Return an estimate of parameters from a covariance over all of them, zero for those that were not fitted.
+    """Return an estimate of P parameters from values and covariance, shapes (P,) and (P, P).
 
-    Args:
-        parameters: the P parameters.
-        values: shape (P,), deviations from the nominal.
-        covariance: shape (P, P).
+    A parameter of zero variance counts as not fitted; values are deviations from the nominal.
     """
     free = np.diag(covariance) > 0.0
     prior = np.array([parameter.size for parameter in parameters])
@@ -294,7 +279,7 @@ def estimate_of(parameters: Sequence[Parameter], values: np.ndarray, covariance:
 
 
 def carried_over(values: np.ndarray, index: dict[str, int], parameters: Sequence[Parameter]) -> np.ndarray:
-    """Return what a vector says of parameters by name, shape (n,); zero (or False) for names that are not in ``index``."""
+    """Return the entries of a vector by parameter name, shape (n,); zero (or False) for names not in ``index``."""
     found = np.zeros(len(parameters), values.dtype)
     for i, parameter in enumerate(parameters):
         if parameter.name in index:

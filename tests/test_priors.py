@@ -52,7 +52,7 @@ def test_a_prior_counts_as_much_as_a_reading_of_the_parameter(kuka: Robot, table
     ("priors", "words"),
     [
         ({"joint_2.thta": 1.0}, "such as joint_2.theta"),
-        ({"base.x": 1.0}, "base and targets left out"),
+        ({"base.x": 1.0}, "base and targets excluded"),
         ({"*.theta": "1mm"}, "expected a number in rad"),
         ({"*.theta": -1.0}, "a standard deviation"),
         ({"*.theta": float("nan")}, "a standard deviation"),

@@ -1,4 +1,4 @@
-"""What is believed of a problem's parameters before anything is fitted: which may move, how far, and how large noise is."""
+"""Prior knowledge about a problem's parameters: which are released, their priors and bounds, and the declared noise."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from pincal.identify.station import Station
 from pincal.model.effects import LENGTH_SIZE
 from pincal.units import size_in
 
-# A point that seems farther away than this [m] was seen from too much the same side.
+# A point estimated to be farther away than this [m] was observed from too few directions.
 _FARTHEST = 50.0
-# So many times as far as usual a parameter may move that is free.
+# Prior of a parameter declared free, as a multiple of its usual size.
 _FREE = 1e3
-# Standard deviations of priors that can be meant, in any unit; a float holds their squares.
+# Range of sensible prior standard deviations, in any unit; a float holds their squares.
 _LEAST, _MOST = 1e-30, 1e30
 _EXPECTED = f"a standard deviation from {_LEAST:g} to {_MOST:g}"
 
 
 def is_frame(problem: Problem) -> np.ndarray:
-    """Return which parameters say where things are: base and tool, named points, a camera's pinhole, shape (P,)."""
+    """Return which parameters are frame coordinates (base, tool, named points, a camera's pinhole), shape (P,)."""
     return np.array([p.is_extrinsic for p in problem.parameters], bool)
 
 
@@ -40,7 +40,7 @@ def of_stations(problem: Problem, mask_of: Callable[[Station], np.ndarray]) -> n
 
 
 def sensors_own(problem: Problem) -> np.ndarray:
-    """Return which parameters belong to sensors, shape (P,): coordinates of named points, a camera's lens."""
+    """Return which parameters belong to sensors (coordinates of named points, a camera's lens), shape (P,)."""
     return of_stations(problem, Station.sensors)
 
 
@@ -48,46 +48,46 @@ def given_sizes(problem: Problem, options: Options) -> np.ndarray:
     """Return the standard deviations of the priors in ``options.priors``, shape (P,): 0 if held, nan if none is given.
 
     Raises:
-        BadInputError: for a size that is not in the unit of its parameter.
+        BadInputError: for a size in another unit than the parameter's.
     """
     sizes = np.full(len(problem.parameters), np.nan)
     for pattern, size in options.priors.items():
         for k in _named(problem, pattern):
-            name, unit = problem.parameters[k].name, problem.parameters[k].unit
+            parameter = problem.parameters[k]
             try:
-                sizes[k] = size_in(size, unit) if isinstance(size, str) else size
+                sizes[k] = size_in(size, parameter.unit) if isinstance(size, str) else size
             except ValueError as error:
-                raise BadInputError(f"the prior of {name} is {error}, or with a unit") from error
+                raise BadInputError(f"the prior of {parameter.name} is {error}, or with a unit") from error
             if not (sizes[k] in (0.0, np.inf) or _LEAST <= sizes[k] <= _MOST):
-                raise BadInputError(f"the prior of {name} is {size}; expected {_EXPECTED}, or 0 to hold it")
+                raise BadInputError(f"the prior of {parameter.name} is {size}; expected {_EXPECTED}, or 0 to hold it")
     return sizes
 
 
 def require_named(problem: Problem, options: Options) -> None:
-    """Refuse a prior of what is no parameter of the model.
+    """Refuse a prior that matches no parameter of the model.
 
     Raises:
-        BadInputError: naming some that are alike.
+        BadInputError: naming similar parameters.
     """
     known = [problem.parameters[k].local_name for k in _named(problem, "*")]
     for pattern in options.priors:
         if not _named(problem, pattern):
             close = ", ".join(difflib.get_close_matches(pattern, dict.fromkeys(known), n=3, cutoff=0.0))
             raise BadInputError(
-                f"a prior is given for {pattern!r}: no parameter of this model, those of base and targets left out; "
+                f"a prior is given for {pattern!r}, which is no parameter of this model (base and targets excluded); "
                 f"expected one such as {close}, or a pattern such as '*.theta'"
             )
 
 
 def _named(problem: Problem, pattern: str) -> list[int]:
-    """Return where the parameters of this name or pattern stand, those left out that say where something stands."""
+    """Return the indices of the parameters that match a name or pattern, frame coordinates and sensors' own excluded."""
     is_place = is_frame(problem) | sensors_own(problem)
     names = [{p.name, p.local_name} for p in problem.parameters]
     return [k for k, of in enumerate(names) if not is_place[k] and any(fnmatchcase(name, pattern) for name in of)]
 
 
 def released_of(problem: Problem, options: Options) -> np.ndarray:
-    """Return which parameters a fit may move: all but a known base, known tools, what sensors know and what is held."""
+    """Return which parameters a fit releases: all but those that the user gave, a sensor fixes, or a prior of 0 holds."""
 
     def released(station: Station) -> np.ndarray:
         known = known_frames(options.at(station.name))
@@ -110,14 +110,14 @@ def lengths_of_links(problem: Problem) -> np.ndarray:
 
 
 def excited_of(problem: Problem) -> np.ndarray:
-    """Return which parameters act at all at the nominal geometry, or did so: not the compliance about a vertical axis."""
+    """Return which parameters act at all at the nominal geometry, or did so in an earlier fit, shape (P,)."""
     return np.asarray(problem.beliefs.is_remembered | problem.largest_basis[1])
 
 
 def deviations(problem: Problem, options: Options) -> tuple[np.ndarray, ...]:
     """Return which parameters are of the kinds of :class:`PriorScale`, shape (P,) each.
 
-    Left out are where an arm is mounted, those whose priors the user gave, and joint offsets whose zeros are unknown.
+    Excluded: where an arm is mounted, parameters with priors given by the user, and joint offsets with unknown zeros.
     """
     mounts, zeros = problem.chain.mounts, [f"{pattern}.theta" for pattern in options.zeros]
     unknown = np.array(
@@ -131,7 +131,7 @@ def deviations(problem: Problem, options: Options) -> tuple[np.ndarray, ...]:
 
 
 def priors_of(problem: Problem, options: Options) -> Priors:
-    """Return priors by physical group: so many mm, mrad, or mrad at the largest moment that these poses bring."""
+    """Return priors by physical group: some mm, some mrad, or some mrad at the largest moment in these poses."""
     sizes, given = usual_sizes(problem), given_sizes(problem, options)
     for kind, scale in zip(deviations(problem, options), options.prior_scale or PriorScale(), strict=True):
         sizes[kind] *= scale
@@ -139,10 +139,10 @@ def priors_of(problem: Problem, options: Options) -> Priors:
         unknown = [fnmatchcase(p.local_name, f"{pattern}.theta") for p in problem.parameters]
         sizes[np.array(unknown, bool)] = np.pi
     if options.earlier is not None:
-        # Along axes that are known to be nearly parallel, as a SCARA's, a target's place has no end else.
+        # Along axes that are known to be nearly parallel, as a SCARA's, a target's position would be unbounded.
         on_tool = [p.is_extrinsic and p.unit == "m" and p.element != "base" for p in problem.parameters]
         sizes[np.array(on_tool, bool)] = problem.chain.robot.reach
-    # What no pose shows of a parameter that is free has to stay somewhere; what is held never moves, whatever its size.
+    # A free parameter needs a finite prior where no pose determines it; one that is held never moves, whatever its size.
     given = np.where(np.isinf(given), np.maximum(_FREE * sizes, 1e-300), given)
     return Priors(problem.beliefs.widened(np.where(given > 0.0, given, sizes)), bounds_of(problem, options))
 
@@ -150,7 +150,7 @@ def priors_of(problem: Problem, options: Options) -> Priors:
 def bounds_of(problem: Problem, options: Options) -> np.ndarray:
     """Return the largest deviations that a fit may find, shape (P,); inf for none.
 
-    The bound of lengths is meant for those of links; a length that is known less well may be off by as many times more.
+    The bound on lengths applies to links; it grows in proportion for a length with a wider prior.
     """
     sizes, given = np.array([p.size for p in problem.parameters]), given_sizes(problem, options)
     sizes = np.where([p.unit == "m" for p in problem.parameters], np.where(given > 0.0, given, sizes), np.inf)

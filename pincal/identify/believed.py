@@ -1,12 +1,12 @@
-r"""What is believed of parameters beyond the prior of each: earlier fits, smooth curves, the scale of contacts.
+r"""Prior knowledge beyond each parameter's own prior: earlier fits, smooth curves, the scale of contacts.
 
-With m the values and C the covariance that an earlier fit found of the robot's parameters x, whatever belonged to the
-stations of that time left out, its term is :math:`(x - m)^T C^{-1} (x - m)`. It takes the place of these parameters' priors,
-which are in C already. For a linear model the fit of new rows beside it is the joint fit of old and new ones.
+With m the values and C the covariance that an earlier fit found for the robot's parameters x, its stations' parameters
+marginalised, the term is :math:`(x - m)^T C^{-1} (x - m)`. It replaces the priors of these parameters, which C contains
+already. For a linear model a fit of new rows with this term is the joint fit of old and new rows.
 
-A solver counts in units of priors, so the term is handed to it as what it says beyond them, :math:`C^{-1} - D^{-2}` for
-priors of sizes D. What the old rows did not see has only the priors then, as if the rows were there. That a curve is smooth
-is such a term about zero, beside the priors of its heights.
+The solver works in units of priors, so it receives the difference :math:`C^{-1} - D^{-2}` for priors of sizes D. What the
+old rows did not determine then has only its prior. Smoothness of a curve is such a term about zero, in addition to the
+priors of its heights.
 """
 
 from __future__ import annotations
@@ -23,21 +23,20 @@ from pincal.identify.station import Station
 from pincal.model.effects import LENGTHS
 from pincal.parameters import Estimate, Parameter
 
-# Smallest standard deviation of a direction, in parts of the largest, each parameter in units of its own: below is rounding.
+# Smallest standard deviation of a direction relative to the largest, each parameter in units of its own; below is rounding.
 _LEAST = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Earlier:
-    """A normal distribution of K parameters, or what is believed of them beside the prior of each: (x - m)^T H (x - m).
+    """A normal distribution of K parameters, or knowledge in addition to the prior of each: (x - m)^T H (x - m).
 
     Attributes:
         names: the parameters.
         mean: shape (K,), m.
-        information: shape (K, K), H, of a distribution the inverse of its covariance.
-        sigma: shape (K,), standard deviations, if the priors about zero are part of it already; None for what stands beside
-            them.
-        places: shape (K,), where the parameters stand in a problem's table.
+        information: shape (K, K), H; the inverse covariance of a distribution.
+        sigma: shape (K,), standard deviations if the priors about zero are contained already; None for additional knowledge.
+        places: shape (K,), indices of the parameters in a problem's table.
     """
 
     names: tuple[str, ...]
@@ -48,10 +47,10 @@ class Earlier:
 
     @classmethod
     def of(cls, estimate: Estimate) -> Earlier:
-        """Return what an estimate of a robot's parameters says of those that were fitted.
+        """Return the distribution of the fitted parameters of an estimate of a robot.
 
         Raises:
-            BadInputError: if there are parameters of a station among them.
+            BadInputError: if it contains parameters of a station.
         """
         foreign = [p.name for p in estimate.parameters if p.station or p.is_extrinsic]
         if foreign:
@@ -67,7 +66,7 @@ class Earlier:
         return cls(names, estimate.values[free], inverse @ inverse.T, sigma)
 
     def known_zero(self, others: np.ndarray) -> Earlier:
-        """Return the distribution of the other parameters if some, shape (K,), are known to be zero."""
+        """Return the distribution of the other parameters, conditioned on ``others``, shape (K,), being zero."""
         if not others.any():
             return self
         kept = ~others
@@ -78,17 +77,17 @@ class Earlier:
         return Earlier(names, mean, H, np.sqrt(np.diag(C)))
 
     def taken_back(self, sizes: np.ndarray) -> np.ndarray:
-        """Return the sizes of the priors that are part of it, shape (K,), inf for none, given those of all parameters."""
+        """Return the sizes of the priors that the term contains, shape (K,), inf for none, given those of all parameters."""
         return np.full(len(self.places), np.inf) if self.sigma is None else sizes[self.places]
 
 
 class Beliefs(NamedTuple):
-    """What is believed of a problem's parameters beyond the prior of each.
+    """Knowledge about a problem's parameters beyond the prior of each.
 
     Attributes:
         terms: no parameter is in two of them.
         is_remembered: shape (P,), which parameters are known from an earlier fit.
-        is_slope: whether there is nothing but the slope of contacts, which counts for nothing beside exact readings.
+        is_slope: whether the only term is the slope of contacts, which is negligible where readings are exact.
     """
 
     terms: tuple[Earlier, ...]
@@ -104,7 +103,7 @@ class Beliefs(NamedTuple):
         return recalled
 
     def widened(self, sizes: np.ndarray) -> np.ndarray:
-        """Return sizes of priors, shape (P,), no smaller than these, beyond which no earlier fit says less than nothing."""
+        """Return sizes of priors, shape (P,), no smaller than these, with which no earlier fit has negative information."""
         found = sizes.copy()
         for term in self.terms:
             if term.sigma is not None:
@@ -114,7 +113,7 @@ class Beliefs(NamedTuple):
         return found
 
     def square(self, values: np.ndarray, sizes: np.ndarray) -> float:
-        """Return what they add to the sum of squares of the priors; arguments as of :meth:`beyond_priors`."""
+        """Return what the terms add to the sum of squares of the priors; arguments as for :meth:`beyond_priors`."""
         total = 0.0
         for term in self.terms:
             here, off = values[term.places], values[term.places] - term.mean
@@ -122,10 +121,10 @@ class Beliefs(NamedTuple):
         return total
 
     def beyond_priors(self, kept: np.ndarray, values: np.ndarray, sizes: np.ndarray) -> Form:
-        """Return what they add to the priors of some parameters.
+        """Return the information of the terms beyond the priors.
 
         Args:
-            kept: shape (K,), their places, ascending.
+            kept: shape (K,), indices of the parameters that are asked for, ascending.
             values: shape (P,), present values.
             sizes: shape (P,), standard deviations of the priors.
         """
@@ -140,13 +139,13 @@ class Beliefs(NamedTuple):
 
 
 def slope_of_contacts(station: Station) -> np.ndarray:
-    r"""Return what keeps the noise of contacts from shrinking the robot: the slope of a row's log-likelihood, shape (P,).
+    r"""Return the slope of a row's log-likelihood that keeps the noise of contacts from shrinking the robot, shape (P,).
 
-    Contacts read joints q at which residuals r(q) are small. The smaller the robot, the smaller they are, whatever it is:
-    the likelihood of q is the density of r times :math:`\sqrt{\det (J J^T)}` with J = dr/dq, which grows with the scale s
-    of the robot as :math:`s^m` for m components of r. Without this :math:`m \ln s` of each row N rows shrink a robot whose
-    scale is known to sigma by about :math:`m N \sigma^2`. The scale is that of the lengths L on the path,
-    :math:`\ln s = L^T \delta / L^T L` for deviations delta of theirs.
+    Contacts read joints q at which residuals r(q) are small. The smaller the robot, the smaller the residuals: the
+    likelihood of q is the density of r times :math:`\sqrt{\det (J J^T)}` with J = dr/dq, which grows with the robot's scale
+    s as :math:`s^m` for m components of r. Without this :math:`m \ln s` of each row N rows shrink a robot whose scale is
+    known to sigma by about :math:`m N \sigma^2`. The scale is :math:`\ln s = L^T \delta / L^T L` for deviations delta of the
+    lengths L on the path.
     """
     chain, nothing = station.model.chain, np.zeros(len(station.parameters))
     if not station.sensor.is_of_joints:
@@ -159,12 +158,9 @@ def slope_of_contacts(station: Station) -> np.ndarray:
 def scale_of_contacts(
     stations: Sequence[Station], places: Sequence[np.ndarray], parameters: Sequence[Parameter]
 ) -> Earlier | None:
-    """Return :func:`slope_of_contacts` of all rows as squares about a point so far away that they are straight.
+    """Return :func:`slope_of_contacts` of all rows as squares about a point so distant that they are linear.
 
-    Args:
-        stations: all stations.
-        places: where the parameters of each stand among all.
-        parameters: all P of them.
+    ``places`` are the indices of each station's parameters among all, ``parameters``.
     """
     slope = np.zeros(len(parameters))
     for station, local in zip(stations, places, strict=True):

@@ -45,31 +45,31 @@ Tables = Measurements | Sequence[Measurements] | Mapping[str, Measurements]
 
 log = logging.getLogger(__name__)
 
-# How often the masses of an earlier fit are taken to what they weigh now, and the change that is none.
+# Rounds in which the masses of an earlier fit are rescaled to the present ones, and the negligible relative change.
 _WEIGHINGS, _SAME_WEIGHT = 10, 1e-3
-# How often the factor on priors is looked for.
+# Rounds in which the factors on priors are estimated.
 _SCALINGS = 4
-# The paper's sequence (IV.D); base and tool, known there, stay free throughout. The last stage releases everything.
+# The paper's sequence (IV.D); base and tool, known there, are free throughout. The last stage releases everything.
 PAPER_STAGES: dict[str, tuple[str, ...]] = {
     "1 joint offsets": ("joint_offset",),
     "2 link geometry and axis distortion": ("link_geometry", "axis_distortion"),
     "3 elasticity": ("joint_elasticity", "bearing_elasticity", "oblique_bearing", "bearing_place"),
 }
 
-# A step that moves predictions by less than this part of the noise changes nothing that a test notices.
+# A step that moves predictions by less than this part of the noise changes no test noticeably.
 _CLOSE = 5e-3
 
 
 class Tolerance(Enum):
-    """How far a fit goes."""
+    """How closely a fit converges."""
 
     ROUGH = "close to convergence, outliers only down-weighted"
     CLOSE = "to within the resolution of a test, without further features"
-    NEAR = "to convergence, with features excited only by deviations if the data require them where it begins"
+    NEAR = "to convergence, with features excited only by deviations if the data require them at its start"
     SETTLED = "to convergence, with features excited only by deviations if the data require them"
 
 
-# The stages after those of a plan; the second one only where it is called for.
+# The stages after those of a plan; the second one only where the data require it.
 _LAST_STAGES = {
     Tolerance.ROUGH: (),
     Tolerance.CLOSE: ("final",),
@@ -81,9 +81,9 @@ _LAST_STAGES = {
 def fit_tables(
     robot: Robot, measurements: Tables, options: Options | None = None, *, executor: Executor | None = None
 ) -> ModelFit:
-    """Identify a robot's deviations from measured poses; arguments and errors as of :func:`pincal.calibrate`.
+    """Identify a robot's deviations from measured poses; arguments and errors as for :func:`pincal.calibrate`.
 
-    Tables that come without the names of their stations are station_1 and so on. Results do not depend on the executor.
+    Tables without station names are station_1 and so on. Results do not depend on the executor.
     """
     tables = {name: by_pose(table) for name, table in tables_of(measurements).items()}
     options = _completed(robot, options, tables)
@@ -111,7 +111,7 @@ def _cautious(fit: ModelFit) -> ModelFit:
 
 
 def tables_of(measurements: Tables) -> dict[str, Measurements]:
-    """Return the rows of each station by its name; one that is alone needs none.
+    """Return the rows of each station by its name; a single station needs none.
 
     Raises:
         BadInputError: without any table, and as :func:`pincal.measure.table.stations_of`.
@@ -124,7 +124,7 @@ def tables_of(measurements: Tables) -> dict[str, Measurements]:
     if not tables:
         raise BadInputError("no tables of measurements; expected one or more")
     for name, variable in RECORDED.items():
-        # How joints arrived is recorded on some days only; on the others it is unknown.
+        # Approach directions may be recorded on some days only; on the others they are unknown.
         if variable.unknown is not None and any(getattr(table, name) is not None for table in tables.values()):
             for key in [key for key, table in tables.items() if getattr(table, name) is None]:
                 unknown: dict[str, Any] = {name: np.full(tables[key].q.shape, variable.unknown)}
@@ -133,14 +133,14 @@ def tables_of(measurements: Tables) -> dict[str, Measurements]:
 
 
 def reads_places(tables: Mapping[str, Measurements]) -> bool:
-    """Return whether any table tells where a target is; those of IMUs alone do not."""
+    """Return whether any table determines target positions; IMUs alone do not."""
     return any(table.sensor is None or table.sensor.reads_place for table in tables.values())
 
 
 def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurements]) -> Options:
-    """Return the options with all points that the training rows name, and as effects the masses that nobody knows.
+    """Return the options with all named points of the training rows, and with unknown masses among the effects.
 
-    Where IMUs alone tell all there is, what drives do is among the effects, too.
+    Where IMUs are the only instruments, the drives' errors are among the effects, too.
     """
     options = Options() if options is None else options
     if options.earlier is None and not reads_places(tables):
@@ -169,31 +169,32 @@ def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurem
 
 
 def _tools(options: Options, table: Measurements) -> Tools | None:
-    """Return what is known of the targets of a table, those that are named points of a link among them."""
-    places = {str(name): options.setup.points.get(str(name)) for name in np.unique(table.target) if is_on_link(str(name))}
-    known = {name: place for name, place in places.items() if place is not None}
+    """Return the known positions of a table's targets, including targets that are named points on a link."""
+    on_links = (name for name in map(str, np.unique(table.target)) if is_on_link(name))
+    known = {name: place for name in on_links if (place := options.setup.points.get(name)) is not None}
     return {**known, **(options.tools or {})} if known else options.tools
 
 
-def _begun(fit: ModelFit, executor: Executor | None) -> ModelFit:
+def _begun(fit: ModelFit, executor: Executor | None = None) -> ModelFit:
+    """Return a fit from the start values, with those of an earlier fit where it has any."""
     return _solved(fit, fit.problem.beliefs.recalled(fit.values), executor=executor)
 
 
 def _by_all(fit: ModelFit, problem: Problem, executor: Executor | None) -> ModelFit:
-    """Return a fit to some rows of a problem, done with, fitted to all of them; itself if these are all."""
+    """Return a fit to some rows of a problem, refitted to all of them; itself if these are all."""
     if len(fit.problem) == len(problem):
         return fit
     log.info("all %d rows, from the fit to %d of them", len(problem), len(fit.problem))
     whole = over_all(fit, problem, executor)
     if whole.options.serial and is_dependent(whole):
-        # What some rows leave of all tells how noise lasts, which saves a fit without it.
+        # The residuals of all rows under the fit to some show how noise is correlated, which saves one fit.
         whole = with_serial(whole, serial_noise(whole))
     found = with_bearings(_solved(whole, whole.solution, until=Tolerance.NEAR, executor=executor))
     return replace(found, nominal=_without_outliers(found, executor), stages=(*fit.stages, *found.stages))
 
 
 def _rescaled(fit: ModelFit) -> ModelFit:
-    """Return a fit beside an earlier one that found masses, the earlier one moved to what they weigh now."""
+    """Return a fit whose prior is an earlier fit with masses, the earlier one rescaled to the present masses."""
     earlier, problem, factor = fit.options.earlier, fit.problem, 1.0
     weight = 0.0 if earlier is None else weight_of(problem, earlier)
     if earlier is None or not weight:
@@ -203,28 +204,26 @@ def _rescaled(fit: ModelFit) -> ModelFit:
         if not 0.1 < factor < 10.0 or abs(factor / before - 1.0) < _SAME_WEIGHT:
             break
         problem = replace(problem, earlier=Earlier.of(along_gauge(problem, earlier, factor)))
-        fit = replace(fit, problem=problem, priors=priors_of(problem, fit.options))
-        fit = _solved(fit, problem.beliefs.recalled(fit.values))
+        fit = _begun(replace(fit, problem=problem, priors=priors_of(problem, fit.options)))
     return fit
 
 
 def _without_outliers(fit: ModelFit, executor: Executor | None) -> Solution:
-    """Return the fit of base and tool on the rows that the full fit found sound, so that "before" is judged fairly."""
+    """Return the fit of base and tool to the rows that the full fit did not reject, so that "before" is judged fairly."""
     nominal, weights = fit.nominal, fit.solution.weights
     sound = weights > 0.0
     if sound.all():
         return nominal
-    rows = fit.problem.select(sound)
     course = Course("none", executor=executor)
-    again = solve(rows, nominal.values, nominal.free, fit.priors, fit.noise, course)
+    again = solve(fit.problem.select(sound), nominal.values, nominal.free, fit.priors, fit.noise, course)
     return replace(again, weights=weights, iterations=nominal.iterations)
 
 
 def expected_fit(robot: Robot, measurements: Tables, options: Options | None = None) -> ModelFit:
-    """Return what a calibration could tell from these poses, before one is made.
+    """Return what a calibration with these poses could determine, before it is made.
 
-    The solution stands at the nominal geometry; its posterior is what the poses and the noise allow. Noise that is not
-    declared is taken from a calibration, since only the residuals know it.
+    The solution is at the nominal geometry, its posterior the one that poses and noise allow. Noise that is not declared is
+    estimated by a calibration, since it follows only from residuals.
 
     Raises:
         BadInputError: as :func:`calibrate`.
@@ -232,7 +231,7 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
     tables = {name: by_pose(table) for name, table in tables_of(measurements).items()}
     options = _completed(robot, options, tables)
     some, whole = begin(robot, tables, options, None)
-    fit = _in_best_frame(_by_all(_begun(some, None), whole, None))
+    fit = _in_best_frame(_by_all(_begun(some), whole, None))
     problem, nominal, fitted = fit.problem, fit.nominal, fit.solution
     free = released_of(problem, options) & excited_of(problem)
     found = Linearised(problem, nominal.values, free, fitted.weights, fit.priors.sizes).posterior(fitted.sigma)
@@ -241,20 +240,19 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
 
 
 def _in_best_frame(fit: ModelFit) -> ModelFit:
-    """Return a fit in the convention of moments that fits best, if the options leave it open and moments matter."""
-    effects, frame = fit.options.effects, fit.problem.chain.moment_frame
+    """Return a fit in the moment convention that fits best, if the options leave it open and moments matter."""
+    effects, present = fit.options.effects, fit.problem.chain.moment_frame
     if fit.options.moment_frame != "auto":
         return fit
     if any(effect.uses_moments for effect in effects):
         few = some_rows_of(fit)
         tried = [few if few is fit else with_bearings(refit(few, effects))]
-        for other in (other for other in MOMENT_FRAMES if other != frame):
+        for other in (other for other in MOMENT_FRAMES if other != present):
             log.info("how well --moment-frame %s fits, by %d rows", other, len(few.problem))
             tried.append(with_bearings(refit(few, effects, moment_frame=other)))
-        frame = best_of(tried)
-    if frame != fit.problem.chain.moment_frame:
-        return with_bearings(refit(fit, effects, moment_frame=frame))
-    return replace(fit, options=replace(fit.options, moment_frame=frame))
+        if (best := best_of(tried)) != present:
+            return with_bearings(refit(fit, effects, moment_frame=best))
+    return replace(fit, options=replace(fit.options, moment_frame=present))
 
 
 def refit(
@@ -265,14 +263,14 @@ def refit(
     start: Mapping[Effect, np.ndarray] | None = None,
     until: Tolerance = Tolerance.SETTLED,
 ) -> ModelFit:
-    """Fit the same readings with other effects, everything jointly again, from where the parameters stand.
+    """Fit the same readings with other effects, all parameters jointly, from their present values.
 
     Args:
         fit: a calibration.
-        effects: what may deviate, beside base and tool; parameters known to ``fit`` by name start at its values.
-        moment_frame: where moments are taken and bend the arm; default: as in ``fit``.
-        start: values of new effects close to the end, so that the last stage is all that is needed; default: zero.
-        until: how far to go; a fit that others follow need not be settled.
+        effects: besides base and tool; parameters that ``fit`` has by name start at its values.
+        moment_frame: where moments are taken and deflect the arm; default: as in ``fit``.
+        start: values of new effects near the solution, so that the last stage suffices; default: zero.
+        until: how closely to converge; less is enough if other fits follow.
     """
     frame = moment_frame or fit.problem.chain.moment_frame
     effects = without_idle_features(frame, with_masses(fit.problem.chain.robot, effects))
@@ -284,7 +282,7 @@ def refit(
 
 
 def reweighted_by_order(fit: ModelFit) -> ModelFit:
-    """Return a fit whose rows are weighed by the noise along their order that the fit leaves; perhaps by none."""
+    """Return a fit with rows weighted by the correlated noise that its residuals show along their order; perhaps none."""
     found = serial_noise(fit)
     if not any(serial is not None for serial in (*found, *(station.serial for station in fit.problem.stations))):
         return fit
@@ -292,7 +290,7 @@ def reweighted_by_order(fit: ModelFit) -> ModelFit:
 
 
 def with_bearings(fit: ModelFit) -> ModelFit:
-    """Return a fit with what the data call for of the features of its bearings, which may take further fits."""
+    """Return a fit with the bearing features that the data require, which may take further fits."""
     more = required_features(fit).effects
     return with_bearings(refit(fit, (*fit.options.effects, *more), start={})) if more else fit
 
@@ -300,7 +298,7 @@ def with_bearings(fit: ModelFit) -> ModelFit:
 def _solved(
     fit: ModelFit, start: np.ndarray | Solution, *, until: Tolerance = Tolerance.SETTLED, executor: Executor | None = None
 ) -> ModelFit:
-    """Go through the stages; each begins where the one before ended. The last are enough after a solution that is near."""
+    """Run the stages, each from the end of the one before; only the last ones from a solution nearby."""
     problem, options, stages = fit.problem, fit.options, list[FitStage]()
     released = released_of(problem, options)
     excited = released & excited_of(problem)
@@ -323,7 +321,7 @@ def _solved(
             short = _CLOSE if until is Tolerance.CLOSE else SETTLED
             fitted = solved(name, begun, released if missed else fitted.free, short=short, ahead=until is Tolerance.NEAR)
         if not missed and fitted.iterations == 1:
-            # It ends where it was asked.
+            # The test was made at the solution itself.
             break
     return replace(fit, solution=fitted, stages=tuple(stages))
 
@@ -339,28 +337,28 @@ def _plan(problem: Problem, free: np.ndarray, options: Options) -> list[tuple[st
 
 
 def _is_missed(fit: ModelFit, released: np.ndarray) -> tuple[bool, Linearised]:
-    """Return whether the data call for the parameters that the nominal geometry never excites (a score test).
+    """Return whether the data require parameters that the nominal geometry never excites (a score test).
 
-    Such a parameter times a deviation makes a ridge along which a fit wanders, so it is let in only on request. The problem
-    at the fit is returned as well.
+    Such a parameter times a deviation makes a ridge along which a fit wanders, so it is released only if required. The
+    problem linearised at the fit is returned as well.
     """
     problem, fitted, sizes = fit.problem, fit.solution, fit.priors.sizes
-    # What only one of several stations has would be a matter of this station alone.
+    # A parameter of one of several stations alone says nothing of the robot.
     held = released & ~fitted.free & problem.is_shared
     found = Linearised(problem, fitted.values, fitted.free | held, fitted.weights, sizes)
     if not held.any():
         return False, found
     wide = found.posterior(np.maximum(fitted.sigma, rounding(problem)))
     if is_exact(wide.whole, usual_sizes(problem, sizes)[found.free]):
-        # The least deviation counts, and is lost in the rounding of H.
+        # The smallest deviation counts, and is lost in the rounding of H.
         return bool(np.any(fitted.estimated > rounding(problem))), found
     gain = wide.gain(np.ones(len(wide.is_shared), bool)) - wide.gain(fitted.free[found.free])
-    # Of rows that agree beyond chance, it tells as much as blocks of them do.
+    # Rows that are correlated hold as much information as blocks of them do.
     return bool(gain / fitted.widened > chdtri(int(held.sum()), CRITERIA.unexcited)), found
 
 
 def doubts_of_known(fit: ModelFit) -> tuple[str, ...]:
-    """Return what to say if the readings contradict what was given of the sensor, which the fit held (a score test)."""
+    """Return warnings if the readings contradict given sensor parameters, which the fit held (a score test)."""
 
     def given(sensor: Sensor) -> bool:
         return isinstance(sensor, KnownParameters) and sensor.is_given
@@ -372,7 +370,7 @@ def doubts_of_known(fit: ModelFit) -> tuple[str, ...]:
 
 
 def _refuse_too_few(tables: dict[str, Measurements], fit: ModelFit) -> None:
-    """Refuse a fit through all readings: it leaves nothing to estimate the noise from."""
+    """Refuse a fit with as many parameters as readings, which leaves nothing to estimate the noise from."""
     problem, fitted = fit.problem, fit.solution
     readings, rows = int(problem.readings(fitted.weights).sum()), np.count_nonzero(fitted.weights)
     spent = fitted.posterior.visible_rank

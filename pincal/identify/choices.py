@@ -1,9 +1,9 @@
-r"""What the data decide of how an arm bends: directions and places of its bearings, where moments bend it, and its masses.
+r"""Choices that the data make about elasticity: directions and places of bearings, moment convention, and masses.
 
-Masses that nobody weighed are static moments up to one factor, which compliances share. What bends an arm is :math:`k \, n`:
-masses times c and compliances over c are one and the same robot, until a payload of known mass is measured. A fit knows of
-this by first order alone: seen from its values, what is free is a straight line where it should be :math:`k/c, m c`. Whoever
-takes a fit for an earlier one's prior moves it along the curve first.
+Unknown masses enter as static moments up to one factor, which compliances share. The deflection is :math:`k \, n`: masses
+times c with compliances over c describe the same robot, until a payload of known mass is measured. A fit represents this to
+first order only: from its values, the free direction is a straight line where the truth is :math:`k/c, m c`. A fit used as
+the prior of another is therefore first moved along the curve.
 """
 
 from __future__ import annotations
@@ -29,71 +29,69 @@ from pincal.parameters import Covariance, Estimate
 
 
 class Called(NamedTuple):
-    """Features of bearings that data call for, and what they take off the sum of squares, to first order."""
+    """Bearing features that the data require, and their joint gain in the sum of squares, to first order."""
 
     effects: tuple[Effect, ...]
     gain: float
 
 
 def required_features(fit: ModelFit, least: float = 0.0) -> Called:
-    """Return the features of bearings that a fit does not have and that the data call for.
+    """Return the bearing features that a fit does not have and that the data require.
 
-    A bearing sits where the URDF has the joint, and its stiff and soft directions are the axes of its frame, unless the data
-    say otherwise. A place beside a compliance that hardly shows makes a ridge along which a fit wanders, and every parameter
-    that is not needed is paid for in accuracy. So they enter one by one, each by what it takes off the squares to first
-    order beside those before it.
+    By default a bearing sits where the URDF has the joint, and its stiff and soft directions are the axes of its frame. A
+    place next to a compliance that is hardly determined makes a ridge along which a fit wanders, and every superfluous
+    parameter costs accuracy. So features enter one by one, each by its gain to first order given those before it.
 
     Args:
         fit: the fit.
-        least: what they have to take off the squares together; if they can't, none is called for.
+        least: joint gain below which no feature is returned.
     """
     effects = fit.options.effects
-    asked = [e for e in bearing_features(fit.problem.chain, effects) if e not in effects]
-    if not asked:
+    candidates = [e for e in bearing_features(fit.problem.chain, effects) if e not in effects]
+    if not candidates:
         return Called((), 0.0)
-    asking = fit.with_effects((*effects, *asked))
-    problem, near, sizes = asking.problem, asking.solution, priors_of(asking.problem, fit.options).sizes
-    places = {effect: int(problem.places_at(effect)[0]) for effect in asked}
-    free = near.free.copy()
-    free[list(places.values())] = True
+    wider = fit.with_effects((*effects, *candidates))
+    problem, near, sizes = wider.problem, wider.solution, priors_of(wider.problem, fit.options).sizes
+    places = {effect: int(problem.places_at(effect)[0]) for effect in candidates}
+    held, free = near.free.copy(), near.free.copy()
+    held[list(places.values())], free[list(places.values())] = False, True
     sigma = np.maximum(near.sigma, rounding(problem))
-    wide = Linearised(problem, near.values, free, near.weights, sizes).posterior(sigma)
+    posterior = Linearised(problem, near.values, free, near.weights, sizes).posterior(sigma)
 
-    def gain(*named: Effect) -> float:
-        kept = near.free.copy()
-        kept[list(places.values())] = False
-        kept[[places[effect] for effect in named]] = True
-        return wide.gain(kept[free])
+    def gain(*released: Effect) -> float:
+        kept = held.copy()
+        kept[[places[effect] for effect in released]] = True
+        return posterior.gain(kept[free])
 
-    settled, most = gain(), gain(*asked)
-    if most - settled <= least:
+    without, most = gain(), gain(*candidates)
+    if most - without <= least:
         return Called((), 0.0)
 
-    def offers(found: tuple[Effect, ...]) -> Iterator[Scored[Effect]]:
+    def scores(found: tuple[Effect, ...]) -> Iterator[Scored[Effect]]:
         enough = gain(*found) + CRITERIA.bearing
         # All together gain no less than any of them.
-        for effect in (effect for effect in asked if effect not in found and most > enough):
+        for effect in (effect for effect in candidates if effect not in found and most > enough):
             gained = gain(*found, effect)
             yield Scored(effect, -gained, gained >= enough)
 
-    found = select_stepwise(tuple[Effect, ...](), offers, lambda found, effect: (*found, effect), most=len(asked))
-    return Called(found, gain(*found) - settled)
+    found = select_stepwise(tuple[Effect, ...](), scores, lambda found, effect: (*found, effect), most=len(candidates))
+    return Called(found, gain(*found) - without)
 
 
-# Rows from which it is chosen: conventions differ by more than these could miss, or by nothing that matters.
+# Rows used to choose a convention: a difference that these do not show does not matter.
 _ROWS = 2000
 
 
 def some_rows_of(fit: ModelFit) -> ModelFit:
-    """Return a fit as it is, of as many of its rows, evenly spread, as are enough to choose a convention by."""
+    """Return a fit, unchanged, of as many of its rows, evenly spread, as suffice to choose a convention."""
     n = len(fit.problem)
     return fit if n <= _ROWS else fit.select(np.linspace(0, n - 1, _ROWS).astype(int))
 
 
 def best_of(fits: Sequence[ModelFit]) -> MomentFrame:
-    """Return the convention of the fit that leaves least; that of the first unless another is better beyond chance.
+    """Return the convention of the best fit; the first fit's unless another is better beyond chance.
 
-    Conventions may have more parameters than others, which are counted by Akaike's criterion.
+    Conventions may differ in the number of parameters, so fits are compared by Akaike's criterion.
     """
     deviances = [deviance(fit) + 2.0 * fit.solution.effective for fit in fits]
     best = int(np.argmin(deviances))
@@ -101,7 +99,7 @@ def best_of(fits: Sequence[ModelFit]) -> MomentFrame:
 
 
 def deviance(fit: ModelFit) -> float:
-    """Return -2 log likelihood, up to a constant; an outlier counts as a row at the edge of the noise."""
+    """Return -2 log likelihood, up to a constant; an outlier counts as a row at the limit of screening."""
     found = 0.0
     for (station, _, blocks), rows in zip(fit.stations, fit.problem.rows, strict=True):
         n, sizes = len(station), station.block_sizes
@@ -113,13 +111,13 @@ def deviance(fit: ModelFit) -> float:
 
 @dataclass(frozen=True)
 class AxisMoment:
-    """A static moment at one pose, and what the fit knows of it.
+    """A static moment at one pose, and its uncertainty.
 
     Attributes:
         joint: name of the joint.
         axis: "x", "y" or "z" of the frame in which the chain takes moments.
         moment: [N m].
-        sigma: its standard deviation if the largest moment is held, and with it the common factor [N m].
+        sigma: its standard deviation conditional on the largest moment, and so on the common factor [N m].
     """
 
     joint: str
@@ -129,21 +127,21 @@ class AxisMoment:
 
     @property
     def is_identified(self) -> bool:
-        """Whether the data tell it to a third or better."""
+        """Whether the data determine it to a third or better."""
         return self.sigma < CRITERIA.moment * abs(self.moment)
 
 
 @dataclass(frozen=True)
 class FoundMoments:
-    """The moments of an arm whose masses were found with its compliances, at one pose.
+    """The static moments at one pose of an arm whose masses were identified together with its compliances.
 
     Attributes:
         q: shape (n,), the pose: of those fitted the one whose moments are of median size [rad or m].
-        axes: the moments that are felt, from the base.
-        largest: the largest of them, which is held for the others' standard deviations.
-        factor_sigma: relative standard deviation of the factor that all moments share, and the compliances its inverse.
-        mass: what the links weigh in all [kg].
-        links: names of the links whose masses were found.
+        axes: the moments that matter, from the base.
+        largest: the largest of them, on which the others' standard deviations are conditioned.
+        factor_sigma: relative standard deviation of the factor that moments share, and compliances inversely.
+        mass: total mass of the links [kg].
+        links: names of the links whose masses were identified.
     """
 
     q: np.ndarray
@@ -155,7 +153,7 @@ class FoundMoments:
 
 
 def found_moments(fit: ModelFit) -> FoundMoments | None:
-    """Return the moments at a typical pose, with their uncertainty; None where masses were not found."""
+    """Return the moments at a typical pose, with their uncertainty; None where masses were not identified."""
     model, values = fit.arm
     places = np.array(sorted({body.parameter for body in model.bodies}), int)
     if not len(places):
@@ -166,7 +164,7 @@ def found_moments(fit: ModelFit) -> FoundMoments | None:
     n = model.static_moments(values, typical)[0]
     steps = np.eye(model.n_parameters)[places]
     J = np.array([model.static_moments(values + step, typical)[0] - n for step in steps]).T
-    # Of those that were not fitted it is that of the prior.
+    # Parameters that were not fitted have their priors.
     known = fit.estimate.take(model.names[i] for i in places)
     C = known.dense_covariance() + np.diag(np.where(known.free, 0.0, known.prior**2))
     most = int(np.argmax(np.abs(n)))
@@ -187,13 +185,13 @@ def found_moments(fit: ModelFit) -> FoundMoments | None:
 
 
 def weight_of(problem: Problem, estimate: Estimate) -> float:
-    """Return what the links whose masses were found weigh by an estimate, in all [kg]; 0 if none were."""
+    """Return the total mass of the links with identified masses by an estimate [kg]; 0 if there are none."""
     masses = (p for p in problem.parameters if p.unit == "kg" and p.name in estimate.names)
     return sum((p.nominal + estimate[p.name] for p in masses), 0.0)
 
 
 def along_gauge(problem: Problem, estimate: Estimate, factor: float) -> Estimate:
-    """Return an estimate with all masses times a factor, and all that is per moment over it: the same robot."""
+    """Return an estimate with all masses times a factor, and all that is per moment divided by it: the same robot."""
     powers = {p.name: float(max(p.moment_power, 0)) for p in problem.parameters}
     for effect in problem.effects:
         if effect.uses_moments:

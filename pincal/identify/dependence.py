@@ -1,17 +1,17 @@
-r"""Whether what a fit leaves depends on the order of its rows, the noise of which that speaks, and what blocks of rows say.
+r"""Dependence of residuals on the order of the rows, the correlated noise that explains it, and scores of blocks of rows.
 
-Correlation and share of :class:`Serial` are those by which the residuals are likeliest whatever the model's parameters are
+Correlation and share of :class:`Serial` are the most likely ones for the residuals, the model's parameters marginalised
 (restricted maximum likelihood: Patterson and Thompson 1971, Biometrika 58, 545-554).
 
-The second leg of uncertainty is what blocks of rows that follow each other say, whatever makes them agree.
-With :math:`s_n = J_n^T r_n` the scores of the rows in units of their noise and G the normal matrix, the covariance of the
-parameters is :math:`G^{-1}` if rows are independent, and
+Blocks of consecutive rows give a second account of the uncertainty, whatever correlates them. With :math:`s_n = J_n^T r_n`
+the scores of the rows in units of their noise and G the normal matrix, the covariance of the parameters is :math:`G^{-1}` if
+rows are independent, and
 
 .. math:: G^{-1} \Big( \sum_b s_b s_b^T \Big) G^{-1}, \qquad s_b = \sum_{n \in b} s_n ,
 
-for blocks b that are (the sandwich: Liang and Zeger 1986, Biometrika 73, 13-22; of blocks, not of rows, as in a moving-block
-bootstrap). Blocks are too few to tell it parameter by parameter, so what is taken from it is one factor: the mean over all
-directions that the model can move in, beside the same rows in any order.
+if blocks b are (the sandwich: Liang and Zeger 1986, Biometrika 73, 13-22; of blocks, as in a moving-block bootstrap). There
+are too few blocks for a factor per parameter, so one is taken: the mean over all directions of the model, relative to the
+same rows in any order.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, solve_triangular
@@ -31,36 +30,35 @@ from pincal.identify.fit import ModelFit, posterior_of
 from pincal.identify.station import Station
 from pincal.identify.whitening import Serial, turned_into
 
-# Bands of lags [rows] whose products of residuals are added up: noise that changes fast shows in the first, drifts in the
-# last.
+# Bands of lags [rows] whose products of residuals are summed: fast noise shows in the first, drifts in the last.
 _BANDS = ((1, 1), (2, 5), (6, 20))
-# Rows that are near each other in the order; and pairs of rows far apart in it, nearest in the joints, that tell.
+# Lags of rows that are near in the order; number of pairs of rows, far apart in the order and nearest in the joints.
 _NEAR, _NEAREST = 5, 500
-# Readings by which it is estimated; and rows by which dependence is looked for.
+# Readings used to estimate the noise; rows used to test for dependence.
 _READINGS, _ROWS = 2400, 4096
-# Where the search for share and correlation begins: fast, slow and a walk.
+# Start values of share and correlation: fast, slow and a random walk.
 _STARTS = ((0.5, 0.5), (0.8, 0.9), (0.9, 0.995))
-# Longest memory, in rows: a walk over any table; and longer ones that are taken if they are as likely, the longest first.
+# Longest memory, in rows: a random walk over any table; and longer ones, accepted if as likely, the longest first.
 _LONGEST, _MEMORIES = 1e5, (3e4, 1e3, 300.0, 100.0, 30.0)
-# Logarithms of sizes of white noise, in units of that of the residuals, that are tried.
+# Trial values for the log size of white noise, in units of the residuals' noise.
 _SIZES = np.linspace(-0.4, 0.4, 9)
 
 # Rows of a block.
 _LENGTHS = (5, 10, 20, 40)
-# Readings of a station by which it is told, and stations that are asked.
+# Readings of a station, and stations, that the factor of blocks is estimated from.
 _BLOCK_READINGS, _MOST_STATIONS = 1500, 8
-# Points of an image at most, in the mean, by which as many images tell it.
+# Mean number of points per image up to which the number of images is kept.
 _MOST_AT_ONCE = 20
 
 
 def dependence(residuals: np.ndarray, position: np.ndarray) -> float:
-    """Return by how many standard deviations residuals of rows near each other in the order agree more than by chance.
+    """Return by how many standard deviations residuals of neighbouring rows agree more than by chance.
 
-    The reference is that of the same residuals in any order (a permutation test by its first two moments).
+    The reference are the same residuals in any order (a permutation test by its first two moments).
 
     Args:
         residuals: shape (m, N), in units of the noise.
-        position: shape (N,), where each row stands in the order.
+        position: shape (N,), of each row in the order.
     """
     n = residuals.shape[1]
     if n < CRITERIA.fewest_in_order:
@@ -80,25 +78,22 @@ def dependence(residuals: np.ndarray, position: np.ndarray) -> float:
 
 
 def serial_noise(fit: ModelFit) -> tuple[Serial | None, ...]:
-    """Return how the noise of each station of a fit is correlated along its rows; None where it is not.
-
-    Rows that were weighed by it already are taken as they were read.
-    """
-    return tuple(seen.serial() for seen in _seen(fit))
+    """Return how the noise of each station of a fit is correlated along the rows as they were read; None where it is not."""
+    return tuple(station.serial() for station in _fitted_stations(fit))
 
 
 def with_serial(fit: ModelFit, found: tuple[Serial | None, ...]) -> ModelFit:
-    """Return a fit as it is whose rows are to be weighed by this noise."""
+    """Return a fit, unchanged, whose rows are to be weighted by this noise."""
     stations = tuple(replace(s, serial=serial) for s, serial in zip(fit.problem.stations, found, strict=True))
     return fit.over(stations)
 
 
 def placed_at_mean(fit: ModelFit) -> ModelFit:
-    """Return a fit whose instruments, or targets, stand where they were on average, as far as an error persisted.
+    """Return a fit with instruments, or targets, at their mean position, as far as an error persisted.
 
-    An error that persists through a session moves them for what the session shows. The best estimate of where they are
-    without it lies off most of the rows, by as much as it is unsure; the mean of what is left is as good an estimate, to a
-    few per cent, and the rows are predicted. Nothing else in the fit depends on it, and its covariance stays.
+    An error that persists through a session displaces them in that session. The best estimate of their position without it
+    lies off most rows, by its uncertainty; the mean of the residuals is as good an estimate, to a few per cent, and predicts
+    the rows. Nothing else in the fit depends on it, and its covariance is kept.
     """
     values = fit.values.copy()
     for (station, places, _), rows in zip(fit.stations, fit.problem.rows, strict=True):
@@ -115,20 +110,13 @@ def placed_at_mean(fit: ModelFit) -> ModelFit:
 
 
 def is_dependent(fit: ModelFit) -> bool:
-    """Return whether what a fit leaves, as it weighs it, depends on the order of the rows at any station."""
-    return any(seen.dependence > CRITERIA.dependent for seen in _seen(fit))
+    """Return whether the weighted residuals of a fit depend on the order of the rows at any station."""
+    return any(station.dependence > CRITERIA.dependent for station in _fitted_stations(fit))
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """A station of a fit.
-
-    Attributes:
-        station: the station.
-        values, free, sizes: shape (P,), of its parameters.
-        counted: shape (N,), rows that count.
-        sigma: shape (m, 1), noise of each component of a reading.
-    """
+class _FittedStation:
+    """A station of a fit: values, free and sizes, shape (P,), rows that count, shape (N,), and noise, shape (m, 1)."""
 
     station: Station
     values: np.ndarray
@@ -144,13 +132,13 @@ class _Seen:
 
     @property
     def dependence(self) -> float:
-        """By how much more than chance what is left agrees at rows near each other, as the fit weighs it."""
-        begun = self.begun
-        return max((begun.dependence_in(turns) for turns in begun.frames), default=0.0)
+        """Dependence of the weighted residuals on the order, the largest of all frames."""
+        first = self.first_rows
+        return max((first.dependence_in(turns) for turns in first.frames), default=0.0)
 
     @property
-    def begun(self) -> _Seen:
-        """It with as many rows that count, the first in the order, as dependence is looked for by."""
+    def first_rows(self) -> _FittedStation:
+        """The station with its first rows in the order, as many that count as dependence is tested by."""
         station = self.station
         if station.position is None or station.sensor.is_whole or np.count_nonzero(self.counted) <= _ROWS:
             return self
@@ -160,7 +148,7 @@ class _Seen:
 
     @property
     def frames(self) -> tuple[np.ndarray | None, ...]:
-        """Where errors may persist: in the frame of the readings, and in a target's, by its rotations, shape (N, 3, 3)."""
+        """Frames in which errors may persist: the readings' (None), and a target's, by its rotations, shape (N, 3, 3)."""
         if self.station.position is None:
             return ()
         sensor, (of_model, _) = self.station.sensor, self.station.split(self.values)
@@ -168,42 +156,42 @@ class _Seen:
             return (None,)
         return None, self.station.model.predict(of_model, self.station.conditions)[:, :, :3]
 
-    def left(self, turns: np.ndarray | None) -> np.ndarray:
-        """Return what is left, as the fit weighs it, in units of its noise, shape (m, N), in one of the frames."""
-        return self._left if turns is None else turned_into(turns, self._left)
+    def residuals(self, turns: np.ndarray | None) -> np.ndarray:
+        """Return the weighted residuals in units of the noise, shape (m, N), in one of the frames."""
+        return self._residuals if turns is None else turned_into(turns, self._residuals)
 
     @cached_property
-    def _left(self) -> np.ndarray:
+    def _residuals(self) -> np.ndarray:
         station = self.station
-        left = np.asarray(station.whitened(station.residuals(self.values)) * station.weights / self.sigma)
+        found = np.asarray(station.whitened(station.residuals(self.values)) * station.weights / self.sigma)
         if station.serial is None or station.serial.turns is None:
-            return left
-        return turned_into(station.serial.turns.swapaxes(1, 2), left)
+            return found
+        return turned_into(station.serial.turns.swapaxes(1, 2), found)
 
     def dependence_in(self, turns: np.ndarray | None) -> float:
-        """Return the same in one of the frames."""
+        """Return the dependence in one of the frames."""
         assert self.station.position is not None
-        left, position = self.left(turns)[:, self.counted], self.station.position[self.counted]
-        by_rows = dependence(left, position)
+        residuals, position = self.residuals(turns)[:, self.counted], self.station.position[self.counted]
+        by_rows = dependence(residuals, position)
         pose = self.poses[self.counted] if by_rows > CRITERIA.dependent else np.arange(len(position))
         if len(np.unique(pose)) == len(pose):
             return by_rows
-        # What is read in one pose, of several targets, shares what the robot does there.
+        # Readings of several targets in one pose share the robot's error there.
         _, first, pose = np.unique(pose, return_index=True, return_inverse=True)
-        means = np.stack([np.bincount(pose, row) for row in left]) / np.sqrt(np.bincount(pose))
+        means = np.stack([np.bincount(pose, row) for row in residuals]) / np.sqrt(np.bincount(pose))
         return dependence(means, position[first])
 
     def first(self, most: int) -> np.ndarray:
-        """Return the rows that count with the first so many readings in the order, shape (n,)."""
+        """Return the rows that count with the first ``most`` readings in the order, shape (n,)."""
         assert self.station.position is not None
         sound = np.flatnonzero(self.counted)
         few = max(most // self.station.reading_size, CRITERIA.fewest_in_order)
         return np.asarray(sound[np.argsort(self.station.position[sound], kind="stable")][:few])
 
     def first_instants(self, most: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows as :meth:`first` does, and which of them are one block at the least, both shape (n,).
+        """Return rows as :meth:`first`, and for each the number of its image, both shape (n,).
 
-        Points of one image of a moving arm have one error of its path: of these there are as many images.
+        Points of one image of a moving arm share one error of its path, so images count as rows do.
         """
         if not self.station.conditions.are_in_motion:
             some = self.first(most)
@@ -215,7 +203,7 @@ class _Seen:
         return some, at_once[: len(some)]
 
     def columns(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return residuals and columns of D free parameters, shape (1 + D, m, n), in units of the noise, and which ones."""
+        """Return residuals and D free parameters' columns, shape (1 + D, m, n), in units of the noise, and their indices."""
         few = self.station.select(rows)
         pieces = [
             (residuals, *jacobian.dense_columns()) for _, residuals, jacobian in few.linearise_shared(self.values, self.free)
@@ -225,54 +213,54 @@ class _Seen:
 
     def serial(self) -> Serial | None:
         """Return how the noise is correlated along the rows as they were read; None where it is not."""
-        seen = replace(self, station=replace(self.station, serial=None))
-        begun, position = seen.begun, seen.station.position
-        if position is None or begun.station.sensor.is_whole or begun.dependence < CRITERIA.dependent:
+        plain = replace(self, station=replace(self.station, serial=None))
+        first, position = plain.first_rows, plain.station.position
+        if position is None or first.station.sensor.is_whole or first.dependence < CRITERIA.dependent:
             return None
-        if len(np.unique(seen.poses)) < len(seen.station):
-            # Several readings of a pose hang together by the pose, which is another noise.
+        if len(np.unique(plain.poses)) < len(plain.station):
+            # Several readings of a pose are correlated by the pose, which is another noise.
             return None
-        some = begun.first(_READINGS)
-        every, places = begun.columns(some)
-        assert begun.station.position is not None
-        near = begun.station.position[some]
-        priors = seen.sizes[seen.free][places] ** -2.0, seen.values[seen.free][places]
-        ends, likeliest, gained = np.cumsum([0, *begun.station.block_sizes]).tolist(), None, 0.0
-        for turns, everywhere in zip(begun.frames, seen.frames, strict=True):
-            if begun.dependence_in(turns) < CRITERIA.dependent or begun.follows_joints(some, turns):
+        some = first.first(_READINGS)
+        every, places = first.columns(some)
+        assert first.station.position is not None
+        near = first.station.position[some]
+        priors = plain.sizes[plain.free][places] ** -2.0, plain.values[plain.free][places]
+        blocks, likeliest, gained = first.station.block_rows, None, 0.0
+        for turns, everywhere in zip(first.frames, plain.frames, strict=True):
+            if first.dependence_in(turns) < CRITERIA.dependent or first.follows_joints(some, turns):
                 continue
             columns, gains = every if turns is None else turned_into(turns[some], every), 0.0
-            phi, share = np.zeros(ends[-1]), np.zeros(ends[-1])
-            for a, b in pairwise(ends):
-                found = _likeliest(columns[:, a:b], near, *priors)
+            phi, share = np.zeros(columns.shape[1]), np.zeros(columns.shape[1])
+            for rows in blocks:
+                found = _likeliest(columns[:, rows], near, *priors)
                 if found is not None:
-                    gain, phi[a:b], share[a:b] = found
+                    gain, phi[rows], share[rows] = found
                     gains += gain
             if gains > gained:
-                likeliest, gained = Serial(phi, share, position, seen.counted, everywhere), gains
+                likeliest, gained = Serial(phi, share, position, plain.counted, everywhere), gains
         return likeliest
 
     def follows_joints(self, rows: np.ndarray, turns: np.ndarray | None) -> bool:
-        """Return whether rows near each other in the joints, or in one, agree however far apart they are in the order.
+        """Return whether residuals of rows near in all joints, or in one, agree however far apart they are in the order.
 
-        What is left is then a function of the pose, along which the rows follow each other, and no noise.
+        They are then a function of the pose, which changes steadily along the rows, and not noise.
         """
-        n, left, q = len(rows), self.left(turns)[:, rows], self.station.conditions.q[rows]
-        left = left - left.mean(axis=1, keepdims=True)
+        n, residuals, q = len(rows), self.residuals(turns)[:, rows], self.station.conditions.q[rows]
+        z = residuals - residuals.mean(axis=1, keepdims=True)
         q = q / np.maximum(q.std(axis=0), 1e-12)
-        by_order = np.mean([np.mean(np.sum(left[:, :-lag] * left[:, lag:], axis=0)) for lag in range(1, _NEAR + 1)])
-        # Pairs far apart in the order: how alike they are, and how near.
+        by_order = np.mean([np.mean(np.sum(z[:, :-lag] * z[:, lag:], axis=0)) for lag in range(1, _NEAR + 1)])
+        # Pairs far apart in the order: their products and distances.
         first, second = np.triu_indices(n, max(n // 4, _BANDS[-1][1]))
-        alike = np.sum(left[:, first] * left[:, second], axis=0)
+        products = np.sum(z[:, first] * z[:, second], axis=0)
         apart = np.abs(q[first] - q[second]).T
         for distance in (np.linalg.norm(apart, axis=0), *apart):
             nearest = np.argpartition(distance, _NEAREST)[:_NEAREST] if len(distance) > _NEAREST else slice(None)
-            if np.mean(alike[nearest]) > 0.5 * by_order:
+            if np.mean(products[nearest]) > 0.5 * by_order:
                 return True
         return False
 
     def factor(self) -> float:
-        """Return how many times as large variances are as blocks of consecutive rows tell; 1 if not surely larger."""
+        """Return the factor on variances that blocks of consecutive rows show; 1 if not significantly larger."""
         if self.station.position is None or self.station.sensor.is_whole:
             return 1.0
         some, at_once = self.first_instants(_BLOCK_READINGS)
@@ -284,31 +272,30 @@ class _Seen:
         return _largest_factor(np.einsum("dmn,mn->dn", J, columns[0]), normal, at_once)
 
 
-def _seen(fit: ModelFit) -> Iterator[_Seen]:
+def _fitted_stations(fit: ModelFit) -> Iterator[_FittedStation]:
     problem, solution = fit.problem, fit.solution
     for (station, places, blocks), rows in zip(fit.stations, problem.rows, strict=True):
         sigma = np.repeat(solution.estimated[blocks], station.block_sizes)[:, None]
         values, free, sizes = (vector[places] for vector in (solution.values, solution.free, fit.priors.sizes))
-        yield _Seen(station, values, free, sizes, solution.weights[rows] > 0.0, sigma)
+        yield _FittedStation(station, values, free, sizes, solution.weights[rows] > 0.0, sigma)
 
 
 def _likeliest(
     columns: np.ndarray, position: np.ndarray, precision: np.ndarray, values: np.ndarray
 ) -> tuple[float, float, float] | None:
-    """Return what the likeliest noise of some components gains, its correlation and share; None if that is too little.
+    """Return the gain of the most likely correlated noise, its correlation and its share; None if it gains too little.
 
     Args:
         columns: shape (1 + P, m, N), residuals, then the model's columns, in units of the noise.
-        position: shape (N,), where each row stands in the order.
+        position: shape (N,), of each row in the order.
         precision: shape (P,), inverse variances of the parameters' priors.
-        values: shape (P,), of the parameters now.
+        values: shape (P,), present values.
     """
     _, m, n = columns.shape
-    everywhere = np.ones(n, bool)
 
     def misfit(at: np.ndarray) -> float:
         noise, share, phi = float(np.exp(at[0])), float(expit(at[1])), float(1.0 - np.exp(-at[2]))
-        serial = Serial(np.full(m, phi), np.full(m, share), position, everywhere)
+        serial = Serial(np.full(m, phi), np.full(m, share), position, np.ones(n, bool))
         z = serial.innovations(columns).reshape(len(columns), -1)
         H = z[1:] @ z[1:].T / noise
         H.flat[:: len(H) + 1] += precision
@@ -330,7 +317,7 @@ def _likeliest(
     if white - float(best.fun) < CRITERIA.correlated:
         return None
     for memory in np.log(_MEMORIES).tolist():
-        # Of memories that the rows can't tell apart the longest: a short one takes the mean of the noise for well known.
+        # The longest of the memories that are as likely: a short one takes the mean of the noise for well known.
         longer = _least(lambda at, memory=memory: misfit(np.append(at, memory)), best.x[:2])  # type: ignore[misc]
         if memory > best.x[2] and float(longer.fun) < float(best.fun) + CRITERIA.as_likely:
             return white - float(longer.fun), float(1.0 - np.exp(-memory)), float(expit(longer.x[1]))
@@ -343,14 +330,14 @@ def _least(misfit: Callable[[np.ndarray], float], start: np.ndarray) -> Optimize
 
 
 def with_blocks(fit: ModelFit, beyond: float = 1.0) -> ModelFit:
-    """Return a fit with a covariance as wide as blocks of consecutive rows tell, times a factor for other doubts.
+    """Return a fit with a covariance as wide as blocks of consecutive rows require, times a given factor.
 
-    Of several stations the largest factor counts; of many, some are asked, evenly spread: it widens what all say together.
+    The largest factor of all stations counts; of many stations some are tested, evenly spread.
     """
-    every = list(_seen(fit))
-    asked = set(np.linspace(0.0, len(every) - 1.0, _MOST_STATIONS).round().astype(int).tolist())
-    factors = [(every[k].factor(), every[k].station.conditions.are_in_motion) for k in asked]
-    # In motion windows of an IMU overlap, and errors of the joints' path last for some rows: that widens, and is no doubt.
+    every = list(_fitted_stations(fit))
+    tested = set(np.linspace(0.0, len(every) - 1.0, _MOST_STATIONS).round().astype(int).tolist())
+    factors = [(every[k].factor(), every[k].station.conditions.are_in_motion) for k in tested]
+    # In motion, windows of an IMU overlap and errors of the path last for some rows: that widens, but is no defect.
     of_blocks = max((factor for factor, in_motion in factors if not in_motion), default=1.0)
     widest = beyond * max((factor for factor, _ in factors), default=1.0)
     solution = replace(fit.solution, of_blocks=of_blocks, widened=max(widest, 1.0))
@@ -361,10 +348,10 @@ def with_blocks(fit: ModelFit, beyond: float = 1.0) -> ModelFit:
 
 
 def _largest_factor(scores: np.ndarray, normal: np.ndarray, at_once: np.ndarray | None = None) -> float:
-    """Return the factor that is surest, of scores, shape (D, n), of rows in their order; 1 if none is sure.
+    """Return the most significant factor, of scores, shape (D, n), of rows in their order; 1 if none is significant.
 
-    The reference is that of the same rows in any order, by its first two moments. Rows with the same number in ``at_once``,
-    shape (n,), from 0 on, are in one block always; default: each is one.
+    The reference is the same rows in any order, by its first two moments. Rows with one number in ``at_once``, shape (n,),
+    from 0 on, are always in one block; default: each row has its own.
     """
     at_once = np.arange(scores.shape[1]) if at_once is None else at_once
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))

@@ -1,8 +1,7 @@
 """All stations of a problem linearised at one point: squares of residuals, and normal equations for one noise.
 
-What a station contributes is computed by functions of arguments that can be pickled, so that the sum can be mapped by any
-``concurrent.futures`` executor. Contributions are added in the order of the stations, so that the result does not depend on
-it.
+The contributions of stations are computed by functions of picklable arguments, so that any ``concurrent.futures`` executor
+can map them. They are added in the order of the stations, so the result does not depend on the executor.
 """
 
 from __future__ import annotations
@@ -22,11 +21,11 @@ from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
 from pincal.spread import spread_again
 
-# The number of a batch, its noise and its robust weights; and what it contributes for these.
+# The number of a batch, its noise and its robust weights; and its contribution for these.
 _Key = tuple[int, bytes, bytes]
 _Sums = tuple[tuple[Form, Eliminated], StationSquares]
 
-# Bytes of normal equations of single stations that are kept at most at one point.
+# Largest size of the normal equations of single stations that is kept at one point [bytes].
 _MOST_KEPT = 2_000_000
 
 
@@ -34,21 +33,22 @@ _MOST_KEPT = 2_000_000
 class Linearised:
     """A problem at one set of values.
 
-    The Gram matrices of each station are kept block by block of its readings, since another noise only weighs them anew. Of
-    too many stations for that nothing is kept but squares and the sums over batches of them for one noise.
+    The Gram matrices of each station are kept per block of readings, since another noise only changes their weights. Where
+    there are too many stations for that, only squares and sums over batches of stations for one noise are kept.
 
     Attributes:
         problem: the stations.
         values: shape (P,).
-        free: shape (P,), the F parameters that may move.
-        robust: shape (N,), factor on each row's weight: 0 leaves a row out.
+        free: shape (P,), the F free parameters.
+        robust: shape (N,), factor on each row's weight: 0 excludes a row.
         sizes: shape (P,), standard deviations of the priors; inf for none.
-        executor: computes what stations contribute; default: one after the other, here.
-        sigma: shape (blocks,), the noise for which equations will be wanted, where it is known before the residuals are:
-            one pass over several stations then does for both.
-        is_doubtful: whether the values may be given up by their squares, so that these come first, in a tenth of the time.
+        executor: computes the stations' contributions; default: serially, in this process.
+        sigma: shape (blocks,), the noise for which equations will be needed, if known before the residuals: one pass over
+            several stations then serves both.
+        is_doubtful: whether the values may be rejected by their squares, which are then computed first, in a tenth of the
+            time.
         normals: the latest normal equations of batches at these values, by number, perhaps with other robust weights.
-        sums: what batches contribute for the latest noise, and the squares of their residuals.
+        sums: contributions of batches for the latest noise, and the squares of their residuals.
     """
 
     problem: Problem
@@ -63,11 +63,11 @@ class Linearised:
     sums: dict[_Key, _Sums] = field(default_factory=dict)
 
     def reweighted(self, robust: np.ndarray) -> Linearised:
-        """Return the same point with other robust weights; stations whose weights stay are not computed again."""
+        """Return the same point with other robust weights; stations whose weights are unchanged are not recomputed."""
         return replace(self, robust=robust, is_doubtful=False)
 
     def narrowed(self, free: np.ndarray) -> Linearised:
-        """Return the same point with fewer free parameters, shape (P,); normal equations that are known are not again."""
+        """Return the same point with fewer free parameters, shape (P,); known normal equations are not recomputed."""
         if np.array_equal(free, self.free):
             return self
         found = replace(self, free=free, normals={}, sums={})
@@ -78,7 +78,7 @@ class Linearised:
         return found
 
     def release(self) -> None:
-        """Give up the memory of many stations' equations, which are computed again if they are asked for."""
+        """Free the memory of many stations' equations; they are recomputed on demand."""
         if not self._are_kept and self._squares:
             for kept in (self.normals, self.sums, self._posteriors):
                 kept.clear()
@@ -122,7 +122,7 @@ class Linearised:
 
     @cached_property
     def row_squares(self) -> list[np.ndarray]:
-        """For each station, each row's weighted squared residual, shape (its blocks, its rows), robust weights left out."""
+        """For each station, each row's weighted squared residual, shape (its blocks, its rows), without robust weights."""
         pairs = zip(self._squares, self._batches, strict=True)
         return [rows for found, of in pairs for rows in np.split(found.rows, of.ends[1:-1], axis=1)]
 
@@ -132,7 +132,7 @@ class Linearised:
 
     @cached_property
     def group_of(self) -> np.ndarray:
-        """For each parameter, shape (P,), the fit that it belongs to: stations that share nothing have one each."""
+        """The fit that each parameter belongs to, shape (P,): stations that share nothing have one each."""
         found = np.zeros(len(self.values), int)
         if len(self.problem.stations) > 1 and not np.any(self.free & self.problem.is_shared):
             for i, places in enumerate(self.problem.places):
@@ -140,7 +140,7 @@ class Linearised:
         return found
 
     def objectives(self, sigma: np.ndarray) -> np.ndarray:
-        """Return the sums of squares of the fits that the parameters belong to, each as in :meth:`objective`."""
+        """Return the sums of squares of these fits, each as in :meth:`objective`."""
         n = int(self.group_of.max(initial=0)) + 1
         if n == 1:
             return np.array([self.objective(sigma)])
@@ -151,7 +151,7 @@ class Linearised:
         return np.asarray(np.add.reduceat(self.squares / sigma**2, starts) + beliefs + prior)
 
     def objective(self, sigma: np.ndarray) -> float:
-        """Return the sum of squares of readings, of what sensors know beside them and of priors, in units of variances."""
+        """Return the sum of squares of readings, of the sensors' other knowledge and of priors, in units of variances."""
         known = self.free & np.isfinite(self.sizes)
         prior = float(np.sum((self.values[known] / self.sizes[known]) ** 2))
         beliefs = sum(float(found.beliefs.sum()) for found in self._squares)
@@ -162,7 +162,7 @@ class Linearised:
         return {}
 
     def posterior(self, sigma: np.ndarray) -> Posterior:
-        """Return what readings and priors say for standard deviations of all blocks of readings, shape (blocks,)."""
+        """Return the posterior for standard deviations of all blocks of readings, shape (blocks,)."""
         key = sigma.tobytes()
         if key not in self._posteriors:
             found = self._sum(sigma)
@@ -189,29 +189,26 @@ class Linearised:
         return Posterior(Form(H, g, whole), self.sizes[places], self.values[places], tuple(eliminated), believed)
 
     def _contributions(self, sigma: np.ndarray) -> list[_Sums]:
-        """Return what each batch contributes, computed where it is not known for this noise and these robust weights."""
+        """Return the contribution of each batch, computed where it is not known for this noise and these robust weights."""
         batches, sums = self._batches, self.sums
         keys = [(k, sigma[of.blocks].tobytes(), self.robust[of.rows].tobytes()) for k, of in enumerate(batches)]
         todo = [key for key in keys if key not in sums]
         new = [batches[k] for k, _, _ in todo]
         free = [self.free[of.places[0]] for of in new]
-        known = [
-            (
-                sigma[of.blocks].reshape(len(of.stations), -1),
-                of.own[may],
-                *(by[of.places][:, may] for by in (self.sizes, self.values)),
-            )
+        noise = [sigma[of.blocks].reshape(len(of.stations), -1) for of in new]
+        priors = [
+            (of.own[may], *(by[of.places][:, may] for by in (self.sizes, self.values)))
             for of, may in zip(new, free, strict=True)
         ]
         found: Iterable[_Sums]
         if self._are_kept:
             normals = self._normals
-            pairs = ((normals[k], given) for (k, _, _), given in zip(todo, known, strict=True))
-            found = ((eliminate(normal.at(noise), *prior), normal.squares) for normal, (noise, *prior) in pairs)
+            given = zip([normals[k] for k, _, _ in todo], noise, priors, strict=True)
+            found = ((eliminate(normal.at(sizes), *prior), normal.squares) for normal, sizes, prior in given)
         else:
             found = self._done(
-                of.work(contribution, self.values, may, self.robust[of.rows], *given)
-                for of, may, given in zip(new, free, known, strict=True)
+                of.work(contribution, self.values, may, self.robust[of.rows], sizes, *prior)
+                for of, may, sizes, prior in zip(new, free, noise, priors, strict=True)
             )
         sums |= zip(todo, found, strict=True)
         for key in sums.keys() - keys:
@@ -219,7 +216,7 @@ class Linearised:
         return [sums[key] for key in keys]
 
     def _done(self, tasks: Iterable[Task]) -> Iterable[Any]:
-        """Do tasks, here or on the workers, who are sent the stations once."""
+        """Do tasks, here or on the workers, which receive the stations once."""
         work = self.problem.work
         return (
             map(work, tasks) if self.executor is None else spread_again(work, tasks, label="station", executor=self.executor)

@@ -1,7 +1,7 @@
-"""Which parameters the data identify, why not the others, and which combination is identifiable in their place.
+"""Which parameters the data identify, why not the others, and which combination is identifiable instead.
 
-Judged at the nominal geometry, so that it is a statement about the robot, the poses and the instrument, not the noise. Why
-is data, a cause with its figures; here is the one place where it becomes words.
+Judged at the nominal geometry, so that it is a statement about the robot, the poses and the instrument, not the noise. A
+reason is data, a cause with its figures; only here does it become words.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from pincal.units import format_readable
 
 
 class Status(StrEnum):
-    """What became of a parameter; the values are those of ``result.json``."""
+    """Outcome for a parameter; the values are those of ``result.json``."""
 
     IDENTIFIED = "identified"
     PRIOR = "prior"
@@ -42,7 +42,7 @@ class Status(StrEnum):
 
 
 class Cause(Enum):
-    """Why a parameter is not identified; the values are how it is said, with the figures of a reason in braces."""
+    """Why a parameter is not identified; the values are the words, with the figures of a reason in braces."""
 
     NONE = ""
     GIVEN = "given by the user"
@@ -66,7 +66,7 @@ class Cause(Enum):
 
 @dataclass(frozen=True)
 class Combination:
-    """A sum ``other + factor * own`` that the data identify where they do not identify its members."""
+    """A sum ``other + factor * own`` that the data identify although they do not identify its members."""
 
     other: str
     factor: float
@@ -88,12 +88,12 @@ class Reason:
 
     Attributes:
         cause: the kind of reason.
-        parameters: the others that have the same effect, largest part of it first or as they stand in the model.
+        parameters: the others that have the same effect, largest share first or in the order of the model.
         combination: the sum that is identifiable instead.
         size: bound, prior standard deviation, or conditional standard deviation of a frame's coordinate [``unit``].
         narrowed: posterior standard deviation [``unit``].
         unit: SI unit of the parameter.
-        axis: letter of the axis that a compliance is about; empty for anything else.
+        axis: letter of a compliance's axis; otherwise empty.
         moment: largest static moment about that axis in these poses [N m].
         beside: what else is unknown along with the tool frame, such as "the unknown points".
     """
@@ -127,29 +127,23 @@ def _listed(names: tuple[str, ...]) -> str:
 
 
 IDENTIFIED = Reason(Cause.NONE)
-"""The reason of a parameter that needs none."""
+"""The reason of an identified parameter."""
 
 
-# Part of a column's square that other columns may leave and still have the same effect: 1e-4 of the column itself, far
+# Residual share of a column's square below which other columns have the same effect: 1e-4 of the column itself, far
 # below what any instrument resolves and far above rounding.
 _SAME = 1e-8
 # Eigenvalues of a scaled Gram matrix, relative to the largest, below which they are rounding (its square is 1e-16).
 _RANK = 1e-10
-# Poses that are looked at; more do not change what can be identified, and take time.
+# Poses that are used; more do not change what can be identified, and take time.
 _ROWS = 2000
-# Stations that are looked at together: what none of several such groups sees, all together hardly see either.
+# Stations examined together: what no such group determines, all of them together hardly do either.
 _TOGETHER = 8
 
 
 @dataclass(frozen=True)
 class ParameterFinding:
-    """What became of one parameter.
-
-    Attributes:
-        name: of the parameter.
-        status: whether the data identify it.
-        reason: why not.
-    """
+    """Name of a parameter, whether the data identify it, and why not."""
 
     name: str
     status: Status
@@ -158,7 +152,7 @@ class ParameterFinding:
 
 def explain(fit: ModelFit) -> tuple[ParameterFinding, ...]:
     """Return a finding on every parameter of a fit."""
-    # At the nominal geometry, of some stations at a time so that the equations stay small.
+    # At the nominal geometry, for some stations at a time so that the equations stay small.
     stations = fit.problem.stations
     cuts = [*range(0, max(len(stations) - 1, 1), _TOGETHER), len(stations)]
     nominals = [_Nominal.of(fit, stations[a:b]) for a, b in pairwise(cuts)]
@@ -174,7 +168,7 @@ def explain(fit: ModelFit) -> tuple[ParameterFinding, ...]:
 
 
 def _frame_variances(fit: ModelFit) -> dict[int, float]:
-    """Return, for each free coordinate of bases and tools, its variance with all that hides behind it at the nominal."""
+    """Return for each free coordinate of bases and tools its variance conditional on all that it absorbs at the nominal."""
     found, beside, free = fit.solution.posterior, fit.solution.known, fit.solution.free
     frames, inner = np.flatnonzero(~found.has_prior), np.flatnonzero(found.has_prior)
     shared = np.flatnonzero(free & fit.problem.is_shared)
@@ -188,7 +182,7 @@ def _frame_variances(fit: ModelFit) -> dict[int, float]:
     hidden = np.sum((F @ weak) ** 2, axis=1)
     left = np.maximum(np.diag(C)[frames] - hidden, 0.0)
     known = {int(shared[i]): float(v) for i, v in zip(frames, left, strict=True)}
-    # A station's frames follow the robot's parameters by what was carried over when they were eliminated.
+    # A station's frames follow the robot's parameters by the coefficients of their elimination.
     place, variance, spread = np.flatnonzero(free), fit.estimate.covariance.variance, np.zeros((len(shared), int(few.sum())))
     spread[inner] = weak
     for part in beside.own:
@@ -200,7 +194,7 @@ def _frame_variances(fit: ModelFit) -> dict[int, float]:
 
 
 def _of_frame(parameter: Parameter, known: float, variance: float) -> tuple[Status, Reason]:
-    """Frames of base and tool are known as well as the parameters that they absorb."""
+    """Return the status of a frame's coordinate, which is known as well as the parameters that it absorbs."""
     if known > (1.0 - CRITERIA.identified**2) * variance:
         return Status.IDENTIFIED, IDENTIFIED
     return Status.PRIOR, Reason(Cause.ABSORBS, size=float(np.sqrt(known)), unit=parameter.unit)
@@ -214,14 +208,14 @@ def _of_inner(fit: ModelFit, nominals: list[_Nominal], i: int, ratio: float) -> 
         return _not_free(fit, parameter)
     model, _ = fit.arm
     if parameter.name in {model.names[body.parameter] for body in model.bodies}:
-        # At the nominal geometry nothing bends, and neither a mass nor the place of a bearing shows.
+        # At the nominal geometry nothing deflects, so neither a mass nor the place of a bearing has an effect.
         return (Status.PRIOR, Reason(Cause.MASS)) if ratio >= CRITERIA.identified else (Status.IDENTIFIED, IDENTIFIED)
     views = [(nominal, nominal.index[parameter.name]) for nominal in nominals if parameter.name in nominal.index]
     unseen = min(nominal.unseen[k] for nominal, k in views)
     if unseen > CRITERIA.unseen and (ratio >= CRITERIA.identified or not np.isfinite(size)):
         nominal, k = views[0]
         reason = nominal.counterpart(k)
-        # Where a bearing sits shows as far as it is compliant, which at the nominal it does not.
+        # The place of a bearing has an effect only if it is compliant, which at the nominal it is not.
         if reason.cause is not Cause.NOT_OBSERVED or ratio >= CRITERIA.narrowed:
             return Status.UNIDENTIFIABLE, replace(reason, moment=_largest_moment(fit, parameter))
     if ratio >= CRITERIA.identified:
@@ -245,7 +239,7 @@ def _not_free(fit: ModelFit, parameter: Parameter) -> tuple[Status, Reason]:
 
 
 def _largest_moment(fit: ModelFit, parameter: Parameter) -> float | None:
-    """Return the largest static moment that a joint's compliance answers to in these poses [N m]; None for all else."""
+    """Return the largest static moment on a joint's compliance in these poses [N m]; None for other parameters."""
     stations = fit.problem.stations[:_TOGETHER]
     joints = stations[0].model.chain.robot.joint_names
     joint, symbol = parameter.element, parameter.symbol
@@ -261,14 +255,14 @@ def _largest_moment(fit: ModelFit, parameter: Parameter) -> float | None:
 
 @dataclass(frozen=True)
 class _Nominal:
-    """Normal equations of stations at the nominal geometry, with base and tool where they are.
+    """Normal equations of stations at the nominal geometry, with fitted base and tool.
 
     Attributes:
         parameters: the P parameters.
         unknowns: what the sensors' own parameters describe, in words.
-        H: shape (P, P), scaled to a unit diagonal; zero rows for what has no effect.
+        H: shape (P, P), scaled to a unit diagonal; zero rows for parameters without effect.
         scale: shape (P,), by which columns were divided.
-        unseen: shape (P,), each parameter's share in the directions that no reading sees.
+        unseen: shape (P,), each parameter's share in unobservable directions.
     """
 
     parameters: tuple[Parameter, ...]
@@ -299,7 +293,7 @@ class _Nominal:
         return cls(problem.parameters, unknowns, H, scale, unseen)
 
     def counterpart(self, i: int) -> Reason:
-        """Return what has the same effect as parameter ``i``: the smallest set of parameters that does."""
+        """Return what has the same effect as parameter ``i``: the smallest set of parameters that has."""
         if self.H[i, i] < NULL:
             return Reason(Cause.NOT_OBSERVED)
         for others, cause in self._candidates(i):
@@ -318,20 +312,20 @@ class _Nominal:
         return Reason(cause, beside="" if cause is Cause.BASE else self.unknowns)
 
     def _candidates(self, i: int) -> Iterator[tuple[list[int], Cause]]:
-        """Yield sets of parameters that may have the same effect, the plainest first, with the cause if they do."""
+        """Yield sets of parameters that may have the same effect, the simplest first, with the cause if they do."""
         symbol = self.parameters[i].symbol
         base = [j for j in self._extrinsic if self.parameters[j].effect == BaseFrame.name]
         tool = [j for j in self._extrinsic if self.parameters[j].effect != BaseFrame.name]
         inner = [j for j in range(len(self.names)) if j != i and j not in base and j not in tool and self.H[j, j] > 0]
-        alike = [j for j in inner if self.names[j].endswith("." + symbol)]
+        same_symbol = [j for j in inner if self.names[j].endswith("." + symbol)]
         yield base, Cause.BASE
         yield tool, Cause.TOOL
-        for j in self._same(self.H, i, alike):
+        for j in self._same(self.H, i, same_symbol):
             yield [j], Cause.PARALLEL_AXES if symbol == "d" else Cause.COMBINATION
         for j in self._same(self.H, i, inner):
             yield [j], Cause.COMBINATION
         yield base + tool, Cause.FRAMES if base else Cause.TOOL
-        # H with what base and tool absorb taken out.
+        # H with base and tool eliminated.
         across = self.H[:, self._extrinsic] @ Form.of(self.H).root(np.array(self._extrinsic, int), _RANK)
         for j in self._same(self.H - across @ across.T, i, inner):
             yield [j, *base, *tool], Cause.ALIASED
@@ -356,14 +350,14 @@ class _Nominal:
 
     @cached_property
     def _element(self) -> list[int]:
-        """Which joint, counted from the base, each parameter belongs to."""
+        """Number of each parameter's joint, counted from the base."""
         owners = [(parameter.station, parameter.element) for parameter in self.parameters]
         place = {owner: i for i, owner in enumerate(dict.fromkeys(owners))}
         return [place[owner] for owner in owners]
 
     @staticmethod
     def _same(H: np.ndarray, i: int, others: list[int]) -> list[int]:
-        """Return those of the others that may do by themselves what parameter i does; a quick sieve."""
+        """Return the others that may each have the effect of parameter i; a quick sieve."""
         j = np.array(others, int)
         own = np.maximum(np.diag(H)[j], 1e-300)
         return [int(k) for k in j[H[i, i] - H[i, j] ** 2 / own < 10.0 * _SAME]]
@@ -373,7 +367,7 @@ class _Nominal:
         j = list(others)
         if not j:
             return None
-        # A quick sieve, which counts more of their directions.
+        # A quick sieve, which admits more of their directions.
         factor, pivots, rank, _ = dpstrf(self.H[np.ix_(j, j)], tol=_RANK, lower=1)
         seen = np.array(j)[pivots[:rank] - 1]
         along = solve_triangular(factor[:rank, :rank], self.H[seen, i], lower=True, check_finite=False)

@@ -1,4 +1,4 @@
-"""What a calibration comes to, and the same fit with other effects."""
+"""The result of a calibration, and the same fit with other effects."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pincal.model.effect import Effect
 from pincal.model.model import Model
 from pincal.parameters import Estimate
 
-# Steps that a fit takes at most.
+# Largest number of steps of a fit.
 MOST_STEPS = 40
 
 
@@ -38,12 +38,7 @@ class Ending(Enum):
 
 @dataclass(frozen=True)
 class Priors:
-    """What is believed before measuring, and how far lengths may go.
-
-    Attributes:
-        sizes: shape (P,), standard deviations about the nominal; inf for none.
-        bounds: shape (P,), largest deviations; inf for none.
-    """
+    """Prior standard deviations about the nominal, and largest deviations, shape (P,) each; inf for none."""
 
     sizes: np.ndarray
     bounds: np.ndarray
@@ -55,9 +50,9 @@ class Solution:
 
     Attributes:
         values: shape (P,).
-        posterior: what data and priors say about the free parameters at ``values``.
-        sigma: shape (blocks,), standard deviations that the fit used, one station's blocks after the other's.
-        estimated: shape (blocks,), those of its residuals.
+        posterior: of the free parameters at ``values``.
+        sigma: shape (blocks,), standard deviations that the fit used, station by station.
+        estimated: shape (blocks,), standard deviations of its residuals.
         weights: shape (N,), robust weights: 0 for an outlier.
         chi2: weighted sum of squares over the declared variances (the estimated, where none are declared).
         degrees: its degrees of freedom.
@@ -65,9 +60,9 @@ class Solution:
         exit: how it ended.
         at_bound: shape (P,), parameters held at their bound.
         free: shape (P,), parameters that were fitted.
-        wide: the same with noise as large as what is in doubt beside it; default: nothing is.
-        of_blocks: how many times as large variances are, and stated, as blocks of consecutive rows tell.
-        widened: how many times as large they are stated for all that is in doubt, errors of the path of a motion among it.
+        wide: posterior with the noise widened for all reservations; default: there are none.
+        of_blocks: factor on variances that blocks of consecutive rows show, and that is reported.
+        widened: factor on variances for all reservations, errors of the path of a motion among them.
     """
 
     values: np.ndarray
@@ -87,17 +82,17 @@ class Solution:
 
     @property
     def known(self) -> Posterior:
-        """What is known of the free parameters; what the data identify stays as it is, however uncertain it is."""
+        """The posterior to report; what the data identify does not depend on the widening."""
         return self.posterior if self.wide is None else self.wide
 
     @property
     def effective(self) -> float:
-        """Number of parameters that the data spend, priors counted."""
+        """Effective number of parameters, priors accounted for."""
         return self.posterior.effective
 
     @property
     def converged(self) -> bool:
-        """Whether the fit ended well."""
+        """Whether the fit converged."""
         return self.exit in (Ending.SETTLED, Ending.ROUGH, Ending.EXACT)
 
     @property
@@ -113,7 +108,7 @@ class FitStage:
     Attributes:
         name: what was fitted.
         iterations: number of steps of the solver.
-        rms: noise of one component of the first block of readings, as the residuals show it [m or px].
+        rms: noise of one component of the first block of readings, estimated from the residuals [m or px].
     """
 
     name: str
@@ -129,9 +124,9 @@ class ModelFit:
         problem: model and training rows of all stations.
         nominal: the fit of base and tool alone.
         solution: the fit of everything.
-        priors: what was believed before.
-        noise: what was declared of it.
-        stages: the stages it went through.
+        priors: of the parameters.
+        noise: declared noise.
+        stages: the stages of the fit.
         options: how it was made.
     """
 
@@ -160,7 +155,7 @@ class ModelFit:
 
     @property
     def model(self) -> Model:
-        """The model of the only station, its chain's reference orientations those of base and tool."""
+        """The model of the only station, its chain's reference orientations being those of base and tool."""
         return self.station.model
 
     @property
@@ -170,43 +165,43 @@ class ModelFit:
 
     @property
     def model_values(self) -> np.ndarray:
-        """Those of the model's parameters, in its order; the sensor's own left out."""
+        """Values of the model's parameters, without the sensor's own."""
         return self.station.split(self.values)[0]
 
     @cached_property
     def estimate(self) -> Estimate:
-        """The calibrated values by name, with what is known of each."""
+        """The calibrated values by name, with their covariance."""
         covariance = self.solution.known.joint_covariance
         return Estimate(self.problem.parameters, self.values, self.solution.free, covariance, self.priors.sizes)
 
     @property
     def iterations(self) -> int:
-        """Gauss-Newton steps of all stages together, those for base and tool included."""
+        """Gauss-Newton steps of all stages together, including the fit of base and tool."""
         return self.nominal.iterations + sum(stage.iterations for stage in self.stages)
 
     @property
     def stations(self) -> Iterator[tuple[Station, np.ndarray, slice]]:
-        """Each station with the places of its parameters among all, and of its blocks of readings among all blocks."""
+        """Each station with the indices of its parameters and the slice of its blocks of readings."""
         return zip(self.problem.stations, self.problem.places, self.problem.block_spans, strict=True)
 
     def names_of(self, effects: Iterable[Effect]) -> tuple[str, ...]:
-        """Return the names of the parameters of some effects of the fit, those of all stations."""
+        """Return the names of the parameters of some effects of the fit, at all stations."""
         known = self.problem.effects
         order = {id(effect): i for i, effect in enumerate(known)}
         index = [order.get(id(effect), known.index(effect)) for effect in effects]
         return tuple(self.problem.parameters[i].name for k in index for i in self.problem.places_at(known[k]))
 
     def select(self, rows: np.ndarray) -> ModelFit:
-        """Return the fit as it is, of some of its rows, by their places."""
+        """Return the fit, unchanged, with some of its rows, by index."""
         return self.over(self.problem.select(rows).stations, self.solution.weights[rows])
 
     def over(self, stations: Iterable[Station], weights: np.ndarray | None = None) -> ModelFit:
-        """Return the fit as it is over stations with other rows, perhaps with other robust weights of these, shape (N,)."""
+        """Return the fit, unchanged, over stations with other rows, perhaps with robust weights of these, shape (N,)."""
         solution = self.solution if weights is None else replace(self.solution, weights=weights)
         return replace(self, problem=replace(self.problem, stations=tuple(stations)), solution=solution)
 
     def with_effects(self, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None) -> ModelFit:
-        """Return the fit as it stands with other effects beside base and tool, nothing fitted again.
+        """Return the fit, unchanged, with other effects besides base and tool; nothing is fitted again.
 
         Parameters that it did not have are zero and so are their priors.
         """
@@ -218,22 +213,16 @@ class ModelFit:
 
     @cached_property
     def alone(self) -> tuple[ModelFit, ...]:
-        """Each station as a fit of its own, as it stands: where its rows are looked at one by one."""
+        """Each station as a fit of its own, unchanged, for tests of its rows."""
         if len(self.problem.stations) == 1:
             return (self,)
         found = []
         for (station, places, blocks), rows in zip(self.stations, self.problem.rows, strict=True):
-            # The posterior stays that of all.
+            parts: dict[str, np.ndarray | slice] = {"values": places, "free": places, "at_bound": places}
+            parts |= {"sigma": blocks, "estimated": blocks, "weights": rows}
+            # The nominal posterior remains the joint one.
             nominal, solution = (
-                replace(
-                    of,
-                    values=of.values[places],
-                    free=of.free[places],
-                    at_bound=of.at_bound[places],
-                    sigma=of.sigma[blocks],
-                    estimated=of.estimated[blocks],
-                    weights=of.weights[rows],
-                )
+                replace(of, **{name: getattr(of, name)[at] for name, at in parts.items()})
                 for of in (self.nominal, self.solution)
             )
             problem, options = Problem((replace(station, name=""),)), self.options.at(station.name)
@@ -245,14 +234,14 @@ class ModelFit:
 
     @property
     def in_places(self) -> Iterator[tuple[Station, ModelFit, slice]]:
-        """Each station whose readings tell places, with the fit of it alone, and its blocks of readings among all."""
+        """Each station whose readings determine positions, the fit of it alone, and the slice of its blocks of readings."""
         for (station, _, blocks), alone in zip(self.stations, self.alone, strict=True):
             if station.sensor.reads_place:
                 yield station, alone, blocks
 
     @property
     def arm(self) -> tuple[Model, np.ndarray]:
-        """The model of the first station and its values: what they say of the robot holds at all stations."""
+        """The model of the first station and its values; the robot's part holds at all stations."""
         station = self.problem.stations[0]
         return station.model, station.split(self.values[self.problem.places[0]])[0]
 
@@ -262,7 +251,7 @@ class ModelFit:
         return all(self.noise.declared[blocks.start] is not None for _, _, blocks in self.stations)
 
     def readings(self, measurements: Measurements, *, station: str = "") -> Station:
-        """Return the calibrated model of a station, by its name if there are several, over other measurements."""
+        """Return the calibrated model of a station, by name if there are several, over other measurements."""
         options = self.options.at(station)
         model = next(of.model for of in self.problem.stations if of.name == station)
         centre, instrument = np.array(options.payload_centre), options.instrument
@@ -270,21 +259,17 @@ class ModelFit:
 
 
 def posterior_of(problem: Problem, part: Solution, priors: Priors) -> Posterior:
-    """Return the posterior of a problem with the values, the rows' weights and the noise of a solution."""
+    """Return the posterior of a problem for the values, row weights and noise of a solution."""
     return Linearised(problem, part.values, part.free, part.weights, priors.sizes).posterior(part.sigma)
 
 
 def carried(solution: Solution, before: Problem, after: Problem) -> Solution:
-    """Return a solution's values by name over another problem's parameters; its posterior stays that of before."""
-    return replace(
-        solution,
-        values=before.carried_over(solution.values, after),
-        free=before.carried_over(solution.free, after),
-        at_bound=before.carried_over(solution.at_bound, after),
-    )
+    """Return a solution with its values by name over another problem's parameters; its posterior is unchanged."""
+    vectors = {name: before.carried_over(getattr(solution, name), after) for name in ("values", "free", "at_bound")}
+    return replace(solution, **vectors)
 
 
 def without(fit: ModelFit, effect: Effect) -> ModelFit:
-    """Return a fit as it stands with one effect taken out, nothing fitted again: the place to test the effect from."""
+    """Return a fit, unchanged, with one effect removed, nothing fitted again: where the effect is tested."""
     options = replace(fit.options, effects=tuple(e for e in fit.options.effects if e is not effect))
     return replace(fit.with_effects([e for e in fit.problem.effects if e is not effect]), options=options)

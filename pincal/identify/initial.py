@@ -29,26 +29,25 @@ from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import placed as placed_frame
 
-# More rows than these add nothing to a start, or to its short fit; of many stations each takes its part of them, some at
-# least.
+# Rows that suffice for a start, and for its short fit; many stations share them, with a minimum for each.
 _ROWS = 2000
 _SETTLED_ROWS = 500
 _FEWEST_SETTLED_ROWS = 40
-# Starts that leave as much but for this factor end in the same place; rounding does not choose among them.
+# Starts whose residuals agree to this factor end in the same place; rounding does not choose among them.
 _ALIKE = 1.0 + 1e-6
 
 
 def begin(
     robot: Robot, tables: Mapping[str, Measurements], options: Options, executor: Executor | None
 ) -> tuple[ModelFit, Problem]:
-    """Return the fit of base and tool alone, by some rows if they are very many, and the problem of all."""
+    """Return the fit of base and tool alone, to a sample if there are very many rows, and the problem with all rows."""
     if len(tables) == 1:
         tables = {"": next(iter(tables.values()))}
     placed = place(robot, tables, options)
     stations = []
     for (station, _), (name, table) in zip(placed, tables.items(), strict=True):
-        # Rows weigh as the means that they are where the noise of a single reading is declared. Where it is not, what poses
-        # differ by from the model may be as much their own, and each counts once.
+        # With declared noise, a row that is a mean of readings is weighted as such. Otherwise the model error of a pose may
+        # dominate, and each row counts once.
         if table.readings_per_row is not None and options.at(name).sigma is not None:
             station = replace(station, weights=station.weights * np.sqrt(table.readings_per_row))
         stations.append(station)
@@ -76,7 +75,7 @@ def _joined(problem: Problem, placed: Sequence[tuple[Station, np.ndarray]]) -> n
 
 
 def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) -> list[tuple[Station, np.ndarray]]:
-    """Return stations with base and tool about where they are, and the values to start from."""
+    """Return stations with base and tool roughly placed, and the values to start from."""
     found, models = [], _Models()
     for station, values in place_setups(_arm(robot, options), np.zeros(0), tables, options=options):
         effects = (*station.model.effects, *effects_at(options.effects, station.name))
@@ -88,7 +87,7 @@ def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) ->
 
 
 def starts_of(robot: Robot, table: Measurements, options: Options) -> list[tuple[Station, np.ndarray]]:
-    """Return a station at each of its sensor's closed-form placements, not fitted yet, with the values there."""
+    """Return a station at each of its sensor's closed-form placements, not fitted yet, with its values there."""
     return _candidates(_arm(robot, options), np.zeros(0), table, "", options, _Models())
 
 
@@ -98,7 +97,7 @@ def _arm(robot: Robot, options: Options) -> Model:
 
 
 class _Models:
-    """Models of stations; what depends only on the kinds of their frames and targets is found out once for all."""
+    """Models of stations, which share what depends only on the kinds of their frames and targets."""
 
     def __init__(self) -> None:
         self._first: dict[tuple[object, ...], Model] = {}
@@ -110,13 +109,13 @@ class _Models:
             tools, ends = np.tile(np.eye(3), (len(targets), 1, 1)), arm.chain.between(*links).ends
             nowhere = replace(arm.chain, targets=targets, tool_rotations=tools, ends=ends)
             found = arm.with_chain(nowhere.with_references(np.eye(3), nowhere.tool_rotations))
-            # Chains about other references share with this one what it has once been asked for.
+            # Chains about other references share what is cached here.
             assert len(found.chain.nominal) and len(found.chain.drives)
             self._arms[targets, links] = found
         return self._arms[targets, links]
 
     def same(self, model: Model) -> Model:
-        """Return the model, sharing with an earlier one that differs by where base and tool stand what both have."""
+        """Return the model, sharing its parts with an earlier one that differs only by base and tool placement."""
         frames = tuple(e if e.family is Family.EXTRINSICS else id(e) for e in model.effects)
         first = self._first.setdefault((model.chain.targets, model.chain.path, frames), model)
         if first is model:
@@ -125,7 +124,7 @@ class _Models:
 
 
 def links_of(measurements: Measurements, path: LinkPath) -> tuple[str, str]:
-    """Return the links between which all rows of a table are; default: those of a path."""
+    """Return the links between which all rows of a table are; default: the ends of a path."""
     ends = zip((measurements.from_link, measurements.to_link), (path.start, path.tip), strict=True)
     start, tip = (default if column is None else str(column[0]) for column, default in ends)
     return start, tip
@@ -134,9 +133,9 @@ def links_of(measurements: Measurements, path: LinkPath) -> tuple[str, str]:
 def place_setups(
     arm: Model, values: np.ndarray, tables: Mapping[str, Measurements], *, options: Options
 ) -> list[tuple[Station, np.ndarray]]:
-    """Return what :func:`place_arm` does, stations of one set-up with the instrument in one place.
+    """Return the result of :func:`place_arm`, with one instrument pose for the stations of a set-up.
 
-    That is where the station with the most rows has it.
+    It is the pose at the station with the most rows.
     """
     by_rows = sorted(tables, key=lambda name: len(tables[name]))
     largest = {tables[name].setup: name for name in by_rows}
@@ -148,7 +147,7 @@ def place_setups(
             own = StationOptions(**vars(options.stations.get(name, StationOptions())) | {"base": _base_of(station, found)})
             known = replace(options, stations={**options.stations, name: own})
             ((other, at),) = place_arm(arm, values, {name: table}, options=known)
-            # The same numbers mean the same place about the same reference.
+            # Equal values mean an equal pose about an equal reference.
             chain = other.model.chain.with_references(station.model.chain.base_rotation, other.model.chain.tool_rotations)
             for k, parameter in enumerate(other.parameters):
                 if parameter.element == "base":
@@ -158,13 +157,13 @@ def place_setups(
 
 
 def base_seen(robot: Robot, tables: Mapping[str, Measurements], options: Options) -> np.ndarray:
-    """Return where the nominal arm's path starts in the frame of the only station's instrument, shape (4, 4)."""
+    """Return the pose of the nominal arm's first link in the frame of the only station's instrument, shape (4, 4)."""
     ((station, values),) = place_arm(_arm(robot, options), np.zeros(0), tables, options=options)
     return _base_of(station, values)
 
 
 def _base_of(station: Station, values: np.ndarray) -> np.ndarray:
-    """Return where a station has the link from which its path starts in the instrument's frame, shape (4, 4)."""
+    """Return the pose of a station's first link in the instrument's frame, shape (4, 4)."""
     index = {parameter.name: i for i, parameter in enumerate(station.parameters)}
     at = [values[index[name]] if (name := f"base.{symbol}") in index else 0.0 for symbol in FRAME_SYMBOLS]
     return placed_frame(station.model.chain.base_rotation, np.array(at))
@@ -173,26 +172,26 @@ def _base_of(station: Station, values: np.ndarray) -> np.ndarray:
 def place_arm(
     arm: Model, values: np.ndarray, tables: Mapping[str, Measurements], *, options: Options
 ) -> list[tuple[Station, np.ndarray]]:
-    """Return the stations of an arm whose deviations are known, with base and tool about where they are, and their values.
+    """Return the stations of an arm with known deviations, base and tool roughly placed, and their values.
 
-    Of the closed-form candidates the one whose fit of base and tool leaves least is taken, of those that end alike the last.
+    Each station takes the closed-form candidate whose fit of base and tool leaves least, the last of equal ones.
 
     Args:
-        arm: the arm's chain and effects, without base and tool; its targets and reference orientations don't count.
+        arm: the arm's chain and effects, without base and tool; its targets and reference orientations are ignored.
         values: shape (P,), of its parameters.
-        tables: each station's table by its name, "" for one that is alone.
-        options: what is known of the stations.
+        tables: each station's table by its name, "" for a single one.
+        options: prior knowledge of the stations.
     """
     models = _Models()
     candidates = [_candidates(arm, values, table, name, options.at(name), models) for name, table in tables.items()]
     best: list[tuple[float, Station, np.ndarray]] = [(np.inf, *starts[0]) for starts in candidates]
-    # Stations that have something in common besides the robot are placed one by one.
+    # Stations that share more than the robot are placed one by one.
     is_apart = any(table.setup for table in tables.values()) or len(candidates) == 1
     for k in range(max(map(len, candidates))):
-        those = [i for i, starts in enumerate(candidates) if k < len(starts)]
-        together = [[candidates[i][k]] for i in those] if is_apart else [[candidates[i][k] for i in those]]
+        stations = [i for i, starts in enumerate(candidates) if k < len(starts)]
+        together = [[candidates[i][k]] for i in stations] if is_apart else [[candidates[i][k] for i in stations]]
         settled = [one for starts in together for one in _settled(starts, options)]
-        for i, (rest, found) in zip(those, settled, strict=True):
+        for i, (rest, found) in zip(stations, settled, strict=True):
             if rest < _ALIKE * best[i][0]:
                 best[i] = rest, candidates[i][k][0], found
     return [(station, found) for _, station, found in best]
@@ -201,7 +200,7 @@ def place_arm(
 def _candidates(
     arm: Model, values: np.ndarray, measurements: Measurements, name: str, options: Options, models: _Models
 ) -> list[tuple[Station, np.ndarray]]:
-    """Return where a station may stand, and the values there."""
+    """Return the possible placements of a station, with their values."""
     if len(measurements) == 0:
         raise MeasurementError(f"{measurements.source}: no rows to calibrate with")
     targets = tuple(str(t) for t in np.unique(measurements.target))
@@ -223,7 +222,7 @@ def _candidates(
 
 
 def _known(placement: Extrinsics, chain: Chain, options: Options) -> Extrinsics:
-    """Put in what the user knows of base and tools."""
+    """Return a placement with the base and tools that the user gave."""
     base = placement.base if options.base is None else np.asarray(options.base, float)
     tools = placement.tools.copy()
     for name, given in (options.tools or {}).items():
@@ -237,7 +236,7 @@ def _known(placement: Extrinsics, chain: Chain, options: Options) -> Extrinsics:
 
 
 def _at(station: Station, placement: Extrinsics, deviations: Mapping[str, float]) -> tuple[Station, np.ndarray]:
-    """Return the station about a placement, and the values that stand there, with those of the arm by name."""
+    """Return the station about a placement, and its values there, with the arm's deviations by name."""
     chain = station.model.chain.with_references(placement.base[:3, :3], placement.tools[:, :3, :3])
     station = station.with_model(station.model.with_chain(chain))
     values = np.zeros(len(station.parameters))
@@ -253,7 +252,7 @@ def _at(station: Station, placement: Extrinsics, deviations: Mapping[str, float]
 
 
 def _settled(starts: list[tuple[Station, np.ndarray]], options: Options) -> list[tuple[float, np.ndarray]]:
-    """Return the median row residual and the values after a short fit of base and tool; outliers don't vote."""
+    """Return the median row residual and the values after a short fit of base and tool, robust against outliers."""
     most = min(_SETTLED_ROWS, max(_FEWEST_SETTLED_ROWS, _ROWS // len(starts)))
     samples = [station.sample(most) for station, _ in starts]
     problem = Problem(tuple(samples))

@@ -1,8 +1,8 @@
-"""A Jacobian whose curves are kept as basis times one shared column, and its Gram matrix.
+"""A Jacobian with curves kept as basis times one shared column, and its Gram matrix.
 
-All the basis functions of curves that act on one coordinate share that coordinate's column: parameter p moves the reading
-at pose i by basis_p(i) times column(i). Kept apart, a curve of a hundred splines costs its Gram matrix hardly more than
-one parameter does, as only four splines are not zero at a pose.
+All basis functions of the curves of one coordinate share that coordinate's column: parameter p moves the reading at pose i
+by basis_p(i) times column(i). Stored as factors, a curve of a hundred splines costs hardly more than one parameter, as only
+four splines are nonzero at a pose.
 """
 
 from __future__ import annotations
@@ -25,19 +25,16 @@ from pincal.model.sparse_basis import (
     sparse_times_dense,
 )
 
-# Parts of the poses are padded to one length if that makes no more of them than this many times, so many poses at once.
+# Parts of the poses are padded to one length up to this factor in size, and up to so many poses at once.
 _PADDING = 1.5
 _AT_ONCE = 512
 
 
 @dataclass(frozen=True)
 class SharedColumns:
-    """Parameters that share a column.
+    """S parameters that share a column: their indices, their basis, shape (S, n), and the column, shape (m, n).
 
-    Attributes:
-        places: shape (S,), their columns.
-        basis: shape (S, n).
-        column: shape (m, n), derivative of the readings by the coordinate.
+    The column is the derivative of the readings with respect to the coordinate.
     """
 
     places: np.ndarray
@@ -45,7 +42,7 @@ class SharedColumns:
     column: np.ndarray
 
     def times_dense(self, dense: np.ndarray) -> np.ndarray:
-        """Return the products of their columns with others, shape (D, m, n), shape (S, D)."""
+        """Return the products with dense columns, shape (D, m, n), shape (S, D)."""
         if isinstance(self.basis, SparseBasis):
             return np.asarray(sparse_times_dense(self.basis, np.ascontiguousarray(self.column), dense))
         return np.asarray(self.basis @ np.einsum("mn,dmn->dn", self.column, dense).T)
@@ -53,13 +50,13 @@ class SharedColumns:
 
 @dataclass(frozen=True)
 class Jacobian:
-    """Derivative of m readings at n poses by F parameters.
+    """Derivative of m readings at n poses with respect to F parameters.
 
     Attributes:
         size: F.
-        places: shape (D,), columns of the parameters that share nothing.
-        dense: shape (D, m, n).
-        families: the others.
+        places: shape (D,), indices of the parameters with columns of their own.
+        dense: shape (D, m, n), these columns.
+        families: the other parameters.
     """
 
     size: int
@@ -68,7 +65,7 @@ class Jacobian:
     families: tuple[SharedColumns, ...] = ()
 
     def weighted(self, weights: np.ndarray) -> Jacobian:
-        """Return it times weights of the readings, shape (m, n) or (n,)."""
+        """Return the Jacobian times weights of the readings, shape (m, n) or (n,)."""
         families = tuple(replace(f, column=f.column * weights) for f in self.families)
         return replace(self, dense=self.dense * weights, families=families)
 
@@ -82,9 +79,9 @@ class Jacobian:
         return self.part(slice(None), rows)
 
     def columns(self, most: int, readings: slice) -> np.ndarray:
-        """Return the columns of some readings, shape (D, m, n), those that share nothing first.
+        """Return the columns of some readings, shape (D, m, n), those of single parameters first.
 
-        Of a thin basis with more than ``most`` functions those of neighbours are added up to so many.
+        Neighbouring functions of a sparse basis with more than ``most`` are summed to so many.
         """
         found = [self.dense[:, readings]]
         for family in self.families:
@@ -96,12 +93,12 @@ class Jacobian:
         return np.concatenate(found)
 
     def dense_columns(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return all columns, shape (F, m, n), and which parameters they are of, shape (F,)."""
+        """Return all columns, shape (F, m, n), and the indices of their parameters, shape (F,)."""
         most = max((f.basis.size for f in self.families if isinstance(f.basis, SparseBasis)), default=1)
         return self.columns(most, slice(None)), np.concatenate([self.places, *(f.places for f in self.families)])
 
     def along(self, steps: np.ndarray) -> np.ndarray:
-        """Return how R steps of the parameters, shape (F, R), move the readings, shape (R, m, n)."""
+        """Return the motion of the readings, shape (R, m, n), by R steps of the parameters, shape (F, R)."""
         moved = np.tensordot(steps[self.places].T, self.dense, axes=1)
         for family in self.families:
             own = np.ascontiguousarray(steps[family.places])
@@ -112,14 +109,14 @@ class Jacobian:
     def add_grams(
         self, residuals: np.ndarray, ends: np.ndarray, G: np.ndarray, g: np.ndarray, *, weights: np.ndarray | None = None
     ) -> None:
-        """Add J W^2 J^T to G, shape (S, F, F), and J W^2 r to g, shape (S, F), of each of S parts of the poses.
+        """Add J W^2 J^T to G, shape (S, F, F), and J W^2 r to g, shape (S, F), for each of S parts of the poses.
 
         Args:
-            residuals: shape (m, n).
-            ends: shape (S + 1,), where the parts begin and end.
-            G: what is added to.
-            g: likewise.
-            weights: shape (n,), W; default: 1.
+            residuals: r, shape (m, n).
+            ends: shape (S + 1,), boundaries of the parts.
+            G: modified in place.
+            g: modified in place.
+            weights: W, shape (n,); default: 1.
         """
         for some in self._at_once(np.diff(ends)):
             here = slice(int(ends[some.start]), int(ends[some.stop]))
@@ -135,7 +132,7 @@ class Jacobian:
                 g[some][:, at] += found[1]
 
     def _at_once(self, counts: np.ndarray) -> Iterator[slice]:
-        """Yield parts that follow each other whose products are taken at once, given how many poses each has."""
+        """Yield runs of parts whose products are computed at once, given the number of poses of each."""
         start, longest, total = 0, 0, 0
         for i, count in enumerate(counts.tolist()):
             longest, total = max(longest, count), total + count
@@ -146,25 +143,24 @@ class Jacobian:
         yield slice(start, len(counts))
 
     def _grams_at_once(self, residuals: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return J J^T and J r of parts of so many poses in one product, the parts padded with zeros to the same length."""
+        """Return J J^T and J r of parts with these numbers of poses in one product, padded with zeros to one length."""
         A, r = (_padded(of, counts) for of in (self.dense, residuals))
         A = A.transpose(2, 0, 1, 3).reshape(len(counts), len(self.dense), len(r) * r.shape[2])
         r = r.transpose(1, 0, 2).reshape(len(counts), -1, 1)
         return A @ A.swapaxes(1, 2), (A @ r)[..., 0]
 
     def add_gram(self, residuals: np.ndarray, G: np.ndarray, g: np.ndarray, groups: np.ndarray | None = None) -> None:
-        """Add J J^T to G, shape (F, F), and J r to g, shape (F,).
+        """Add J J^T to G, shape (F, F), and J r to g, shape (F,), for residuals r of shape (m, n).
 
         Args:
-            residuals: shape (m, n).
-            G: what J J^T is added to.
-            g: what J r is added to.
-            groups: shape (F,), the group that each column belongs to: the products of a column of one group with one of
-                another may be left out. Default: one group.
+            residuals: r.
+            G: modified in place.
+            g: modified in place.
+            groups: shape (F,), group of each column: products of columns of different groups may be omitted. Default: one.
         """
         dense, apart = np.ascontiguousarray(self.dense), self.places
         A, group = dense.reshape(len(dense), residuals.size), np.zeros(self.size, int) if groups is None else groups
-        # Stretches of columns that follow each other in one group.
+        # Runs of columns of one group.
         cuts = [0, *(np.flatnonzero(np.diff(group[apart])) + 1).tolist(), len(apart)]
         for at in (slice(a, b) for a, b in pairwise(cuts) if a < b):
             own = span(apart[at])
@@ -181,12 +177,12 @@ class Jacobian:
             for other, columns, others in zip(self.families[: i + 1], spans, meant, strict=False):
                 if not mine.isdisjoint(others):
                     _add_products(G, family, rows, other, columns)
-        thin = [family.places for family in self.families if isinstance(family.basis, SparseBasis)]
-        if thin:
-            mirror(G, np.sort(np.concatenate(thin)))
+        sparse = [family.places for family in self.families if isinstance(family.basis, SparseBasis)]
+        if sparse:
+            mirror(G, np.sort(np.concatenate(sparse)))
 
     def add_products(self, others: Jacobian, S: np.ndarray) -> None:
-        """Add J K^T to S, shape (F, F'), given K, other columns of the same readings."""
+        """Add J K^T to S, shape (F, F'), for other columns K of the same readings."""
         dense, theirs = (np.ascontiguousarray(of.dense) for of in (self, others))
         mine, columns = span(self.places), span(others.places)
         size = dense.shape[1] * dense.shape[2]
@@ -208,13 +204,16 @@ class Jacobian:
         slot = np.full(self.size, -1)
         slot[columns] = np.arange(len(columns))
         kept = slot[self.places] >= 0
-        parts = ((family, np.flatnonzero(slot[family.places] >= 0)) for family in self.families)
-        families = tuple(SharedColumns(slot[f.places[at]], _functions(f.basis, at), f.column) for f, at in parts if len(at))
-        return Jacobian(len(columns), slot[self.places[kept]], self.dense[kept], families)
+        families = []
+        for f in self.families:
+            if len(at := np.flatnonzero(slot[f.places] >= 0)):
+                basis = some_functions(f.basis, at) if isinstance(f.basis, SparseBasis) else f.basis[at]
+                families.append(SharedColumns(slot[f.places[at]], basis, f.column))
+        return Jacobian(len(columns), slot[self.places[kept]], self.dense[kept], tuple(families))
 
 
 def _padded(of_poses: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return what stands for poses, shape (..., n), by parts of so many poses, shape (..., S, longest), zero behind each."""
+    """Return an array over poses, shape (..., n), in parts of these sizes, padded by zeros, shape (..., S, longest)."""
     longest = int(counts.max())
     if np.all(counts == longest):
         return of_poses.reshape(*of_poses.shape[:-1], len(counts), longest)
@@ -224,7 +223,7 @@ def _padded(of_poses: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 
 def span(places: np.ndarray) -> slice | np.ndarray:
-    """Return places as a slice if they follow each other, since slices need no copies."""
+    """Return indices as a slice if they are consecutive, since slices need no copies."""
     if len(places) and places[-1] - places[0] == len(places) - 1 and (places[1:] - places[:-1] == 1).all():
         return slice(int(places[0]), int(places[-1]) + 1)
     return places
@@ -243,15 +242,10 @@ def _poses(basis: Basis, rows: slice) -> Basis:
     return basis[:, rows]
 
 
-def _functions(basis: Basis, which: np.ndarray) -> Basis:
-    """Return some functions of a basis, in this order."""
-    return some_functions(basis, which) if isinstance(basis, SparseBasis) else basis[which]
-
-
 def _add_products(
     G: np.ndarray, family: SharedColumns, rows: slice | np.ndarray, other: SharedColumns, columns: slice | np.ndarray
 ) -> None:
-    """Add the products of two families, or of one, to G at their rows and columns; those of thin ones below its diagonal."""
+    """Add the products of two families, or of one, to G; those of sparse families only below the diagonal."""
     weights = np.sum(family.column * other.column, axis=0)
     if isinstance(family.basis, SparseBasis) and isinstance(other.basis, SparseBasis):
         add_product(G, family.places, family.basis, weights, other.places, other.basis, True)
@@ -268,7 +262,7 @@ def _times(basis: Basis, matrix: np.ndarray) -> np.ndarray:
 
 
 def _product(left: Basis, weights: np.ndarray, right: Basis) -> np.ndarray:
-    """Return left diag(weights) right^T, dense, of bases of which one at least is dense."""
+    """Return left diag(weights) right^T, dense, at least one basis being dense."""
     if isinstance(right, SparseBasis):
         return _times(right, np.ascontiguousarray((np.asarray(left) * weights).T)).T
     return _times(left, np.ascontiguousarray((right * weights).T))

@@ -1,7 +1,7 @@
-"""How large the noise is, and which rows are outliers, judged by the residuals of a fit, station by station; exact readings.
+"""Noise and outliers, estimated from the residuals of a fit, station by station; and fits to exact readings.
 
-Real instruments are never so exact that J^T J, rounded to sixteen digits, loses what they say; simulated ones are, and the
-question what a model can do at all is asked with them. Fits to them are finished to rounding with singular values of the
+Real instruments are never so exact that rounding of J^T J to sixteen digits loses information; simulated ones are, and they
+serve to find out what a model can represent at all. Fits to them are finished to rounding with singular values of the
 Jacobian itself.
 """
 
@@ -20,53 +20,49 @@ from pincal.identify.equations import Linearised
 from pincal.identify.normal import belief_rows
 from pincal.identify.problem import Problem
 
-# Steps of a fit to exact readings, and the largest Jacobian (rows times parameters) that is held at once for them.
-_POLISHING = 60
-# Damping of a step in parts of the largest singular value of J (Levenberg, Marquardt): rounding, and more where that fails.
+# Steps of a fit to exact readings, and the largest Jacobian (rows times parameters) for which it is done.
+_POLISHING, MOST_EXACT = 60, 2_000_000
+# Damping of a step relative to the largest singular value of J (Levenberg, Marquardt): rounding, and more where that fails.
 _DAMPING = (64.0 * np.finfo(float).eps, 1e-11, 1e-9, 1e-7)
-# Parts of a step that are tried.
+# Fractions of a step that are tried.
 _PARTS = (1.0, 0.5, 0.25, 0.1, 0.02)
-# Those above these parts count as strong, in turn, and the steps along them after each.
+# Singular values, relative to the largest, above which directions are strong, and the corrections along them after each.
 _STRONG, _CORRECTIONS = (1e-3, 1e-6), 3
-# Rounding of G, in units of what priors know, from which on it is too coarse.
+# Rounding of G, in units of the priors' information, above which it is too coarse.
 _COARSE = 1e-4
-# What is left of exact readings by a fit that can't get better, in units of their rounding.
+# Residuals of a perfect fit to exact readings, in units of their rounding.
 _EXACT = 1e-3
-MOST_EXACT = 2_000_000
 
 
 def rounding(problem: Problem) -> np.ndarray:
-    """Return the rounding of predictions, shape (blocks,); noise is never taken to be less."""
+    """Return the rounding of predictions, shape (blocks,), a lower bound on the noise."""
     return np.array([block.rounding for block in problem.blocks])
 
 
 def usual_sizes(problem: Problem, at_most: np.ndarray | float = np.inf) -> np.ndarray:
-    """Return the standard deviations of what is usual of the parameters in these poses, shape (P,)."""
+    """Return the usual standard deviations of the parameters in these poses, shape (P,)."""
     return np.asarray(np.minimum([p.size for p in problem.parameters] / problem.largest_basis[0], at_most))
 
 
 def is_exact(G: np.ndarray, sizes: np.ndarray) -> bool:
-    """Return whether the information of the readings, the diagonal of G, is too much for the rounding of what priors say."""
+    """Return whether the readings' information, the diagonal of G, is so large that its rounding swamps the priors."""
     known = np.isfinite(sizes)
-    # By roots: squares of sizes that follow from an absurd mass have no place in a float.
-    told = np.sqrt(np.maximum(G[known], 0.0)) * sizes[known]
-    return bool(np.max(told, initial=0.0) > np.sqrt(_COARSE / np.finfo(float).eps))
+    # By roots: squares of the sizes that follow from an absurd mass overflow.
+    ratio = np.sqrt(np.maximum(G[known], 0.0)) * sizes[known]
+    return bool(np.max(ratio, initial=0.0) > np.sqrt(_COARSE / np.finfo(float).eps))
 
 
 def polish(point: Linearised, bounds: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, int]:
-    """Go on from a fit that is nearly there.
+    """Continue a fit that is nearly converged; return the values, shape (P,), and the number of steps.
 
-    Priors have no say: a pull along directions that no reading sees, which are curved, would only keep the fit from getting
-    on. Such directions stay where they are. A long step along weak directions leaves the valley floor, which is curved, too;
-    steps along the strong ones lead back to it (a second-order correction, Nocedal and Wright 2006, section 18.3).
+    Priors do not enter: their pull along unobservable directions, which are curved, would only stall the fit. Such
+    directions are held. A long step along weak directions leaves the valley floor, which is curved, too; steps along strong
+    ones lead back to it (a second-order correction, Nocedal and Wright 2006, section 18.3).
 
     Args:
-        point: the problem at the values to begin with; of the priors only the sizes, by which parameters are compared.
+        point: the problem at the start values; of the priors only the sizes are used, to scale parameters.
         bounds: shape (P,), largest deviations.
         sigma: shape (blocks,), noise.
-
-    Returns:
-        The values, shape (P,), and the steps taken.
     """
     problem, values, free = point.problem, point.values, point.free
     sizes, bounds = point.sizes[free], bounds[free]
@@ -78,7 +74,7 @@ def polish(point: Linearised, bounds: np.ndarray, sigma: np.ndarray) -> tuple[np
     J, r = _whitened(problem, values, free, weights)
     for k in range(1, _POLISHING + 1):
         norms = np.maximum(np.linalg.norm(J, axis=1), 1e-300)
-        # Frames have no size of their own: they shall count like what counts most.
+        # Frames have no size of their own and are scaled like the most influential parameter.
         scale = np.where(known, sizes, np.max((norms * sizes)[known], initial=1.0) / norms)
         U, s, Vt = np.linalg.svd((J * scale[:, None]).T, full_matrices=False)
         for least, part in product(_DAMPING, _PARTS):
@@ -126,7 +122,7 @@ Loss = Literal["screen", "huber", "none"]
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of one component of each block of readings, None where they are to be estimated."""
+    """Declared standard deviations of one component of each block of readings, None where they are to be estimated."""
 
     declared: tuple[float | None, ...]
 
@@ -136,7 +132,7 @@ class Noise:
         return np.array([np.nan if sigma is None else sigma for sigma in self.declared], float)
 
     def resolved(self, estimated: np.ndarray, degrees: np.ndarray) -> np.ndarray:
-        """Return what to use, shape (blocks,): the declared unless residuals with these degrees of freedom are too large."""
+        """Return the noise to use, shape (blocks,): the declared unless residuals with these degrees of freedom exceed it."""
         misfit = self.known * (1.0 + CRITERIA.too_noisy / np.sqrt(2.0 * degrees))
         return np.where(np.isnan(self.known) | (estimated > misfit), estimated, self.known)
 
@@ -147,8 +143,8 @@ class Judgement:
 
     Attributes:
         sigma: shape (blocks,), standard deviations to use.
-        estimated: shape (blocks,), those of the residuals.
-        robust: shape (N,), factor on each row's weight: 0 leaves it out.
+        estimated: shape (blocks,), standard deviations of the residuals.
+        robust: shape (N,), factor on each row's weight: 0 excludes it.
     """
 
     sigma: np.ndarray
@@ -157,19 +153,19 @@ class Judgement:
 
 
 def outlier_limit(rows: int, size: int) -> float:
-    """Return the sum of squares, in units of the noise, beyond which a row of ``size`` readings is screened."""
+    """Return the sum of squares, in units of the noise, above which a row of ``size`` readings is screened."""
     return float(chdtri(size, CRITERIA.outlier / rows))
 
 
 @dataclass(frozen=True)
 class Judge:
-    """Estimates the noise of each station and weighs its rows.
+    """Estimates the noise of each station and the robust weights of its rows.
 
     Attributes:
         problem: the stations.
         free: shape (P,), parameters that are fitted.
-        noise: what was declared.
-        loss: what to do with outliers, as in :func:`pincal.identify.solve.solve`.
+        noise: declared noise.
+        loss: treatment of outliers, as in :func:`pincal.identify.solve.solve`.
     """
 
     problem: Problem
@@ -178,11 +174,9 @@ class Judge:
     loss: Loss
 
     def at(self, point: Linearised, *, hard: bool) -> Judgement:
-        """Return the noise, estimated from the rows that count, and the rows' weights by it.
+        """Return the noise, estimated from the rows that count, and the robust weights that follow.
 
-        Args:
-            point: the stations linearised.
-            hard: whether outliers, if they are screened, are known well enough to be left out.
+        ``hard``: whether outliers, if screened, are known well enough to be excluded.
         """
         counted = self.counted(point.robust)
         if self.loss == "none" or (hard and self.loss == "screen"):
@@ -192,8 +186,7 @@ class Judge:
             estimated = np.sqrt(point.squares / self.degrees(point.robust, shared, own, most=CRITERIA.most_spent))
         else:
             middle = np.array([chdtri(block.size, 0.5) for block in self.problem.blocks])
-            medians = _medians(point.row_squares)
-            estimated = np.sqrt(medians / middle)
+            estimated = np.sqrt(_medians(point.row_squares) / middle)
         estimated = np.maximum(estimated, rounding(self.problem))
         sigma = self.noise.resolved(estimated, counted)
         return Judgement(sigma, estimated, self.weights(point, sigma, hard=hard))
@@ -205,13 +198,13 @@ class Judge:
     def degrees(self, robust: np.ndarray, shared: float, own: Sequence[float], *, most: float = np.inf) -> np.ndarray:
         """Return the degrees of freedom that a fit leaves to each block, shape (blocks,).
 
-        Each pays for its part of the parameters that the stations share and of those of its station.
+        Each block pays for its part of the shared parameters and of those of its station.
 
         Args:
-            robust: shape (N,), factor on each row's weight: 0 leaves a row out.
-            shared: parameters that the data spend on what the stations share.
-            own: on what each of them has itself.
-            most: part of the readings that parameters spend at most.
+            robust: shape (N,), factor on each row's weight: 0 excludes a row.
+            shared: effective number of parameters that stations share.
+            own: of each station's own parameters.
+            most: largest fraction of the readings that parameters are assumed to use up.
         """
         counted, spans = self.counted(robust), self.problem.block_spans
         of = np.repeat(np.arange(len(spans)), [span.stop - span.start for span in spans])
@@ -223,7 +216,7 @@ class Judge:
         return np.asarray(np.maximum(counted - spent, 1.0))
 
     def weights(self, point: Linearised, sigma: np.ndarray, *, hard: bool) -> np.ndarray:
-        """Return the rows' weights by noise of each block, shape (blocks,); further arguments as of :meth:`at`."""
+        """Return the rows' robust weights for noise of each block, shape (blocks,); further arguments as for :meth:`at`."""
         if self.loss == "none":
             return np.ones(len(self.problem))
         spans = self.problem.block_spans
@@ -241,15 +234,15 @@ class Judge:
 
 
 def _medians(rows: list[np.ndarray]) -> np.ndarray:
-    """Return the median of each row of each matrix, one matrix after the other; matrices of one shape in one go."""
-    alike: dict[tuple[int, ...], list[int]] = {}
+    """Return the median of each row of each matrix, one matrix after the other; matrices of one shape at once."""
+    of_shape: dict[tuple[int, ...], list[int]] = {}
     for i, each in enumerate(rows):
-        alike.setdefault(each.shape, []).append(i)
+        of_shape.setdefault(each.shape, []).append(i)
     found: list[np.ndarray] = [np.zeros(0)] * len(rows)
-    for those in alike.values():
-        several, n = np.array([rows[i] for i in those]), rows[those[0]].shape[1]
-        # As np.median does, which takes ten times as long for few rows.
+    for (_, n), members in of_shape.items():
+        several = np.array([rows[i] for i in members])
+        # As np.median, which takes ten times as long for few rows.
         at = (n - 1) // 2, n // 2
-        for i, middle in zip(those, np.partition(several, at, axis=2)[..., at] if n else several, strict=True):
+        for i, middle in zip(members, np.partition(several, at, axis=2)[..., at] if n else several, strict=True):
             found[i] = 0.5 * middle.sum(axis=1)
     return np.concatenate(found)
