@@ -69,7 +69,7 @@ BOUNDS = {
     "identify.quadratic": "SEEN ROUNDING NULL",
     "identify.prior_scale": "_SCALES _ROUNDS _ANYWHERE",
     "identify.solve": (
-        "SETTLED _ROUGH _NEAR _LOOKS _ROUNDED _STEADY _SETTLED _MEMORY _SLOW _FIRST _MORE _LESS _MOST _REPAIR _HALVINGS"
+        "SETTLED _ROUGH _NEAR _TRIALS _ROUNDED _STEADY _SETTLED _MEMORY _SLOW _FIRST _MORE _LESS _MOST _REPAIR _HALVINGS"
     ),
     "identify.split": "_BLOCKS",
     "identify.station": "PIECE",

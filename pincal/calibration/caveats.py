@@ -17,7 +17,7 @@ from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.notes import Note, Severity
 from pincal.units import format_readable
-from pincal.validate.accuracy import pose_errors
+from pincal.validate.accuracy import pose_error_sizes
 from pincal.validate.agreement import computed, implausible
 from pincal.validate.gathered import Gathering, bump_in, gathering_of, in_common
 from pincal.validate.lack_of_fit import LackOfFit
@@ -373,7 +373,7 @@ def findings_on_held_out(test: Station | None, values: np.ndarray, table: Measur
     """Return whether some held-out rows of a station are far off all others: a few of them dominate a mean."""
     if test is None:
         return []
-    errors = next(iter(pose_errors(test, values).values()))
+    errors = next(iter(pose_error_sizes(test, values).values()))
     far = errors > _FAR * np.median(errors)
     if not far.any():
         return []

@@ -132,7 +132,7 @@ class Noise:
         return np.array([np.nan if sigma is None else sigma for sigma in self.declared], float)
 
     def resolved(self, estimated: np.ndarray, degrees: np.ndarray) -> np.ndarray:
-        """Return the noise to use, shape (blocks,): the declared unless residuals with these degrees of freedom exceed it."""
+        """Return the noise to use, shape (blocks,): the declared unless the estimated exceeds it significantly."""
         misfit = self.known * (1.0 + CRITERIA.too_noisy / np.sqrt(2.0 * degrees))
         return np.where(np.isnan(self.known) | (estimated > misfit), estimated, self.known)
 

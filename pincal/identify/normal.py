@@ -1,9 +1,8 @@
-"""Stations that one pass evaluates, and their normal equations.
+"""Batches of stations that are evaluated in one pass, and their normal equations.
 
-An evaluation has costs of its own beside those of its rows. Small stations that follow each other in a problem, of one kind
-of sensor and one model but for where they stand, share them: the model is evaluated once over the rows of all, with the
-values of each station's own parameters at its rows. What is summed over stations are functions of arguments that can be
-pickled, so that the sums can be mapped by any executor.
+An evaluation has fixed costs. Small consecutive stations of a problem with one kind of sensor and one model, up to the poses
+of base and tool, share them: the model is evaluated once over all their rows, with each station's own parameters at its
+rows. Sums over stations are functions of picklable arguments, so that any executor can map them.
 """
 
 from __future__ import annotations
@@ -23,21 +22,21 @@ from pincal.measure.sensor import Grouped
 from pincal.model.effect import Family
 
 Task = tuple[Callable[..., Any], slice, np.ndarray, *tuple[Any, ...]]
-"""A function to call with stations as one and with where the rows of each begin and end, which of a problem's stations these
-are, their values as :meth:`Batch.together` wants them, and what else it takes."""
+"""A function, the slice of a problem's stations that it is called with (joined, with the boundaries of their rows), their
+values as for :meth:`Batch.together`, and its further arguments."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """S stations that follow each other in a problem, with the same P parameters but for their names.
+    """S consecutive stations of a problem, with the same P parameters up to their names.
 
     Attributes:
         stations: the stations.
-        rows: where their N rows stand among all rows.
-        blocks: where their blocks of readings stand among all blocks.
-        places: shape (S, P), where their parameters stand in the problem's table.
+        rows: slice of their N rows among all rows.
+        blocks: slice of their blocks of readings among all blocks.
+        places: shape (S, P), indices of their parameters in the problem's table.
         own: shape (P,), which of them belong to one station alone.
-        first: the number of the first station in the problem.
+        first: number of the first station in the problem.
     """
 
     stations: tuple[Station, ...]
@@ -48,7 +47,7 @@ class Batch:
     first: int
 
     def alike(self, free: np.ndarray) -> Iterator[Batch]:
-        """Yield parts of it in each of which the same parameters are free, given those of all stations."""
+        """Yield parts of the batch with the same free parameters, given the mask of all parameters."""
         if len(self.stations) == 1:
             yield self
             return
@@ -67,15 +66,15 @@ class Batch:
 
     @cached_property
     def ends(self) -> np.ndarray:
-        """Where the rows of each station begin and end among theirs, shape (S + 1,)."""
+        """Boundaries of the stations' rows, shape (S + 1,)."""
         return _ends(self.stations)
 
     def values(self, values: np.ndarray) -> np.ndarray:
-        """Return the values of its parameters, given those of all, as :meth:`together` wants them."""
+        """Return the values of the batch's parameters, given all values, as for :meth:`together`."""
         return np.asarray(values[self.places].T if len(self.stations) > 1 else values[self.places[0]])
 
     def work(self, function: Callable[..., Any], values: np.ndarray, *rest: Any) -> Task:
-        """Return the task to call a function with the stations, their values, given those of all, and further arguments."""
+        """Return the task of calling a function with the stations, their part of all values, and further arguments."""
         return function, slice(self.first, self.first + len(self.stations)), self.values(values), *rest
 
     def residuals(self, values: np.ndarray) -> list[np.ndarray]:
@@ -83,21 +82,20 @@ class Batch:
         return np.split(self.together().residuals(self.values(values)), self.ends[1:-1], axis=1)
 
     def together(self) -> Station:
-        """Return one station with the rows of all, the parameters of each at its rows: values have shape (P, S)."""
+        """Return one station with the rows of all, each station's parameters at its rows: values have shape (P, S)."""
         return _together(self.stations)
 
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """The stations of a problem, wherever tasks are done with them; they are much larger than these."""
+    """The stations of a problem, which are sent to a worker once, and do tasks there."""
 
     stations: tuple[Station, ...]
 
     def __call__(self, task: Task) -> Any:
         """Do a task."""
         function, which, *rest = task
-        stations = self.stations[which]
-        return function(_together(stations), _ends(stations), *rest)
+        return function(_together(self.stations[which]), _ends(self.stations[which]), *rest)
 
 
 def _ends(stations: Sequence[Station]) -> np.ndarray:
@@ -108,16 +106,14 @@ def _together(stations: Sequence[Station]) -> Station:
     first, n = stations[0], len(stations)
     if n == 1:
         return first
-    chains = [station.model.chain for station in stations]
-    bases, tools = [c.base_rotation for c in chains], [c.tool_rotations for c in chains]
-    chain = first.model.chain.with_references(np.array(bases), np.concatenate(tools))
-    parts = [station.conditions for station in stations]
+    chains, parts = [station.model.chain for station in stations], [station.conditions for station in stations]
+    bases, tools = np.array([c.base_rotation for c in chains]), np.concatenate([c.tool_rotations for c in chains])
     columns = [f.name for f in fields(parts[0]) if f.name not in ("payload_centre", "setup")]
     present = [name for name in columns if getattr(parts[0], name) is not None]
     joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in present}
     setup = np.repeat(np.arange(n), np.diff(_ends(stations)))
     return Station(
-        model=first.model.with_chain(chain),
+        model=first.model.with_chain(first.model.chain.with_references(bases, tools)),
         conditions=replace(parts[0], **joined, setup=setup),
         sensor=first.sensor.joined([station.sensor for station in stations[1:]]),
         weights=np.concatenate([station.weights for station in stations]),
@@ -126,7 +122,7 @@ def _together(stations: Sequence[Station]) -> Station:
 
 
 def runs(stations: Sequence[Station]) -> Iterator[range]:
-    """Yield the numbers of stations that can be evaluated together, small enough for it to be worth while."""
+    """Yield the numbers of consecutive stations that are evaluated together, as small ones of one kind are."""
     start, rows, key, is_plain = 0, len(stations[0]), _key(stations[0]), None
     for i, station in enumerate(stations[1:], 1):
         rows, other = rows + len(station), _key(station)
@@ -140,7 +136,7 @@ def runs(stations: Sequence[Station]) -> Iterator[range]:
 
 
 def _key(station: Station) -> tuple[object, ...]:
-    """Return what stations have in common that one evaluation can serve: their models, and the columns that they have."""
+    """Return what stations must have in common to be evaluated together: model, sensor, and the columns present."""
     model, sensor, conditions = station.model, station.sensor, station.conditions
     return (
         id(model.chain.robot),
@@ -160,17 +156,12 @@ def _key(station: Station) -> tuple[object, ...]:
 
 
 def _is_plain(station: Station) -> bool:
-    """Return whether a station's sensor is nothing but its rows, and its model the same however base and tool are turned."""
+    """Return whether a station's sensor consists of its rows alone, and its model does not depend on base and tool."""
     sensor, chain = station.sensor, station.model.chain
     is_rows = {f.name for f in fields(sensor)} == set(sensor.per_row)  # type: ignore[arg-type]
-    if (
-        station.serial is not None
-        or not is_rows
-        or station.shares_setup
-        or sensor.parameters
-        or isinstance(sensor, Grouped)
-        or not len(station)
-    ):
+    if not is_rows or sensor.parameters or isinstance(sensor, Grouped):
+        return False
+    if station.serial is not None or station.shares_setup or not len(station):
         return False
     nowhere = chain.with_references(np.full((3, 3), np.nan), np.full_like(chain.tool_rotations, np.nan))
     row, moments = station.conditions.select(slice(0, 1)), np.zeros((1, 3 * chain.robot.n_joints))
@@ -178,7 +169,7 @@ def _is_plain(station: Station) -> bool:
     return all(term.basis is None or bool(np.isfinite(term.basis).all()) for term in terms)
 
 
-# Where more than one row in so many has another weight, all of them are summed anew.
+# All rows are summed again if more than one in so many has another weight.
 _MOST_CHANGED = 3
 
 
@@ -188,8 +179,8 @@ class StationSquares:
 
     Attributes:
         blocks: weighted sums, by block of readings (position, orientation) of each station.
-        rows: shape (blocks, N), each row's weighted squared residual, robust weights left out.
-        beliefs: shape (S,), of what each station's sensor knows beside its readings, in units of the variances.
+        rows: shape (blocks, N), each row's weighted squared residual, without robust weights.
+        beliefs: shape (S,), from each sensor's knowledge besides its readings, in units of the variances.
     """
 
     blocks: np.ndarray
@@ -199,14 +190,14 @@ class StationSquares:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations, block of readings by block (position, orientation), before division by their variances.
+    """Normal equations, one block of readings after the other, before division by their variances.
 
     Attributes:
-        H: shape (blocks, F, F); of each of S stations shape (S, blocks, F, F), and so on.
+        H: shape (blocks, F, F); with a leading axis for S stations, as g.
         g: shape (blocks, F).
         squares: of the residuals.
         robust: shape (N,), the factor on each row's weight.
-        believed: what the sensor knows beside its readings, in units of its own noise.
+        believed: the sensor's knowledge besides its readings, in units of its own noise.
     """
 
     H: np.ndarray
@@ -216,32 +207,32 @@ class Normal:
     believed: Quadratic | None = None
 
     def at(self, sigma: np.ndarray) -> Form:
-        """Return what they say for standard deviations of the blocks, shape (blocks,)."""
+        """Return the information form for standard deviations of the blocks, shape (blocks,)."""
         weight = sigma**-2.0
         H, g = np.einsum("...b,...bij->...ij", weight, self.H), np.einsum("...b,...bi->...i", weight, self.g)
         return Form.of(H, g) if self.believed is None else Form.of(H + self.believed.H, g + self.believed.g)
 
     def narrowed(self, kept: np.ndarray) -> Normal:
-        """Return those of some of the parameters, by their places, shape (K,)."""
+        """Return the equations of the parameters at indices ``kept``, shape (K,)."""
         known = None if self.believed is None else self.believed.taking(kept)
         return replace(self, H=self.H[..., kept[:, None], kept], g=self.g[..., kept], believed=known)
 
 
 def accumulate(station: Station, values: np.ndarray, free: np.ndarray, robust: np.ndarray) -> Normal:
-    """Return the normal equations of one station; arguments as of :func:`accumulate_each`."""
+    """Return the normal equations of one station; arguments as for :func:`accumulate_each`."""
     found = accumulate_each(station, np.array([0, len(station)]), values, free, robust)
     return replace(found, H=found.H[0], g=found.g[0])
 
 
 def accumulate_each(station: Station, ends: np.ndarray, values: np.ndarray, free: np.ndarray, robust: np.ndarray) -> Normal:
-    """Return the normal equations of each of S stations whose rows follow each other in one.
+    """Return the normal equations of each of S stations joined in one.
 
     Args:
         station: the rows of all.
-        ends: shape (S + 1,), where those of each begin and end.
+        ends: shape (S + 1,), boundaries of the stations' rows.
         values: shape (P,), or of several stations shape (P, S).
-        free: shape (P,), the F parameters that may move.
-        robust: shape (N,), factor on each row's weight: 0 leaves a row out.
+        free: shape (P,), the F free parameters.
+        robust: shape (N,), factor on each row's weight: 0 excludes a row.
     """
     n, blocks, n_free = len(ends) - 1, station.block_rows, int(free.sum())
     H, g = np.zeros((n, len(blocks), n_free, n_free)), np.zeros((n, len(blocks), n_free))
@@ -267,18 +258,12 @@ def accumulate_each(station: Station, ends: np.ndarray, values: np.ndarray, free
 def reweighted(
     station: Station, ends: np.ndarray, values: np.ndarray, free: np.ndarray, robust: np.ndarray, past: Normal | None = None
 ) -> Normal:
-    """Return the normal equations of stations; of one that is alone summed anew only for rows of other robust weights.
+    """Return the normal equations of stations; of a single one only rows with changed robust weights are summed.
 
-    Args:
-        station: the rows of S stations, one after the other; further arguments as of :func:`accumulate_each`.
-        ends: shape (S + 1,).
-        values: shape (P,) or (P, S).
-        free: shape (P,).
-        robust: shape (N,).
-        past: the equations at the same values with other robust weights.
+    Arguments as for :func:`accumulate_each`, and ``past``: the equations at the same values with other robust weights.
     """
     rows = np.arange(len(station)) if past is None else np.flatnonzero(robust != past.robust)
-    # Where the noise of rows hangs together, a row by itself is not what it is among the others.
+    # Where rows are correlated, the contribution of a row depends on the others.
     is_whole = len(ends) > 2 or station.sensor.is_whole or station.serial is not None
     if past is None or is_whole or _MOST_CHANGED * len(rows) > len(station):
         return accumulate_each(station, ends, values, free, robust)
@@ -290,13 +275,13 @@ def reweighted(
             found = accumulate_each(part, np.array([0, len(weights)]), values, free, weights)
             add(H, found.H, out=H)
             add(g, found.g, out=g)
-    # From the rows: the difference of large squares would leave their rounding.
+    # From the rows, since the difference of large squares would consist of rounding.
     squares = replace(past.squares, blocks=np.sum(past.squares.rows * robust**2, axis=1))
     return replace(past, H=H, g=g, squares=squares, robust=robust)
 
 
 def squares(station: Station, ends: np.ndarray, values: np.ndarray, robust: np.ndarray) -> StationSquares:
-    """Return the squares of stations' residuals; arguments as of :func:`accumulate_each`."""
+    """Return the squares of stations' residuals; arguments as for :func:`accumulate_each`."""
     residuals = station.whitened(station.residuals(values))
     parts = [np.einsum("in,in->n", residuals[rows], residuals[rows]) for rows in station.block_rows]
     rows = np.array(parts) * station.weights**2
@@ -318,16 +303,16 @@ def contribution(
     sigma: np.ndarray,
     *prior: np.ndarray,
 ) -> tuple[tuple[Form, Eliminated], StationSquares]:
-    """Return what stations say of the free parameters that they share with others, and the squares of their residuals.
+    """Return the information of stations on the free parameters that they share, and the squares of their residuals.
 
-    Arguments as of :func:`accumulate_each`, then noise, shape (S, blocks), and what :func:`eliminate` wants to know.
+    Arguments as for :func:`accumulate_each`, then noise, shape (S, blocks), and those of :func:`eliminate`.
     """
     normal = accumulate_each(station, ends, values, free, robust)
     return eliminate(normal.at(sigma), *prior), normal.squares
 
 
 def believed(station: Station, values: np.ndarray, free: np.ndarray) -> Quadratic | None:
-    """Return what the sensor knows of its own parameters, of all F that are free; None where it has no constraints."""
+    """Return the sensor's knowledge of its own parameters, over all F free ones; None where it has no constraints."""
     J, r = belief_rows(station, values, free)
     return Quadratic.of_rows([p.name for p in compress(station.parameters, free)], J.T, r) if len(r) else None
 

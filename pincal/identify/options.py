@@ -1,4 +1,4 @@
-"""How to calibrate, and what is known beforehand of each station."""
+"""How to calibrate, and prior knowledge of each station."""
 
 from __future__ import annotations
 
@@ -43,10 +43,7 @@ class PriorScale(NamedTuple):
 
 @dataclass(frozen=True)
 class StationOptions:
-    """Options that differ at one station; None for the common ones.
-
-    Attributes are those of :class:`Options` by the same names.
-    """
+    """Options of one station, by the names of :class:`Options`; None for the common ones."""
 
     sigma: float | None = None
     sigma_orientation: float | None = None
@@ -66,30 +63,29 @@ class Options:
 
     Attributes:
         effects: what may deviate, in addition to base and tool.
-        sigma: standard deviation of one component of a position, or of a distance [m], of an image [px]; estimated where
-            None.
+        sigma: standard deviation of one component of a position, or of a distance [m], of an image [px]; estimated if None.
         sigma_orientation: likewise of one component of an orientation [rad].
-        moment_frame: where moments are taken and deflect the arm, see :class:`pincal.Chain`; "auto" for where it fits best,
-            as in the paper among equals.
-        equilibrium: moments on the bent arm instead of the straight one.
+        moment_frame: where moments are taken and deflect the arm, see :class:`pincal.Chain`; "auto" for the best fit, as in
+            the paper if several fit equally well.
+        equilibrium: moments on the deflected arm instead of the rigid one.
         gravity: shape (3,), in the robot's base frame [m/s^2]; default: along -z of the URDF's root.
         payload_centre: centre of mass of the payload in the tip frame [m].
-        base: shape (4, 4), robot base in the instrument's frame, where it is known.
-        tools: target name -> (x, y, z) in the tip frame [m], or shape (4, 4), target to tip frame, where they are known.
-        stages: "joint" fits everything at once, "paper" goes through the paper's sequence.
-        loss: what to do with outliers: "screen", "huber" or "none".
+        base: shape (4, 4), robot base in the instrument's frame, if known.
+        tools: target name -> (x, y, z) in the tip frame [m], or shape (4, 4), target to tip frame, if known.
+        stages: "joint" fits all parameters at once, "paper" follows the paper's sequence.
+        loss: treatment of outliers: "screen", "huber" or "none".
         length_bound: largest deviation of a length [m].
         setup: named points and the camera, as far as they are known.
-        stations: station name -> what it has different, where there are several.
-        instrument: the noise of positions by range and direction, in place of ``sigma``: positions are in the instrument's
-            own frame then.
+        stations: station name -> its own options, where there are several stations.
+        instrument: the noise of positions by range and direction, instead of ``sigma``; positions are then in the
+            instrument's own frame.
         earlier: estimate of the robot's parameters from an earlier fit; it replaces their priors.
         priors: name of a parameter, or a pattern such as ``"*.theta"`` -> standard deviation from its value in the URDF, in
-            its own SI unit or with another (0.001, "1mrad", "0.2urad/Nm"); 0 holds it there, inf leaves it free. Of several
-            that match, the last counts.
+            its SI unit or with another (0.001, "1mrad", "0.2urad/Nm"); 0 holds it, inf leaves it unconstrained. The last of
+            several matches counts.
         zeros: joints with unknown zeros, by names or patterns such as ``"*"``.
-        prior_scale: factors on the priors of a robot's lengths, angles, drive compliances and other compliances, those in
-            ``priors`` left out; default: 1, or where no instrument tells places as large as the readings allow.
+        prior_scale: factors on the priors of a robot's lengths, angles, drive compliances and other compliances, except
+            those in ``priors``; default: 1, or where no instrument determines positions as large as the readings allow.
         serial: whether to test for noise that is correlated along the rows, and weight rows accordingly.
     """
 
@@ -119,7 +115,7 @@ class Options:
 
     @property
     def first_frame(self) -> MomentFrame:
-        """The convention of moments to begin with."""
+        """The moment convention to begin with."""
         return "paper" if self.moment_frame == "auto" else self.moment_frame
 
     def at(self, station: str) -> Options:
@@ -132,7 +128,7 @@ class Options:
 
 
 def _check_numbers(options: Options | StationOptions) -> None:
-    """Refuse numbers that can't be meant, before the arithmetic fails on them.
+    """Refuse numbers that make no sense, before the arithmetic fails on them.
 
     Raises:
         BadInputError: naming the attribute.

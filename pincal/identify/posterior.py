@@ -1,16 +1,16 @@
-r"""What normal equations say together with priors, and how a station's own parameters are eliminated from them.
+r"""The posterior of normal equations and priors, and the elimination of a station's own parameters.
 
-With H = J^T W J, g = J^T W r and priors of size D on some parameters, the step that the posterior wants is found in the
-eigenvectors of the prior-scaled Schur complement: the frames of base and tool, which have no prior, are eliminated first.
-An eigenvalue lambda is the information of the data in units of the prior's. Directions with lambda far above 1 follow the
-data alone, those far below 1 the prior alone, and those that the data can't see at all (lambda below rounding) stay at the
-prior's centre, whatever the noise: so predictions never depend on the choice of gauge.
+With H = J^T W J, g = J^T W r and priors of size D on some parameters, the step to the posterior mode is found in the
+eigenvectors of the prior-scaled Schur complement: the frames of base and tool, which have no prior, are eliminated first. An
+eigenvalue lambda is the information of the data in units of the prior's. Directions with lambda far above 1 follow the data
+alone, those far below 1 the prior alone, and unobservable ones (lambda below rounding) remain at the prior's centre,
+whatever the noise: so predictions never depend on the choice of gauge.
 
-H squares the condition number. That costs nothing here: steps only have to point well enough to converge, the residuals
-they act on are exact, and a direction below 1e-7 of the largest moves predictions by less than 1e-10 m.
+H squares the condition number, at no cost here: steps only have to point well enough to converge, the residuals that they
+act on are exact, and a direction below 1e-7 of the largest moves predictions by less than 1e-10 m.
 
-Of several stations, each with the Jacobian [R F] by the robot's parameters and its own, these own parameters are eliminated
-station by station, their priors P included, and only what remains is added up:
+For several stations, each with the Jacobian [R F] with respect to the robot's parameters and its own, the latter are
+eliminated station by station, their priors P included, and only the remainders are summed:
 
 .. math:: A = R^T W R - R^T W F \, K \, F^T W R, \qquad b = R^T W r - R^T W F \, K \, (F^T W r - P x), \qquad
           K = (F^T W F + P)^{-1} .
@@ -29,22 +29,21 @@ from scipy.linalg.lapack import dpotri
 from pincal.identify.quadratic import NULL, Form
 from pincal.parameters import Covariance, root_of
 
-# Information that rounding makes up, in units of the prior's, below which it may be left in a solve.
+# Spurious information due to rounding, in units of the prior's, below which it may remain in a solve.
 _ROUNDING = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """What readings say of F parameters, in units of the noise, and their priors; of each of S stations with a leading axis.
+    """The posterior of F parameters, in units of the noise; of each of S stations with a leading axis.
 
-    Of a problem of several stations these are the parameters that they share, and in ``own`` is what is left of each
-    station's.
+    Of several stations these are the shared parameters, and ``own`` holds the eliminated ones of each station.
 
     Attributes:
-        form: of the F parameters; rounding is judged by what it was before anything was eliminated.
+        form: of the F parameters; rounding is judged by its diagonal before any elimination.
         sizes: shape (F,), standard deviations of the priors; inf for none.
         offsets: shape (F,), present values minus the priors' centres.
-        own: the parameters of stations that were eliminated beforehand.
+        own: the parameters of stations that were eliminated.
         believed: shape (F, F), the part of H that is no data: an earlier fit, smooth curves; None for nothing.
     """
 
@@ -55,7 +54,7 @@ class Posterior:
     believed: np.ndarray | None = None
 
     def part(self, at: np.ndarray) -> Posterior:
-        """Return that of some parameters, by their places, the others held."""
+        """Return the posterior of the parameters at some indices, conditional on the others."""
         return Posterior(self.form.part(at), self.sizes[..., at], self.offsets[..., at])
 
     @cached_property
@@ -88,7 +87,7 @@ class Posterior:
 
     @property
     def determined(self) -> np.ndarray:
-        """The covariance, shape (F, F), but that frames' directions that nothing determines have no variance."""
+        """The covariance, shape (F, F), with zero variance along undetermined directions of frames."""
         return self._solved[1]
 
     @cached_property
@@ -96,7 +95,7 @@ class Posterior:
         """Their covariance, shape (F, F)."""
         (_, axes, seen), frames, covariance = self._frames, self._parts[1], self.determined
         if not seen.all():
-            # Variances of (1 m, 1 rad)^2 along what nothing determines.
+            # Variances of (1 m, 1 rad)^2 along undetermined directions.
             rest, covariance = np.where(seen, 0.0, axes), covariance.copy()
             rest = rest / np.maximum(np.abs(rest).max(axis=-2, keepdims=True, initial=0.0), 1e-300)
             covariance[..., frames[:, None], frames] += rest @ _turned(rest)
@@ -104,22 +103,22 @@ class Posterior:
 
     @property
     def information(self) -> np.ndarray:
-        """Eigenvalues of the data's information in units of the priors', ascending; 0 for what is unseen."""
+        """Eigenvalues of the data's information in units of the priors', ascending; 0 for unobservable directions."""
         return self._solved[2]
 
     @property
     def directions(self) -> np.ndarray:
-        """Their eigenvectors in units of the priors, as columns, by the parameters that have a prior."""
+        """Their eigenvectors in units of the priors, as columns, over the parameters with a prior."""
         return self._solved[3]
 
     @property
     def frame_rank(self) -> np.ndarray:
-        """Number of directions among base and tool that the data determine; of several stations each one's."""
+        """Number of directions of base and tool that the data determine; of several stations for each."""
         return np.asarray(np.sum(self._frames[2], axis=(-2, -1)))
 
     @property
     def visible_rank(self) -> int:
-        """Number of directions that the data see at all, however faintly."""
+        """Number of directions that the data observe at all, however weakly."""
         rank = int(np.sum(self.frame_rank)) + int(np.count_nonzero(self.information))
         return rank + sum(part.alone.visible_rank for part in self.own)
 
@@ -137,15 +136,15 @@ class Posterior:
 
     @property
     def effective(self) -> float:
-        """Number of parameters that the data spend, priors counted."""
+        """Effective number of parameters, priors accounted for."""
         shared, own = self.spent
         return shared + sum(own)
 
     @cached_property
     def spent(self) -> tuple[float, tuple[float, ...]]:
-        """The same of the parameters that are shared, and of each station's own.
+        """The effective number of the shared parameters, and of each station's own.
 
-        Where rounding lets a Cholesky factor do, it takes a fifth of the time of the eigenvectors.
+        Where rounding permits, a Cholesky factor takes a fifth of the time of the eigenvectors.
         """
         known = None if self.own else self._known_by_factor()
         if known is None:
@@ -155,7 +154,7 @@ class Posterior:
         return float(np.sum(self.frame_rank)) + known, own
 
     def _known_by_factor(self) -> float | None:
-        """Return how many of the parameters with a prior the data spend; None where rounding forbids."""
+        """Return the effective number of the parameters with a prior; None where rounding forbids."""
         (prior, frames), believed = self._parts, self.believed
         factor = None if believed is not None and np.any(believed[frames]) else self._factor()
         C, failed = (None, 1) if factor is None else dpotri(factor, lower=1, overwrite_c=1)
@@ -169,7 +168,7 @@ class Posterior:
 
     @cached_property
     def is_shared(self) -> np.ndarray:
-        """Which of all parameters are not those of single stations, shape (all,)."""
+        """Which of all parameters do not belong to single stations, shape (all,)."""
         shared = np.ones(len(self.sizes) + sum(part.places.size for part in self.own), bool)
         for part in self.own:
             shared[part.places] = False
@@ -177,7 +176,7 @@ class Posterior:
 
     @property
     def joint_covariance(self) -> Covariance:
-        """The covariance of all parameters, those of stations included, in their order."""
+        """The covariance of all parameters, including those of stations, in their order."""
         if not self.own:
             return Covariance.of(self.covariance)
         root = root_of(self.covariance)
@@ -190,7 +189,7 @@ class Posterior:
         return Covariance(factor, tuple(groups))
 
     def _everywhere(self, of: Callable[[Posterior], np.ndarray]) -> np.ndarray:
-        """Return what is said of the parameters that are shared and of each station's own for all of them."""
+        """Return a vector over all parameters, from its parts for the shared ones and each station's own."""
         found = np.empty(len(self.is_shared))
         found[self.is_shared] = of(self)
         for part in self.own:
@@ -199,24 +198,24 @@ class Posterior:
 
     @property
     def whole(self) -> np.ndarray:
-        """The diagonal of all parameters' information before anything was eliminated."""
+        """The diagonal of all parameters' information before any elimination."""
         return self._everywhere(lambda found: found.form.whole)
 
     @property
     def metric(self) -> np.ndarray:
-        """How much each of all parameters matters to readings and prior."""
+        """Influence of each of all parameters on readings and prior."""
         return self._everywhere(lambda found: np.sqrt(found.form.whole + found.sizes**-2.0))
 
     def step_within(self, bounds: np.ndarray, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Return the most probable step of all parameters within bounds of their values, and which ones a bound stops.
+        """Return the most probable step of all parameters within bounds on their values, and which ones a bound stops.
 
         Args:
             bounds: largest values of all parameters.
-            damping: how much surer than the priors it is that parameters stay where they are (Levenberg's): what the
-                readings are sure of moves as far as without, what they hardly see does not.
+            damping: precision, in units of the priors', of an additional prior at the present values (Levenberg): it stops
+                weakly determined directions only.
         """
         at, most, form = self.offsets, bounds[self.is_shared], self.form
-        # The slope of the priors stays what it is.
+        # The slope of the priors is unchanged.
         stiffness = 1.0 + damping
         firm = Posterior(form, self.sizes / np.sqrt(stiffness), at / stiffness)
         step, held = firm._quick_step, np.zeros(len(at), bool)
@@ -238,21 +237,21 @@ class Posterior:
         return whole, stopped
 
     def square(self, step: np.ndarray) -> float:
-        """Return the square of a step of all parameters, in units of the noise: how far it moves the readings altogether."""
+        """Return the squared length of a step of all parameters: how far it moves the readings, in units of the noise."""
         across = step[self.is_shared]
         return float(across @ self.form.H @ across) + sum(part.square(step[part.places], across) for part in self.own)
 
     def gain(self, kept: np.ndarray) -> float:
-        """Return how much a step would take off the sum of squares if some of all parameters alone may move.
+        """Return how much a step reduces the sum of squares if only some of all parameters may move.
 
-        Only those that are shared count: what eliminated parameters do by themselves is left out.
+        Only shared parameters count; the gain of eliminated ones by themselves is excluded.
         """
         some = self.part(np.flatnonzero(kept[self.is_shared]))
         return float((some.form.g - some.offsets / some.sizes**2) @ some._quick_step)
 
     @cached_property
     def _quick_step(self) -> np.ndarray:
-        """The step, where rounding lets it by a Cholesky factor in a tenth of the time that eigenvectors take."""
+        """The step; where rounding permits by a Cholesky factor, in a tenth of the time of the eigenvectors."""
         (prior, frames), (inverse, *_), F = self._parts, self._frames, self._follow
         if not len(prior):
             return np.asarray(inverse @ self.form.g)
@@ -268,17 +267,17 @@ class Posterior:
 
     @cached_property
     def has_prior(self) -> np.ndarray:
-        """Which parameters have a prior, shape (F,); of all stations the same."""
+        """Which parameters have a prior, shape (F,); the same for all stations."""
         return np.asarray(np.isfinite(self.sizes if self.sizes.ndim == 1 else self.sizes[0]))
 
     @cached_property
     def _parts(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the parameters with a prior stand, and frames, which have none."""
+        """Indices of the parameters with a prior, and of frames, which have none."""
         return np.flatnonzero(self.has_prior), np.flatnonzero(~self.has_prior)
 
     @cached_property
     def _frames(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of frames' H the inverse over what is determined, all axes as columns, and which of them are determined."""
+        """The inverse of the frames' H over what is determined, all axes as columns, and which of them are determined."""
         frames = self._parts[1]
         H = self.form.H[..., frames[:, None], frames]
         scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", H), 1e-300))
@@ -290,20 +289,20 @@ class Posterior:
 
     @cached_property
     def _follow(self) -> np.ndarray:
-        """How far the parameters with a prior move the frames the other way."""
+        """How far the parameters with a prior move the frames, with the opposite sign."""
         prior, frames = self._parts
         return np.asarray(self._frames[0] @ self.form.H[..., frames[:, None], prior])
 
     @cached_property
     def _floor(self) -> np.ndarray:
-        """The information, in units of the priors', below which a direction may be made up by rounding."""
+        """The information, in units of the priors', below which a direction may be due to rounding."""
         known = np.where(np.isfinite(self.sizes), self.sizes, 0.0)
         return np.asarray(NULL * np.max(self.form.whole * known**2, axis=-1, initial=0.0))
 
     def _factor(self) -> np.ndarray | None:
         """Return the lower Cholesky factor of :meth:`_reduced`; None where rounding forbids.
 
-        Frames that the readings hardly tell apart, as of a planar arm, leave more rounding than the floor knows of.
+        Frames that the readings hardly distinguish, as of a planar arm, leave more rounding than the floor allows for.
         """
         if self._floor > _ROUNDING or not len(self._parts[0]):
             return None
@@ -313,9 +312,9 @@ class Posterior:
             return None
 
     def _reduced(self) -> np.ndarray:
-        """Return information in units of the priors plus that of these, without what frames absorb; column-major for LAPACK.
+        """Return the posterior precision in units of the priors, frames eliminated; column-major for LAPACK.
 
-        Of large matrices, the time goes into moving them: as few copies as can be are made.
+        For large matrices copying takes the time, so as few copies as possible are made.
         """
         prior, frames = self._parts
         D = self.sizes[prior]
@@ -329,13 +328,13 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Eliminated:
-    """The E parameters of one station, or of each of S stations (leading axis S), that were eliminated.
+    """The E eliminated parameters of one station, or of each of S stations (leading axis S).
 
     Attributes:
-        alone: what the station says of them and their priors if the shared parameters stay where they are.
-        carried: shape (E, C), K F'WR: how far a step of the C shared parameters moves them the other way.
-        places: shape (E,), where they stand among all free parameters.
-        shared: shape (C,), where the parameters that these stations share with others stand among the shared ones.
+        alone: their posterior conditional on the shared parameters.
+        carried: shape (E, C), K F'WR: how far a step of the C shared parameters moves them, with the opposite sign.
+        places: shape (E,), indices among all free parameters.
+        shared: shape (C,), indices of these stations' shared parameters among all shared ones.
     """
 
     alone: Posterior
@@ -349,34 +348,34 @@ class Eliminated:
         return np.asarray(self.alone.sizes**-2.0)
 
     def step(self, shared_step: np.ndarray) -> np.ndarray:
-        """Return their step, shape (E,), once the step of all shared parameters is known."""
+        """Return their step, shape (E,), given the step of all shared parameters."""
         return np.asarray(self.alone.step - self.carried @ shared_step[self.shared])
 
     def square(self, step: np.ndarray, shared_step: np.ndarray) -> float:
-        """Return what they add to the square of a step, shape (E,), measured by the information of the data alone."""
+        """Return what they add to the squared length of a step, shape (E,), in the information of the data alone."""
         along = step + self.carried @ shared_step[self.shared]
         data = along * _times(self.alone.form.H, along)
         return float(np.sum(data + self.precision * (along**2 - step**2)))
 
     def effective(self, covariance: np.ndarray) -> np.ndarray:
-        """Return how many parameters the data spend on them, shape () or (S,), for the covariance of all shared ones."""
+        """Return their effective number, shape () or (S,), for the covariance of all shared parameters."""
         mine = covariance[np.ix_(self.shared, self.shared)]
         variance = np.einsum("...ii->...i", self.alone.covariance) + np.sum((self.carried @ mine) * self.carried, axis=-1)
-        # Without a prior a parameter is spent as far as the data determine it.
+        # A parameter without a prior counts as far as the data determine it.
         return np.asarray(self.alone.frame_rank + np.sum(self.alone.has_prior - variance * self.precision, axis=-1))
 
 
 def eliminate(form: Form, own: np.ndarray, sizes: np.ndarray, offsets: np.ndarray) -> tuple[Form, Eliminated]:
-    """Eliminate parameters from what one station says, or each of S stations (leading axis S).
+    """Eliminate parameters from the information of one station, or of each of S stations (leading axis S).
 
     Args:
         form: of F parameters.
-        own: shape (F,), which parameters to eliminate; of all stations the same.
+        own: shape (F,), which parameters to eliminate; the same for all stations.
         sizes: shape (F,), standard deviations of the priors; inf for none. Only those of eliminated parameters matter.
         offsets: shape (F,), present values minus the priors' centres.
 
     Returns:
-        What is left of the C others, of several stations their sum, and the eliminated ones.
+        The form of the C others, summed over stations, and the eliminated parameters.
     """
     shared, own = np.flatnonzero(~own), np.flatnonzero(own)
     left, alone, across = form, Posterior(form, sizes, offsets).part(own), form.H[..., own[:, None], shared]

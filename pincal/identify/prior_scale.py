@@ -1,19 +1,18 @@
-r"""How far a robot may be from its URDF, as readings without an instrument show.
+r"""How far a robot may be from its URDF, estimated from readings without an instrument.
 
-Contacts, planes, gauges and sockets see few directions at few places. What they do not see keeps its prior, and one that is
-wider than the robot's deviations lets errors of the contacts pass for geometry, which then does harm wherever nobody
-measured. What they do see shows how wide it should be: the priors of lengths, of angles, of drive compliances and of other
-compliances are multiplied by factors that the likelihood of all readings determines, with the parameters integrated out
-(type II maximum likelihood; MacKay 1992, Bayesian Interpolation, Neural Computation 4, section 4). With information H and
-gradient b of the readings about offsets x from the nominal, and priors of covariance P, it is E:
+Contacts, planes, gauges and sockets observe few directions at few places. What they do not observe keeps its prior, and a
+prior wider than the robot's deviations lets errors of the contacts pass for geometry, which does harm wherever nobody
+measured. What they do observe shows how wide it should be: the priors of lengths, of angles, of drive compliances and of
+other compliances are multiplied by factors that maximise the likelihood of all readings, the parameters marginalised (type
+II maximum likelihood; MacKay 1992, Bayesian Interpolation, Neural Computation 4, section 4). With information H and gradient
+b of the readings about offsets x from the nominal, and priors of covariance P, this evidence E is:
 
 .. math:: 2 \log E = \tilde b^T A^{-1} \tilde b - \log\det A - \log\det P - x^T P^{-1} x,
     \quad A = H + P^{-1}, \; \tilde b = b - P^{-1} x
 
-Each factor is the largest that is not excluded, so that readings which hardly tell it leave the prior wide.
+Each factor is the largest that is not excluded, so that weakly informative readings leave the prior wide.
 
-An IMU alone sees angles, and no place: a noisy one tells little of some, where a prior that is wider than the robot's
-deviations makes them larger than they were.
+The same holds for an IMU alone, which observes angles but no positions.
 """
 
 from __future__ import annotations
@@ -31,24 +30,24 @@ from pincal.identify.normal import accumulate
 from pincal.identify.options import PriorScale
 from pincal.identify.quadratic import Factor
 
-# Factors that are tried, largest first, and how often each in turn.
+# Trial factors, largest first, and the largest number of rounds over all kinds.
 _SCALES, _ROUNDS = (1.0, 0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.003, 0.002, 0.001), 10
-# Standard deviation of what has no prior [m or rad].
+# Standard deviation of parameters without a prior [m or rad].
 _ANYWHERE = 10.0
 
 
 def has_instrument(fit: ModelFit) -> bool:
-    """Return whether something beside the robot and what it touches tells where any of its targets are."""
+    """Return whether an instrument apart from robot and contacts observes any target."""
     return any(station.sensor.base_symbols or station.sensor.is_on_tool for station in fit.problem.stations)
 
 
 def sees_places(fit: ModelFit) -> bool:
-    """Return whether an instrument tells where targets are, which an IMU does not."""
+    """Return whether an instrument observes target positions, which an IMU does not."""
     return has_instrument(fit) and any(station.sensor.reads_place for station in fit.problem.stations)
 
 
 def prior_scale(fit: ModelFit) -> PriorScale:
-    """Return the factors on the priors, see above; 1 for a kind of parameters that the fit does not have."""
+    """Return the factors on the priors; 1 for kinds of parameters that the fit does not have."""
     free, sizes = fit.solution.free, np.minimum(fit.priors.sizes, _ANYWHERE)
     offsets = np.where(np.isfinite(fit.priors.sizes), fit.values, 0.0)[free]
     kinds = [kind[free] for kind in deviations(fit.problem, fit.options)]

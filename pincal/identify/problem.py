@@ -1,8 +1,8 @@
-r"""A problem: the sum of stations, and perhaps of what an earlier fit found, over one table of named parameters.
+r"""A problem: the sum of stations, and perhaps of an earlier fit, over one table of named parameters.
 
-The robot's parameters are the same at every station; where an instrument stands, its targets and whatever the instrument
-itself has to be asked for belong to one station. With one station the table is that station's own, in its order; with
-several the robot's parameters stand first, then those of each station under its name.
+The robot's parameters are common to all stations; the instrument's pose, the targets and unknowns of the instrument itself
+belong to one station. With one station the table is that station's own, in its order; with several, the robot's parameters
+come first, then those of each station under its name.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pincal.model.effect import Effect, Family
 from pincal.model.sizes import largest_bases
 from pincal.parameters import Parameter, carried_over
 
-# Rows by which sizes are judged.
+# Rows from which sizes are determined.
 _ROWS = 1000
 
 
@@ -38,8 +38,7 @@ class Problem:
 
     Attributes:
         stations: the stations; several have names of their own.
-        earlier: what is known of the robot's parameters from an earlier fit; of those that no station here has it says what
-            it does where they are zero.
+        earlier: knowledge of the robot's parameters from an earlier fit, conditioned on zero for those that no station has.
     """
 
     stations: tuple[Station, ...]
@@ -57,26 +56,26 @@ class Problem:
 
     @property
     def chain(self) -> Chain:
-        """The chain of the first station: the robot's part of it is the same at all of them."""
+        """The chain of the first station; the robot's part of it is the same at all stations."""
         return self.stations[0].model.chain
 
     @cached_property
     def conditions(self) -> Conditions:
-        """The poses of all stations, targets and payload's centre those of the first; columns that all of them have."""
+        """The poses of all stations, with the first one's targets and payload centre; columns that all of them have."""
         return joined_conditions([station.conditions for station in self.stations])
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All P parameters; those of one of several stations have its name before their own, or that of their set-up."""
+        """All P parameters; those of one of several stations are prefixed by its name, or by that of its set-up."""
         first = self.stations[0]
         if len(self.stations) == 1:
             return first.parameters
-        # Of all stations the robot's parameters are the same, in the same order.
+        # The robot's parameters are the same at all stations, in the same order.
         return (*compress(first.parameters, ~first.is_own), *self._stations_own[0].values())
 
     @cached_property
     def _stations_own(self) -> tuple[dict[tuple[str, int], Parameter], list[list[tuple[str, int]]]]:
-        """What belongs to stations by name and, as candidates may be alike, number of the name there; and these of each."""
+        """Parameters of stations, keyed by name and its repetition (candidates may share names); and each station's keys."""
         found, keys = dict[tuple[str, int], Parameter](), list[list[tuple[str, int]]]()
         for station in self.stations:
             seen, own = Counter[str](), [p.at(station.owner(p)) for p in compress(station.parameters, station.is_own)]
@@ -89,7 +88,7 @@ class Problem:
 
     @cached_property
     def places(self) -> tuple[np.ndarray, ...]:
-        """For each station, where its parameters stand in the table."""
+        """For each station, the indices of its parameters in the table."""
         if len(self.stations) == 1:
             return (np.arange(len(self.stations[0].parameters)),)
         found, keys = self._stations_own
@@ -103,12 +102,12 @@ class Problem:
 
     @cached_property
     def _index(self) -> dict[str, int]:
-        """The place of each parameter by its name."""
+        """The index of each parameter by its name."""
         return {parameter.name: i for i, parameter in enumerate(self.parameters)}
 
     @cached_property
     def is_shared(self) -> np.ndarray:
-        """Which parameters are left when those of single stations among several are eliminated, shape (P,)."""
+        """Which parameters remain when those of single stations among several are eliminated, shape (P,)."""
         if len(self.stations) == 1:
             return np.ones(len(self.parameters), bool)
         found = np.bincount(np.concatenate(self.places), minlength=len(self.parameters)) > 1
@@ -117,9 +116,9 @@ class Problem:
 
     @cached_property
     def beliefs(self) -> Beliefs:
-        """What is believed of parameters beyond the prior of each.
+        """Knowledge of parameters beyond the prior of each.
 
-        What is known from an earlier fit has the smoothness of curves already; a station's own are not known that well.
+        An earlier fit already includes the smoothness of curves; a station's own curves are not known that well.
         """
         terms, is_remembered = [], np.zeros(len(self.parameters), bool)
         if self.earlier is not None:
@@ -139,7 +138,7 @@ class Problem:
 
     @cached_property
     def rows(self) -> tuple[slice, ...]:
-        """For each station, where its rows stand among all rows."""
+        """For each station, the slice of its rows among all rows."""
         return _spans(len(station) for station in self.stations)
 
     @cached_property
@@ -159,7 +158,7 @@ class Problem:
 
     @cached_property
     def work(self) -> Work:
-        """The stations, to do tasks with."""
+        """The stations, for tasks on workers."""
         return Work(self.stations)
 
     @cached_property
@@ -169,24 +168,24 @@ class Problem:
 
     @cached_property
     def block_spans(self) -> tuple[slice, ...]:
-        """For each station, where its blocks stand among all blocks."""
+        """For each station, the slice of its blocks among all blocks."""
         return _spans(len(station.sensor.blocks) for station in self.stations)
 
     def readings(self, robust: np.ndarray) -> np.ndarray:
-        """Return how many readings of each block count by robust weights of all rows, shape (blocks,)."""
+        """Return the number of readings of each block that count, shape (blocks,), given robust weights of all rows."""
         counts, (station, size) = robust > 0.0, self._of_blocks
         return np.asarray(np.array([np.count_nonzero(counts[rows]) for rows in self.rows])[station] * size)
 
     @cached_property
     def _of_blocks(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of each block of readings its station, by number, and its components, shape (blocks,)."""
+        """Station number and number of components of each block of readings, shape (blocks,)."""
         pairs = [(k, block.size) for k, station in enumerate(self.stations) for block in station.sensor.blocks]
         station, size = np.array(pairs).T
         return station, size
 
     @cached_property
     def largest_basis(self) -> tuple[np.ndarray, np.ndarray]:
-        """How far a unit of each parameter moves its coordinate at most, and whether it does at all, shape (P,)."""
+        """Largest motion of each parameter's coordinate per unit, and whether it moves at all, shape (P,)."""
         largest, excited = np.zeros(len(self.parameters)), np.zeros(len(self.parameters), bool)
         for batch in self.batches:
             sample = replace(batch, stations=tuple(map(_sample, batch.stations)))
@@ -200,7 +199,7 @@ class Problem:
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
-        """What may deviate, beside base and tool; those of all stations first, then what only some of them have."""
+        """Effects besides base and tool; those of the first station first, then the others' own."""
         first, *others = ([e for e in s.model.effects if e.family is not Family.EXTRINSICS] for s in self.stations)
         for effects in others:
             known = set(map(id, first))
@@ -209,16 +208,16 @@ class Problem:
 
     @cached_property
     def _spans(self) -> tuple[dict[int, slice], ...]:
-        """For each station, where the parameters of an effect stand among its own, by the effect's identity."""
+        """For each station, the slice of each effect's parameters among its own, by the effect's identity."""
         pairs = ((station.model.effects, station.model.spans) for station in self.stations)
         return tuple({id(effect): span for effect, span in zip(*pair, strict=True)} for pair in pairs)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all but what is known by the identity of objects, which are others where this is unpickled."""
+        """Return all but what is keyed by the identity of objects, which changes where this is unpickled."""
         return {name: value for name, value in vars(self).items() if name != "_spans"}
 
     def with_effects(self, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None) -> Problem:
-        """Return the same readings with other effects beside base and tool."""
+        """Return the same readings with other effects besides base and tool."""
         stations = []
         for station in self.stations:
             frames = [effect for effect in station.model.effects if effect.family is Family.EXTRINSICS]
@@ -239,19 +238,19 @@ class Problem:
         return replace(self, stations=tuple(s if is_whole else s.select(part) for s, part, is_whole in pairs))
 
     def places_at(self, effect: Effect) -> np.ndarray:
-        """Return where the parameters of an effect of the problem, this very object, stand: those of all stations."""
+        """Return the indices of the parameters of an effect of the problem (this very object), at all stations."""
         found: dict[int, None] = {}
         for spans, places in zip(self._spans, self.places, strict=True):
             found |= dict.fromkeys(places[spans.get(id(effect), slice(0))].tolist())
         return np.array(list(found), int)
 
     def carried_over(self, vector: np.ndarray, other: Problem) -> np.ndarray:
-        """Return what a vector over this table says of another problem's, by name; zero (or False) where it says nothing."""
+        """Return a vector over another problem's table by parameter name; zero (or False) for unknown names."""
         return carried_over(vector, self._index, other.parameters)
 
 
 def extended(problem: Problem, effects: Sequence[Effect]) -> tuple[Problem, np.ndarray]:
-    """Return a problem with further effects, and where its parameters stand in the new table, shape (P,)."""
+    """Return a problem with further effects, and the indices of its parameters in the new table, shape (P,)."""
     models = [s.model.with_effects([*s.model.effects, *effects_at(effects, s.name)]) for s in problem.stations]
     wider = replace(problem, stations=tuple(s.with_model(m) for s, m in zip(problem.stations, models, strict=True)))
     known = np.empty(len(problem.parameters), int)
@@ -262,7 +261,7 @@ def extended(problem: Problem, effects: Sequence[Effect]) -> tuple[Problem, np.n
 
 
 def effects_at(effects: Iterable[Effect], station: str) -> list[Effect]:
-    """Return the effects that a station has: those of all stations, and its own."""
+    """Return the effects at a station: those of all stations, and its own."""
     return [effect for effect in effects if effect.locus.station in (None, station)]
 
 
@@ -272,7 +271,7 @@ def _spans(lengths: Iterable[int]) -> tuple[slice, ...]:
 
 
 def _sample(station: Station) -> Station:
-    """Return the station with rows spread over the table, enough to judge sizes by."""
+    """Return the station with rows spread over the table, enough to determine sizes."""
     if len(station) <= _ROWS:
         return station
     rows = sample_rows(len(station), _ROWS)

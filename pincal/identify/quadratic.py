@@ -1,16 +1,15 @@
-r"""The information form: what rows, priors and earlier fits say of named parameters, as one sum of squares about a point.
+r"""The information form: rows, priors and earlier fits as one sum of squares over named parameters about a point.
 
-With r the residuals at that point in units of their noise and J the columns by which parameters x take them away,
+With r the residuals at that point in units of their noise and J the columns with which parameters x reduce them,
 
 .. math:: |r - J x|^2 = s - 2 g^T x + x^T H x, \qquad H = J^T J, \quad g = J^T r, \quad s = r^T r .
 
-Sums of such squares over rows, stations, robots and priors are of the same form, and so is what is left when some
-parameters are eliminated (marginalised): the information filter of Bierman (Factorization Methods for Discrete Sequential
-Estimation, 1977), the Hessian factor of factor graphs (Dellaert and Kaess 2017). For a model that is linear in x a joint fit
-is the sum of the forms of its parts.
+Sums of such squares over rows, stations, robots and priors have the same form, also after some parameters are marginalised:
+the information filter of Bierman (Factorization Methods for Discrete Sequential Estimation, 1977), the Hessian factor of
+factor graphs (Dellaert and Kaess 2017). For a model linear in x the form of a joint fit is the sum of its parts'.
 
-What rounding leaves of a direction that nothing sees is judged against the information that its parameters had before
-anything was eliminated: directions below a part of that are none.
+An unobservable direction contains only rounding: it is recognised by comparison with the information that its parameters had
+before any elimination.
 """
 
 from __future__ import annotations
@@ -23,24 +22,24 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import chdtrc
 
-# Part of the information of parameters, before anything was eliminated, below which nothing is seen of a direction. Two
-# columns that are alike but for one part in 300 are one at this: less is what linearisation leaves of a sound model.
+# Fraction of the parameters' information before any elimination below which a direction counts as unobserved. Two columns
+# that agree to one part in 300 are one then: linearisation errors of a sound model are as large.
 SEEN = 1e-5
-# The same where all that matters is that rounding, some 1e-16 of the largest entry, is taken for nothing.
+# The same where only rounding, some 1e-16 of the largest entry, is to be excluded.
 ROUNDING = 1e-12
-# The same where directions are found that data do not see at all, so that what they see faintly still counts: a hundred to a
+# The same for finding directions that are unobservable altogether, where weakly observed ones still count: a hundred to a
 # thousand times the rounding of a sum over the rows.
 NULL = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """What squares say of F parameters, by their places; of several forms, as of stations, with a leading axis.
+    """Information on F parameters, by index; of several forms, as of stations, with a leading axis.
 
     Attributes:
         H: shape (F, F), their information.
         g: shape (F,), half of the negative gradient of the sum of squares.
-        whole: shape (F,), the diagonal of H before anything was eliminated.
+        whole: shape (F,), the diagonal of H before any elimination.
     """
 
     H: np.ndarray
@@ -49,12 +48,12 @@ class Form:
 
     @classmethod
     def of(cls, H: np.ndarray, g: np.ndarray | None = None) -> Form:
-        """Return that of information from which nothing was eliminated; default: at its least."""
+        """Return a form from information without elimination; default: at its minimum."""
         whole = np.diagonal(H, axis1=-2, axis2=-1)
         return Form(H, np.zeros(whole.shape) if g is None else g, whole)
 
     def part(self, at: np.ndarray) -> Form:
-        """Return that of some parameters, by their places, shape (n,), the others held."""
+        """Return the form of the parameters at some indices, shape (n,), conditional on the others."""
         return Form(self.H[..., at[:, None], at], self.g[..., at], self.whole[..., at])
 
     def sum(self) -> Form:
@@ -63,7 +62,7 @@ class Form:
         return Form(*(np.sum(of, axis=several) if several else of for of in (self.H, self.g, self.whole)))
 
     def gain(self, at: np.ndarray, tolerance: float = SEEN) -> tuple[float, int]:
-        """Return what some parameters, the others held, take off the squares, and the rank of what is seen of them.
+        """Return how much some parameters, the others held, reduce the sum of squares, and their observed rank.
 
         If they are zero the gain is chi-square with as many degrees of freedom.
         """
@@ -71,28 +70,28 @@ class Form:
         return float(along @ along), len(along)
 
     def chance(self, at: np.ndarray, tolerance: float = SEEN) -> float:
-        """Return the chance of as large a gain if these parameters are zero."""
+        """Return the p-value of the gain, for the hypothesis that these parameters are zero."""
         gain, rank = self.gain(at, tolerance)
         return float(chdtrc(rank, gain)) if rank else 1.0
 
     def estimate(self, at: np.ndarray, tolerance: float = SEEN) -> tuple[np.ndarray, np.ndarray]:
-        """Return the likeliest values of some parameters, the others held, and their covariance; zero where unseen."""
+        """Return the estimates of some parameters, the others held, and their covariance; zero where unobserved."""
         root = self.root(at, tolerance)
         return root @ (root.T @ self.g[at]), root @ root.T
 
     def root(self, at: np.ndarray, tolerance: float = SEEN) -> np.ndarray:
-        """Return the root of the covariance of some parameters, the others held, over what is seen of them, (n, rank)."""
+        """Return the root of the covariance of some parameters, the others held, over what is observed, (n, rank)."""
         return root_of_inverse(self.H[np.ix_(at, at)], self.whole[at], tolerance)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Quadratic(Form):
-    """Squares about a point: square - 2 g x + x H x, over F named parameters x, in units of the noise.
+    """Squares about a point, square - 2 g x + x H x, over F named parameters x, in units of the noise.
 
     Attributes:
         names: the parameters.
         square: the squares at x = 0.
-        degrees: number of readings and priors less that of directions that were eliminated.
+        degrees: number of readings and priors minus that of eliminated directions.
     """
 
     names: tuple[str, ...]
@@ -101,13 +100,13 @@ class Quadratic(Form):
 
     @classmethod
     def of_rows(cls, names: Sequence[str], J: np.ndarray, r: np.ndarray) -> Self:
-        """Return that of R rows: J of shape (R, F) and r of shape (R,), both in units of the noise."""
+        """Return the form of R rows: J of shape (R, F) and r of shape (R,), both in units of the noise."""
         H = J.T @ J
         return cls(H, J.T @ r, np.diag(H), names=tuple(names), square=float(r @ r), degrees=float(len(r)))
 
     @classmethod
     def of_prior(cls, names: Sequence[str], sizes: np.ndarray, offsets: np.ndarray | None = None) -> Self:
-        """Return that of independent priors.
+        """Return the form of independent priors.
 
         Args:
             names: F parameters.
@@ -120,7 +119,7 @@ class Quadratic(Form):
         return cls(np.diag(precision), -precision * at, precision, names=tuple(names), square=square, degrees=known)
 
     def __add__(self, other: Quadratic) -> Quadratic:
-        """Return the sum of what both say, parameter by name: what one of them does not have it says nothing of."""
+        """Return the sum of both, by parameter name; a form holds no information on parameters that it does not have."""
         names = tuple(dict.fromkeys((*self.names, *other.names)))
         place = {name: i for i, name in enumerate(names)}
         H, g, whole = np.zeros((len(names),) * 2), np.zeros(len(names)), np.zeros(len(names))
@@ -138,17 +137,17 @@ class Quadratic(Form):
         return replace(self, g=self.g - self.H @ values, square=square)
 
     def taking(self, at: np.ndarray) -> Quadratic:
-        """Return what is left if all parameters but some, by their places, stay where they are."""
+        """Return the form of the parameters at some indices, the others held."""
         return replace(self, **vars(self.part(at)), names=tuple(self.names[i] for i in at))
 
     def held(self, at: np.ndarray) -> Quadratic:
-        """Return what is left if some parameters, by their places, stay where they are."""
+        """Return the form of the other parameters if those at some indices are held."""
         return self.taking(np.setdiff1d(np.arange(len(self.names)), at))
 
     def released(self, at: np.ndarray, tolerance: float = SEEN) -> Quadratic:
-        """Return what is left of all parameters once some of them, by their places, are anything.
+        """Return the form with the parameters at some indices marginalised.
 
-        Those keep their places, and nothing is known of them any more; :meth:`held` takes them away.
+        They keep their indices, without any information on them; :meth:`held` removes them.
         """
         root = self.root(at, tolerance)
         across, along = self.H[:, at] @ root, root.T @ self.g[at]
@@ -163,11 +162,11 @@ class Quadratic(Form):
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """Cholesky factor of information H that priors make definite, for many parameters: H = L L^T / (scale scale^T).
+    """Cholesky factor of information H that priors make definite: H = L L^T / (scale scale^T).
 
     Attributes:
         scale: shape (F,).
-        L: shape (F, F), lower; that of H scaled to a diagonal of 1, and a little more for rounding.
+        L: shape (F, F), lower; of H scaled to a diagonal of 1, plus a little for rounding.
     """
 
     scale: np.ndarray
@@ -175,7 +174,7 @@ class Factor:
 
     @classmethod
     def of(cls, H: np.ndarray) -> Factor:
-        """Return that of H, shape (F, F), symmetric, which is overwritten."""
+        """Return the factor of H, shape (F, F), symmetric, which is overwritten."""
         scale = np.asarray(1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300)))
         H *= scale
         H *= scale[:, None]
@@ -203,12 +202,12 @@ class Factor:
 
 
 def root_of_inverse(H: np.ndarray, whole: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return R, shape (n, k), with R R^T the inverse of information H over the k directions that hold any.
+    """Return R, shape (n, k), with R R^T the inverse of information H over the k observed directions.
 
     Args:
         H: shape (n, n).
-        whole: shape (n,), information that counts as 1.
-        tolerance: below which there is none.
+        whole: shape (n,), the diagonal by which information is scaled.
+        tolerance: scaled information below which a direction is unobserved.
     """
     scale = 1.0 / np.sqrt(np.maximum(whole, 1e-300))
     values, vectors = np.linalg.eigh(H * np.outer(scale, scale))

@@ -1,7 +1,7 @@
-"""One search for what data call for: candidates are scored, the best is taken in if it is enough, the rest scored beside it.
+"""Stepwise selection: candidates are scored, the best is accepted if it suffices, and the rest are scored given it.
 
-What is searched differs in its candidates, in what each costs (what it takes off the squares against what its parameters
-cost, or the chance of as large a gain), and in how one is taken in: by releasing it in an information form, or by a fit.
+Searches differ in their candidates, in the cost of each (reduction of the sum of squares against the cost of its parameters,
+or a p-value), and in how one is accepted: by releasing it in an information form, or by a fit.
 """
 
 from __future__ import annotations
@@ -16,13 +16,7 @@ _S = TypeVar("_S")
 
 @dataclass(frozen=True)
 class Scored(Generic[_C]):
-    """A candidate beside those that were taken in before.
-
-    Attributes:
-        candidate: it.
-        cost: the least is the best; of equal ones the first.
-        is_enough: whether data call for it.
-    """
+    """A candidate, its cost given those accepted before (the least is best, the first of equals), and whether it suffices."""
 
     candidate: _C
     cost: float
@@ -32,7 +26,7 @@ class Scored(Generic[_C]):
 def select_stepwise(
     state: _S, scores: Callable[[_S], Iterable[Scored[_C]]], taken: Callable[[_S, _C], _S], *, most: int
 ) -> _S:
-    """Return what a search comes to: the best candidate is taken in, again and again, until it is not enough.
+    """Return the final state of a search that accepts the best candidate again and again until it does not suffice.
 
     Example:
         >>> def scores(chosen):

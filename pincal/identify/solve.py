@@ -1,9 +1,8 @@
-"""One solver for every fit: Gauss-Newton on the posterior, with robust weights, estimated noise and bounds.
+"""The solver of every fit: Gauss-Newton on the posterior, with robust weights, estimated noise and bounds.
 
-Where two parameters multiply each other and the readings hardly tell them apart, such as a bearing's compliance and its
-place, what Gauss-Newton wants along this bent ridge leads far off it. A step is then damped by the priors, and what such a
-one did wrong all the same is put right from where it led to, by what the readings are surest of. A step that is halved
-instead creeps along the ridge.
+Where two parameters multiply each other and the readings hardly distinguish them, such as a bearing's compliance and its
+place, Gauss-Newton steps lead far off this curved ridge. A step is then damped by the priors, and the remaining error is
+corrected from its end by what the readings determine best. Halving steps instead would creep along the ridge.
 """
 
 from __future__ import annotations
@@ -23,28 +22,26 @@ from pincal.units import readable_unit
 log = logging.getLogger(__name__)
 
 # A step that moves predictions by less than this part of the noise ends the fit: the next one would be smaller still. So
-# does one that had to be halved down to this: along a bent ridge there is nothing left to gain.
+# does one that had to be halved down to this: along a curved ridge there is nothing to gain.
 SETTLED = 1e-3
 _ROUGH = 0.1
-# The same in standard deviations of parameters: of very many rows, these are known to less than a step may be that is short.
-# On a ridge that is known to rounding such steps may go on, so that after so many a short one will do.
-_NEAR, _LOOKS = 0.05, 8
+# The same in standard deviations of parameters, which are smaller than a short step if there are very many rows. On a ridge
+# that is known to rounding such steps may continue, so after this number of them a short one suffices.
+_NEAR, _TRIALS = 0.05, 8
 # The same where the noise is at its floor: steps there are rounding.
 _ROUNDED = 0.03
-# Relative change of the noise above which earlier steps say nothing about the next, as little as after one that they got
-# wrong.
+# Relative change of the noise above which earlier steps do not predict the next.
 _STEADY = 0.05
-# Robust weights that change by less are settled.
+# Change of robust weights below which they are settled.
 _SETTLED = 1e-3
-# Steps remembered, and the ratio of successive steps above which they are put to use.
-_MEMORY = 4
-_SLOW = 0.3
-# Damping of the first step that is damped, in priors; how much more of it each refusal brings, how much less a success;
-# and after how many refusals steps are halved instead.
+# Number of steps kept, and the ratio of successive steps above which they are used.
+_MEMORY, _SLOW = 4, 0.3
+# First damping, in units of the priors' precision; its factors after a refused and after an accepted step; and the number of
+# refusals after which steps are halved instead.
 _FIRST, _MORE, _LESS, _MOST = 3.0, 4.0, 2.0, 6
-# How much more a step is damped that puts right what another one did wrong.
+# Additional damping of a step that corrects another one.
 _REPAIR = 10.0
-# Halvings of a step that made things worse, before the fit is taken to stand still.
+# Halvings of a step that increased the squares, before the fit counts as stalled.
 _HALVINGS = 10
 
 
@@ -53,13 +50,13 @@ class Course:
     """How a fit is done.
 
     Attributes:
-        loss: "screen" weighs rows beyond the range of the noise down and leaves them out at the end; "huber" only
-            weighs them down; "none" takes every row as it is.
-        rough: whether another fit follows, so that this one may end early and its outliers only be weighed down.
-        short: how far a step that ends the fit may move predictions, root mean square, in units of the noise.
-        ahead: whether it ends before a step that moves no parameter by much of its standard deviation, without taking it.
-        label: what the fit is called in the log; it is not logged without a name.
-        executor: computes what stations contribute, where there are several; default: one after the other, here.
+        loss: "screen" down-weights rows beyond the range of the noise and excludes them at the end; "huber" only
+            down-weights them; "none" takes every row at full weight.
+        rough: whether another fit follows, so that this one may end early and only down-weight outliers.
+        short: motion of the predictions, root mean square in units of the noise, below which a step ends the fit.
+        ahead: whether to stop before a step that moves every parameter by little of its standard deviation.
+        label: name of the fit in the log; without one it is not logged.
+        executor: computes the stations' contributions; default: serially, in this process.
     """
 
     loss: Loss = "screen"
@@ -78,19 +75,16 @@ def solve(
     noise: Noise,
     course: Course = Course(),
 ) -> Solution:
-    """Find the most probable values of the free parameters.
+    """Find the most probable values of the free parameters; ``exit`` of the result reports how the fit ended.
 
     Args:
         problem: model and readings.
-        start: shape (P,), where to begin; the others keep these values. Or the problem at such values with the robust
+        start: shape (P,), start values, which the other parameters keep. Or the problem at such values with the robust
             weights of an earlier fit, whose outliers are then known, and perhaps more free parameters.
         free: shape (P,), parameters to fit.
         priors: about the nominal, zero.
         noise: declared standard deviations.
-        course: what to do with outliers, how far to go, and where.
-
-    Returns:
-        The fit; ``exit`` tells how it ended.
+        course: treatment of outliers, convergence and executor.
     """
     run = _Run(problem, start, free, priors, noise, course)
     ended = run.until_it_ends()
@@ -100,7 +94,7 @@ def solve(
 def likeliest_values(
     problem: Problem, start: np.ndarray, free: np.ndarray, priors: Priors, noise: Noise, course: Course = Course()
 ) -> np.ndarray:
-    """Return the values of :func:`solve` alone, shape (P,), without what is known of them."""
+    """Return only the values of :func:`solve`, shape (P,), without their posterior."""
     run = _Run(problem, start, free, priors, noise, course)
     run.is_whole = False
     run.until_it_ends()
@@ -108,20 +102,20 @@ def likeliest_values(
 
 
 class _Run:
-    """A fit on its way; arguments as of :func:`solve`.
+    """State of a fit; arguments as for :func:`solve`.
 
     Attributes:
-        is_whole: whether more is asked for than the values.
+        is_whole: whether more than the values is needed.
         point: the problem at the latest values, rows weighted by robust weights of an earlier point.
         judged: noise and robust weights by the residuals there.
-        hard: whether outliers are left out rather than weighed down.
+        hard: whether outliers are excluded rather than down-weighted.
         iterations: number of steps.
-        wanted: how far Gauss-Newton wanted the last one to move predictions, root mean square, in units of the noise.
-        is_short: whether what was taken of it is too short to matter.
+        wanted: motion of the predictions by the last Gauss-Newton step, root mean square in units of the noise.
+        is_short: whether the part of it that was taken is too short to matter.
         held: shape (F,), free parameters that a bound stopped.
-        damping: of the last step, less what its success is worth; 0 while whole steps do.
-        was_refused: whether the point before had steps that made things worse.
-        trail: points and the steps that Gauss-Newton wanted there, the latest last, both of shape (F,).
+        damping: for the next step; 0 while full steps succeed.
+        was_refused: whether steps from the previous point were refused.
+        history: points and their Gauss-Newton steps, the latest last, both of shape (F,).
     """
 
     def __init__(
@@ -145,7 +139,7 @@ class _Run:
         self.judged = self.judge.at(self.point, hard=self.hard)
         self.iterations, self.wanted, self.is_short, self.held = 0, np.inf, False, np.zeros(int(free.sum()), bool)
         self.damping, self.was_refused, self.is_whole = 0.0, False, True
-        self.trail: list[tuple[np.ndarray, np.ndarray]] = []
+        self.history: list[tuple[np.ndarray, np.ndarray]] = []
 
     def until_it_ends(self) -> Ending:
         """Take steps until the fit ends; return how."""
@@ -179,29 +173,29 @@ class _Run:
         taken = self.point.values[free] - here.values[free]
         refused = longer is not step and not np.array_equal(self.point.values[free], here.values[free] + longer)
         if refused or np.max(np.abs(self.judged.sigma / before.sigma - 1.0)) > _STEADY:
-            self.trail = []
+            self.history = []
         shortest = self.course.short if np.any(self.judged.sigma > rounding(self.problem)) else _ROUNDED
         self.is_short = (
             self.wanted < shortest or self.length(self.point.posterior(self.judged.sigma).square(taken)) < shortest
         )
-        if self.course.ahead and self.iterations < _LOOKS:
+        if self.course.ahead and self.iterations < _TRIALS:
             self.is_short = self.is_near()
 
     def is_near(self) -> bool:
-        """Return whether the next step would move no parameter by more than a small part of its standard deviation."""
+        """Return whether the next step would move every parameter by only a small part of its standard deviation."""
         posterior, free = self.point.posterior(self.judged.sigma), self.free
         step, _ = posterior.step_within(self.priors.bounds[free])
         return posterior.square(step) + float(np.sum((step / self.priors.sizes[free]) ** 2)) < _NEAR**2
 
     def accelerated(self, step: np.ndarray, metric: np.ndarray) -> np.ndarray:
-        """Return the step to take where Gauss-Newton wants ``step``, both of shape (F,).
+        """Return the step to take in place of the Gauss-Newton ``step``, both of shape (F,).
 
-        Anderson's acceleration of a slowly converging fit (Walker and Ni 2011), over the last few steps: where residuals are
-        large against what a direction is known by, Gauss-Newton overshoots it again and again by almost the same amount; two
-        such steps tell where it settles. A fit that converges fast is left alone.
+        Anderson acceleration over the last few steps (Walker and Ni 2011): where residuals are large and a direction is
+        weakly determined, Gauss-Newton overshoots by almost the same amount again and again, and two such steps determine
+        the limit. A fit that converges fast is unaffected.
         """
-        self.trail = [*self.trail[-_MEMORY:], (self.point.values[self.free], step.copy())]
-        points, steps = zip(*self.trail, strict=True)
+        self.history = [*self.history[-_MEMORY:], (self.point.values[self.free], step.copy())]
+        points, steps = zip(*self.history, strict=True)
         if self.damping or len(steps) < 3 or np.linalg.norm(metric * step) < _SLOW * np.linalg.norm(metric * steps[-2]):
             return step
         dx, ds = np.diff(points, axis=0).T, np.diff(steps, axis=0).T
@@ -210,11 +204,11 @@ class _Run:
 
     @property
     def is_steady(self) -> bool:
-        """Whether the robust weights are those that the residuals call for."""
+        """Whether the robust weights agree with the residuals."""
         return bool(np.max(np.abs(self.judged.robust - self.point.robust)) < _SETTLED)
 
     def ending(self) -> Ending | None:
-        """Return how the fit has ended, None if it goes on."""
+        """Return how the fit has ended, None if it continues."""
         rough = self.course.rough
         screened = self.judge.loss == "screen" and not self.hard and np.any(self.point.robust != 1.0)
         if rough and (self.is_short or self.wanted < _ROUGH):
@@ -225,11 +219,11 @@ class _Run:
             done = Ending.SETTLED
         else:
             return None
-        # One that can go no further may still have had far to go.
+        # A fit without a successful step may still be far from the solution.
         return done if self.wanted < _ROUGH else Ending.STUCK
 
     def reweigh(self) -> None:
-        """Take the robust weights that the residuals call for, hard ones once nothing else moves."""
+        """Take the robust weights that follow from the residuals, hard ones once nothing else moves."""
         if self.is_short and self.is_steady:
             self.hard = True
             self.judged = self.judge.at(self.point, hard=True)
@@ -237,20 +231,20 @@ class _Run:
             self.point = self.point.reweighted(self.judged.robust)
 
     def is_beyond_normal_equations(self) -> bool:
-        """Return whether readings are so exact that J^T J can't hold what they say, and few enough for J itself.
+        """Return whether readings are too exact for J^T J, and few enough for J itself.
 
-        What is believed beyond the priors of each parameter, and noise that is correlated, have no part in J.
+        J contains neither knowledge beyond the priors of each parameter nor correlated noise.
         """
         correlated = any(s.serial is not None or s.whitening is not None for s in self.problem.stations)
         if correlated or not self.problem.beliefs.is_slope or not np.isfinite(self.priors.sizes[self.free]).any():
             return False
         whole = self.point.posterior(self.judged.sigma).whole
-        # A prior that is wider than usual makes no reading more exact.
+        # A prior that is wider than usual does not make readings more exact.
         sizes = usual_sizes(self.problem, self.priors.sizes)[self.free]
         return is_exact(whole, sizes) and len(self.problem) * len(whole) <= MOST_EXACT
 
     def solution(self, ended: Ending) -> Solution:
-        """Put the solution together, its noise judged with the parameters really spent."""
+        """Return the solution, its noise estimated with the effective number of parameters."""
         point, noise = self.point, self.judge.noise
         spent = point.posterior(self.judge.at(point, hard=True).sigma).spent
         degrees = self.judge.degrees(point.robust, *spent)
@@ -282,14 +276,14 @@ class _Run:
     def linearised(
         self, values: np.ndarray, robust: np.ndarray, sigma: np.ndarray | None, *, is_doubtful: bool = False
     ) -> Linearised:
-        """Return the problem at values; if ``sigma``, the noise so far, is the declared one, it will be again."""
+        """Return the problem at values; if ``sigma``, the noise so far, is the declared one, it will be used again."""
         likely = sigma if sigma is not None and np.array_equal(sigma, self.judge.noise.known) else None
         return Linearised(
             self.problem, values, self.free, robust, self.priors.sizes, self.course.executor, likely, is_doubtful
         )
 
     def length(self, square: float) -> float:
-        """Return how far a step of this square moves the predictions, root mean square, in units of the noise."""
+        """Return the motion of the predictions by a step of this square, root mean square, in units of the noise."""
         return float(np.sqrt(max(square, 0.0) / self.readings(self.judged.robust)))
 
     def readings(self, robust: np.ndarray) -> float:
@@ -297,15 +291,15 @@ class _Run:
         return max(float(self.problem.readings(robust).sum()), 1.0)
 
     def moved(self, longer: np.ndarray, step: np.ndarray) -> Linearised:
-        """Return the point of the first step that does not make things worse, the largest first.
+        """Return the point of the first successful step, the largest first.
 
         Args:
             longer: the accelerated step, shape (F,).
-            step: Gauss-Newton's own.
+            step: the Gauss-Newton step.
         """
         here, sigma, bounds = self.point, self.judged.sigma, self.priors.bounds[self.free]
         trial = _Trial(self)
-        # Few steps lead back here.
+        # The equations here are rarely needed again.
         here.release()
         if longer is not step and trial.succeeds(longer):
             return trial.there
@@ -316,29 +310,28 @@ class _Run:
             self.damping = damping / _LESS if damping > _FIRST else 0.0
             if trial.succeeds(step):
                 return trial.there
-            # From where a whole step led to, putting it right may lead on into another valley.
+            # Correcting from the end of a full step may lead on into another valley.
             if damping:
                 there, worse = trial.there, trial.there.objective(sigma) / max(here.objective(sigma), 1e-300)
-                if trial.succeeds(
-                    step + there.posterior(sigma).step_within(bounds, _REPAIR * (1.0 + damping) * max(worse, 1.0))[0]
-                ):
+                repair = _REPAIR * (1.0 + damping) * max(worse, 1.0)
+                if trial.succeeds(step + there.posterior(sigma).step_within(bounds, repair)[0]):
                     return trial.there
             damping = max(_FIRST, _MORE * damping)
         self.damping = damping
         if any(trial.succeeds(step * 0.5**k) for k in range(_HALVINGS)):
             return trial.there
-        # Those fits stay here that no step made better.
+        # Fits without a successful step stay here.
         return here if trial.is_open.all() else trial.at(np.zeros(len(step)))
 
 
 class _Trial:
-    """Steps from a point, tried one after the other until none makes things worse.
+    """Steps from a point, tried one after the other until one does not increase the squares.
 
-    Stations that share nothing that is free are fits of their own: each takes what does not make it worse.
+    Stations that share no free parameter are fits of their own: each takes the first step that succeeds for it.
 
     Attributes:
         there: the latest point.
-        is_open: which fits still look for a step.
+        is_open: which fits still need a step.
     """
 
     def __init__(self, run: _Run) -> None:
@@ -349,9 +342,9 @@ class _Trial:
         self.there, self.is_open = self._here, np.ones(len(self._limits), bool)
 
     def succeeds(self, step: np.ndarray) -> bool:
-        """Try a step, shape (F,); return whether all fits have one now that does not make them worse."""
+        """Try a step, shape (F,); return whether all fits have a successful step now."""
         run = self._run
-        # Of the last point the squares will do if only its values are asked for.
+        # Squares suffice for the last point if only its values are needed.
         is_doubtful = self._is_refused or run.was_refused or (run.wanted < run.course.short and not run.is_whole)
         self.there = self.at(step, is_doubtful=is_doubtful)
         self.is_open &= self.there.objectives(self._sigma) > self._limits
@@ -362,7 +355,7 @@ class _Trial:
         return True
 
     def at(self, step: np.ndarray, *, is_doubtful: bool = False) -> Linearised:
-        """Return the point where the fits that still look for a step take this one."""
+        """Return the point where the fits that still need a step take this one."""
         here, free, values = self._here, self._run.free, self.there.values.copy()
         values[free] = np.where(self.is_open[self._group], here.values[free] + step, values[free])
         return self._run.linearised(values, here.robust, self._sigma, is_doubtful=is_doubtful)

@@ -1,8 +1,7 @@
-"""Rows held back, and fits repeated: cross-validation, bootstrap and Monte Carlo, here or on the workers of any executor.
+"""Held-out rows and repeated fits: cross-validation, bootstrap and Monte Carlo, serially or with any executor.
 
-Rows are held back at random, whole regions of joint space at a time, or stretches of consecutive rows. Each repetition is
-one call of a module-level function on picklable arguments with a seed of its own; :mod:`pincal.spread` says which executors
-there are.
+Rows are held out at random, by regions of joint space, or by stretches of consecutive rows. Each repetition is one call of a
+module-level function on picklable arguments with a seed of its own; :mod:`pincal.spread` lists the executors.
 """
 
 from __future__ import annotations
@@ -31,43 +30,38 @@ from pincal.spread import spread
 
 Split = Literal["random", "blocked"]
 Way = Literal["regions", "stretches"]
-"""What rows that are held out are apart from the fitted ones in: their joint positions, or the order of measurement."""
+"""In what held-out rows are apart from fitted ones: joint positions, or the order of measurement."""
 
-# Regions of joint space that a blocked split deals out, and stretches of rows.
+# Number of regions of joint space, and of stretches of rows, in a blocked split.
 _BLOCKS = 25
 
 
 def hold_out(
     measurements: Measurements, fraction: float, *, split: Split = "random", seed: int = 0
 ) -> tuple[Measurements, Measurements]:
-    """Divide a table into training and held-out rows.
+    """Divide a table into training and held-out rows, both in the order of the table.
 
     Args:
         measurements: the table.
         fraction: of the rows to hold out, from 0 to below 1.
-        split: "random" rows, or "blocked": whole clusters of similar joint positions, so that held-out poses are not
-            the neighbours of measured ones.
+        split: "random" rows, or "blocked": whole clusters of similar joint positions, so that held-out poses are not next to
+            measured ones.
         seed: of the choice.
-
-    Returns:
-        Training rows and held-out rows, both in the order of the table.
 
     Raises:
         BadInputError: if the fraction is out of range.
     """
-    if not 0.0 <= fraction < 1.0:
-        raise BadInputError(f"test fraction is {fraction:g}; expected at least 0 and below 1")
-    held = np.zeros(len(measurements), bool)
-    if round(fraction * len(measurements)):
-        held = _dealt(row_groups(measurements, split=split, seed=seed), round(fraction * len(measurements)), seed)
+    held, wanted = np.zeros(len(measurements), bool), _rows_to_hold(measurements, fraction)
+    if wanted:
+        held = _drawn_groups(row_groups(measurements, split=split, seed=seed), wanted, seed)
     return measurements.select(~held), measurements.select(held)
 
 
 def ways_held_out(measurements: Measurements, fraction: float, *, seed: int = 0) -> dict[Way, np.ndarray]:
     """Return which rows to hold out both ways, half of them by regions of joint space and half by stretches of rows.
 
-    A model that knows the neighbours of a pose, or what the day was like before and after it, predicts it better than one
-    that doesn't: curves between trained positions, drift between trained rows.
+    A model that knows the neighbours of a pose, or the rows measured before and after it, predicts it better than others: by
+    curves between trained positions, or by drift between trained rows.
 
     Args:
         measurements: the table.
@@ -75,27 +69,32 @@ def ways_held_out(measurements: Measurements, fraction: float, *, seed: int = 0)
         seed: of the choice.
 
     Returns:
-        Of each way which rows it holds out, shape (N,); readings of one pose together, and no row by both.
+        For each way a mask, shape (N,); readings of one pose stay together, and no row is in both.
 
     Raises:
         BadInputError: if the fraction is out of range.
     """
-    if not 0.0 <= fraction < 1.0:
-        raise BadInputError(f"test fraction is {fraction:g}; expected at least 0 and below 1")
-    n, wanted = len(measurements), round(0.5 * fraction * len(measurements))
+    n, wanted = len(measurements), _rows_to_hold(measurements, fraction, part=0.5)
     if not wanted:
         return {"regions": np.zeros(n, bool), "stretches": np.zeros(n, bool)}
-    regions = _dealt(row_groups(measurements, split="blocked", seed=seed), wanted, seed)
+    regions = _drawn_groups(row_groups(measurements, split="blocked", seed=seed), wanted, seed)
     along = measurements.rows if measurements.time is None else measurements.time
     place = np.argsort(np.argsort(along, kind="stable"), kind="stable")
-    stretches = _dealt(place * min(_BLOCKS, n) // n, wanted, seed + 1)
+    stretches = _drawn_groups(place * min(_BLOCKS, n) // n, wanted, seed + 1)
     pose = replicate_groups([measurements], within=SCATTER)[0]
     regions = np.isin(pose, pose[regions])
     return {"regions": regions, "stretches": np.isin(pose, pose[stretches]) & ~regions}
 
 
-def _dealt(groups: np.ndarray, wanted: int, seed: int) -> np.ndarray:
-    """Return which rows belong to groups, drawn whole, that have about as many rows as are wanted, shape (N,)."""
+def _rows_to_hold(measurements: Measurements, fraction: float, part: float = 1.0) -> int:
+    """Return the number of rows to hold out, or of a part of them."""
+    if not 0.0 <= fraction < 1.0:
+        raise BadInputError(f"test fraction is {fraction:g}; expected at least 0 and below 1")
+    return round(part * fraction * len(measurements))
+
+
+def _drawn_groups(groups: np.ndarray, wanted: int, seed: int) -> np.ndarray:
+    """Return the rows of randomly drawn groups, about as many as are wanted, shape (N,)."""
     sizes = np.bincount(groups).tolist()
     is_held, count = np.zeros(len(sizes), bool), 0
     for group in np.random.default_rng(seed).permutation(len(sizes)).tolist():
@@ -117,10 +116,10 @@ def row_groups(measurements: Measurements, *, split: Split, seed: int) -> np.nda
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Errors of rows by fits that never saw them.
+    """Residuals of rows by fits without them.
 
     Attributes:
-        residuals: shape (m, N), reading minus prediction [m, rad, px]; not a number at points that no other fold has.
+        residuals: shape (m, N), reading minus prediction [m, rad, px]; nan at points that no other fold has.
         fold: shape (N,), in which fold each row was held out.
     """
 
@@ -145,9 +144,9 @@ def cross_validate(
         measurements: all rows.
         options: how to calibrate.
         folds: number of parts.
-        split: rows at random, or clusters in joint space whole.
+        split: rows at random, or whole clusters in joint space.
         seed: of the division.
-        executor: runs the fits; default: one after the other, here.
+        executor: runs the fits; default: serially, in this process.
     """
     groups = row_groups(measurements, split=split, seed=seed)
     order = np.random.default_rng(seed).permutation(groups.max() + 1)
@@ -170,13 +169,13 @@ def _held_out_residuals(robot: Robot, table: Measurements, options: Options, fol
 
 
 def bootstrap(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
-    """Refit rows drawn with replacement; the spread of the values needs no model of the noise.
+    """Refit rows resampled with replacement; the spread of the values needs no model of the noise.
 
     Args:
         fit: the calibration.
-        draws: how many refits; as many small tasks for an executor.
+        draws: number of refits, each a task for an executor.
         seed: of all draws, from which the seed of each is derived.
-        executor: runs the refits; default: one after the other, here.
+        executor: runs the refits; default: serially, in this process.
 
     Returns:
         Shape (draws, P).
@@ -187,6 +186,7 @@ def bootstrap(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | 
 def _drawn(
     refit: Callable[[np.random.SeedSequence], np.ndarray], draws: int, seed: int, executor: Executor | None
 ) -> np.ndarray:
+    """Return the values of refits with a seed each, shape (draws, P)."""
     seeds = np.random.SeedSequence(seed).spawn(draws)
     return np.array(list(spread(refit, seeds, label="draw", executor=executor)))
 
@@ -198,12 +198,9 @@ def _refit_drawn_rows(fit: ModelFit, seed: np.random.SeedSequence) -> np.ndarray
 
 
 def bootstrap_stations(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
-    """Refit stations drawn with replacement: their spread includes variation from day to day, unlike resampled rows.
+    """Refit stations resampled with replacement: the spread includes variation from day to day, unlike resampled rows.
 
-    Arguments as those of :func:`bootstrap`.
-
-    Returns:
-        Shape (draws, P); not a number for the own parameters of stations that were not drawn.
+    Arguments as for :func:`bootstrap`; returns shape (draws, P), nan for the own parameters of stations not drawn.
 
     Raises:
         BadInputError: if there is only one station.
@@ -236,12 +233,9 @@ def _refit_drawn_stations(fit: ModelFit, seed: np.random.SeedSequence) -> np.nda
 
 
 def monte_carlo(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
-    """Refit simulated readings of the calibrated model with the noise of the fit: the parametric bootstrap.
+    """Refit simulated readings of the calibrated model with its noise, the parametric bootstrap; return shape (draws, P).
 
-    Arguments as those of :func:`bootstrap`.
-
-    Returns:
-        Shape (draws, P).
+    Arguments as for :func:`bootstrap`.
     """
     return _drawn(partial(_refit_simulated, fit), draws, seed, executor)
 
@@ -262,7 +256,7 @@ def _refit(fit: ModelFit, problem: Problem) -> Solution:
 
 
 def joint_regions(q: np.ndarray, most: int, seed: int = 0) -> np.ndarray:
-    """Return the number of the region of joint space of each row of q, shape (N, n), of at most so many, shape (N,)."""
+    """Return the number of each row's region of joint space, shape (N,), at most ``most`` regions, for q of shape (N, n)."""
     from scipy.cluster.vq import kmeans2
 
     folded = _at_one_turn(q)
@@ -273,21 +267,21 @@ def joint_regions(q: np.ndarray, most: int, seed: int = 0) -> np.ndarray:
 
 
 def distinct_poses(q: np.ndarray) -> np.ndarray:
-    """Return a number for each row of q, shape (N, n), the same for those with the same joint positions, shape (N,)."""
+    """Return a number for each row of q, shape (N, n), equal for equal joint positions, shape (N,)."""
     return np.unique(np.round(_at_one_turn(q), 9), axis=0, return_inverse=True)[1].ravel()
 
 
 def _at_one_turn(q: np.ndarray) -> np.ndarray:
-    """Return joint positions, shape (N, n), those of a joint that takes more than a turn folded into one turn.
+    """Return joint positions, shape (N, n), of joints that take more than a turn folded into one turn.
 
-    It begins behind the largest gap, so that neighbours stay neighbours. A rail of more than 6 m is folded, too: two far
+    The turn begins in the largest gap, so that neighbours stay neighbours. A rail of more than 6 m is folded, too: distant
     places on it may then be held out together, which does no harm.
     """
     folded = np.array(q, float)
     for j in np.flatnonzero(np.ptp(q, axis=0) > TURN) if len(q) else ():
         angles = np.unique(np.mod(q[:, j], TURN))
         gap = int(np.argmax(np.diff(angles, append=angles[0] + TURN)))
-        # The middle of the gap, where rounding can't carry a row to the other end.
+        # In the middle of the gap rounding can't move a row to the other end.
         start = angles[gap] + 0.5 * (angles[(gap + 1) % len(angles)] - angles[gap]) % TURN
         folded[:, j] = np.mod(q[:, j] - start, TURN)
     return folded

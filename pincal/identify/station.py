@@ -27,27 +27,27 @@ from pincal.parameters import Parameter, is_on_link
 PIECE = 4096
 
 
-# What is recorded of each joint in units of its position; the side that it arrived from is that of its drive.
+# Columns of each joint in units of its position; the approach direction, in contrast, is that of its drive.
 _MOVED = ("droop", "move")
 
 
 @dataclass(frozen=True)
 class Station:
-    """One set-up of instrument and targets: a model, the conditions of N poses and what the sensor read there.
+    """One set-up of instrument and targets: a model, the conditions of N poses and the sensor's readings there.
 
-    Vectors of values here have the model's parameters first, then the sensor's.
+    Vectors of values have the model's parameters first, then the sensor's.
 
     Attributes:
-        model: the model, its chain's reference orientations those of this station.
+        model: the model, its chain's reference orientations being those of this station.
         conditions: the poses.
         sensor: the readings.
         weights: shape (N,), each row's inverse standard deviation relative to the others (mean about 1).
-        whitening: shape (m, m, N), lower triangular, of each row what makes the noise of its readings independent and even;
-            default: it is.
-        name: tells it from the other stations of a problem; "" where there is no other.
-        position: shape (N,), where each row stands in the order of measurement, in rows; None where there is none.
-        serial: how the noise is correlated along that order; default: it is not.
-        trusted: shape (N,), rows that are not to be taken for outliers; default: none.
+        whitening: shape (m, m, N), lower triangular matrix of each row that whitens the noise of its readings; default: it
+            is white.
+        name: distinguishes the stations of a problem; "" for a single one.
+        position: shape (N,), of each row in the order of measurement, in rows; None without an order.
+        serial: correlation of the noise along that order; default: none.
+        trusted: shape (N,), rows that are never outliers; default: none.
         setup: name of the set-up whose instrument it shares with stations between other links; "" if it is its own.
     """
 
@@ -64,7 +64,7 @@ class Station:
 
     @property
     def shares_setup(self) -> bool:
-        """Whether other stations may have parameters of its own, too."""
+        """Whether other stations may share some of its own parameters."""
         return bool(self.setup) or any(is_on_link(p.element) for p in compress(self.parameters, self.is_own))
 
     def owner(self, parameter: Parameter) -> str:
@@ -77,7 +77,7 @@ class Station:
         return self.name if parameter.element in self.model.chain.targets else self.setup or self.name
 
     def split(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the parts of a vector, shape (P,), that belong to the model and to the sensor."""
+        """Return the parts of a vector, shape (P,), for the model and for the sensor."""
         of_model = self.model.own(vector)
         return of_model, vector[len(of_model) :]
 
@@ -109,7 +109,7 @@ class Station:
 
     @cached_property
     def block_rows(self) -> list[slice]:
-        """Where each block of readings stands among these."""
+        """Slice of each block of readings among these components."""
         return [slice(a, b) for a, b in pairwise(np.cumsum([0, *self.block_sizes]).tolist())]
 
     def __len__(self) -> int:
@@ -129,7 +129,7 @@ class Station:
         )
 
     def sample(self, most: int) -> Station:
-        """Return the station with at most so many of its rows, and some of everything; itself if it has no more."""
+        """Return the station with at most ``most`` of its rows, some of everything; itself if it has no more."""
         return self if len(self) <= most else self.select(sample_rows(len(self), most, self.sensor.groups))
 
     def with_model(self, model: Model) -> Station:
@@ -138,30 +138,28 @@ class Station:
 
     def residuals(self, values: np.ndarray) -> np.ndarray:
         """Return reading minus prediction at all rows, shape (m, N), not weighted [m, rad]."""
-        m = self.reading_size
-        out = np.empty((m, len(self)))
-        of_model, own = self.split(values)
+        out, (of_model, own) = np.empty((self.reading_size, len(self))), self.split(values)
         for piece in self._pieces():
             part = self._part(piece)
             out[:, piece] = part.sensor.residuals(part.model.predict(of_model, part.conditions.at_moments), own)
         return out
 
     def whitened(self, residuals: np.ndarray) -> np.ndarray:
-        """Return residuals of all rows, shape (m, N), as a fit weighs them: their noise independent and even."""
+        """Return residuals of all rows, shape (m, N), with white noise as a fit weights them."""
         if self.whitening is not None:
             residuals = np.asarray(whitened_rows(self.whitening, np.ascontiguousarray(residuals[None]))[0])
         return np.concatenate([self._along(residuals[None, :, p], p)[0] for p in self._pieces()], axis=1)
 
     def _along(self, columns: np.ndarray, piece: slice) -> np.ndarray:
-        """Return columns of a piece of the rows, shape (D, m, n), their noise independent along the rows, too."""
+        """Return columns of a piece of the rows, shape (D, m, n), with the correlation along the rows removed, too."""
         if self.serial is None:
             return columns
-        # Rows that are surer have less of both kinds of noise.
+        # Rows of larger weight have less of both kinds of noise.
         weights = self.weights[piece]
         return np.asarray(self.serial.select(piece).innovations(columns * weights) / weights)
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
-        """Return noise of all rows, shape (m, N), that is independent and even, as readings have it."""
+        """Return white noise of all rows, shape (m, N), correlated like the readings': the inverse of :meth:`whitened`."""
         if self.serial is not None:
             parts = [self.serial.select(p).coloured((noise * self.weights)[:, p]) for p in self._pieces()]
             noise = np.concatenate(parts, axis=1) / self.weights
@@ -170,9 +168,8 @@ class Station:
         return np.asarray(np.linalg.solve(np.moveaxis(self.whitening, 2, 0), noise.T[:, :, None])[:, :, 0].T)
 
     def displacements(self, values: np.ndarray) -> np.ndarray:
-        """Return which way and how far each row's target is off, as far as its reading tells, shape (N, 3) [m]."""
-        out = np.empty((len(self), 3))
-        of_model, own = self.split(values)
+        """Return the displacement of each row's target, as far as its reading determines it, shape (N, 3) [m]."""
+        out, (of_model, own) = np.empty((len(self), 3)), self.split(values)
         for piece in self._pieces():
             part = self._part(piece)
             poses = part.model.predict(of_model, part.conditions.at_moments)
@@ -180,7 +177,7 @@ class Station:
         return out
 
     def metres_per_reading(self, values: np.ndarray) -> float:
-        """Return how far the target is off for one unit of the first block of readings: 1, but for images."""
+        """Return the displacement of the target per unit of the first block of readings: 1 except for images."""
         if self.sensor.blocks[0].unit == "m":
             return 1.0
         if not self.sensor.reads_place:
@@ -206,11 +203,12 @@ class Station:
         return poses, motion.transpose(2, 1, 0)
 
     def linearise_shared(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, Jacobian]]:
-        """Yield what :meth:`linearise` does, whitened and with the structure of curves kept, for Gram matrices.
+        """Yield what :meth:`linearise` does, whitened and with curves as basis times column, for Gram matrices.
 
-        Joints off the path that have changed what those on it bear have no columns: these are a millionth of their own.
+        Joints off the path that have changed what those on it bear have no columns, as their effect is a millionth of their
+        own.
         """
-        # Nothing of a piece is held here while it is worked on.
+        # Nothing of a piece is held here while it is processed.
         for piece in self._pieces():
             yield piece, *self._shared(self._part(piece), piece, values, free)
 
@@ -225,7 +223,7 @@ class Station:
                 of_model, part.conditions, free=model_free, rows=self.sensor.twist_rows
             )
         else:
-            # A curve moves each of a row's moments by another value.
+            # A curve has another value at each moment of a row.
             poses, motion = part._motion(of_model, model_free)
         apart = free.copy()
         self.split(apart)[0][:] = model_free
@@ -249,7 +247,7 @@ class Station:
         jacobian = Jacobian(int(free.sum()), column_of[apart], dense, tuple(families))
         if self.serial is None:
             return residuals, jacobian
-        # What a curve does at one row is left in the next ones, too.
+        # The effect of a curve at one row persists in the next ones, too.
         columns, places = jacobian.dense_columns()
         return self._along(residuals[None], piece)[0], Jacobian(jacobian.size, places, self._along(columns, piece))
 
@@ -265,7 +263,7 @@ class Station:
         if piece == slice(0, len(self)):
             return self
         conditions = part_of(self.conditions, piece, (piece.start, piece.stop))
-        # Weights and places are those of the whole, as pieces are put together by them.
+        # Weights and positions are the whole station's, as pieces are assembled by them.
         whitening = None if self.whitening is None else np.ascontiguousarray(self.whitening[..., piece])
         serial = None if self.serial is None else self.serial.select(piece)
         return replace(self, conditions=conditions, sensor=self.sensor.select(piece), whitening=whitening, serial=serial)
@@ -286,9 +284,9 @@ def station_of(
         model: the model; its chain's targets are those of the table.
         measurements: the table.
         payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
-        setup: the named points and the camera; default: that of :func:`pincal.measure.measurements.sensor_of`.
-        name: of the station, where there are several.
-        instrument: the noise of its positions by range and direction, if it is declared so.
+        setup: the named points and the camera; default: as for :func:`pincal.measure.measurements.sensor_of`.
+        name: of the station, if there are several.
+        instrument: declared noise of its positions by range and direction.
     """
     sigma = measurements.sigma
     weights = np.ones(len(measurements)) if sigma is None else np.sqrt(np.mean(sigma**2)) / sigma
@@ -301,7 +299,7 @@ def station_of(
 
 
 def _positions(measurements: Measurements) -> np.ndarray:
-    """Return where each row stands in the order of measurement, by the time or the line, shape (N,)."""
+    """Return the position of each row in the order of measurement, by time or line, shape (N,)."""
     along = measurements.rows.astype(float) if measurements.time is None else measurements.time
     steps = np.diff(np.sort(along))
     if measurements.time is None and np.any(np.diff(along) <= 0.0):
@@ -311,7 +309,7 @@ def _positions(measurements: Measurements) -> np.ndarray:
 
 
 def conditions_of(model: Model, measurements: Measurements, payload_centre: np.ndarray) -> Conditions:
-    """Return the conditions of a table's rows; rows without a payload carry none.
+    """Return the conditions of a table's rows; rows without a payload have none.
 
     Raises:
         BadInputError: for a target that a model of several targets does not have.
@@ -343,7 +341,7 @@ def conditions_of(model: Model, measurements: Measurements, payload_centre: np.n
 def fingerprints(station: Station) -> str:
     """Return four bytes per row, from its joint positions and readings, as text (base64).
 
-    By them a model knows the rows that it was fitted to without keeping them.
+    They identify the rows that a model was fitted to, which need not be kept.
     """
     sensor = station.sensor
     columns = [station.conditions.q, *(np.asarray(getattr(sensor, name)) for name in sensor.per_row)]
@@ -353,7 +351,7 @@ def fingerprints(station: Station) -> str:
 
 
 def together(*marks: str) -> str:
-    """Return the fingerprints of the rows of several."""
+    """Return the joint fingerprints of several sets of rows."""
     return base64.b64encode(np.concatenate([_numbers(part) for part in marks]).tobytes()).decode()
 
 
@@ -371,7 +369,7 @@ def are_fingerprints(text: str) -> bool:
 
 
 def known_rows(marks: str, station: Station) -> np.ndarray:
-    """Return which rows of a station are among those behind fingerprints, shape (N,); a stranger is with 1 in 10^5."""
+    """Return which rows of a station are among those behind fingerprints, shape (N,); by chance one in 10^5 is."""
     return np.isin(_numbers(fingerprints(station)), _numbers(marks))
 
 

@@ -1,13 +1,13 @@
-r"""What makes noise independent and even: among the readings of each row, and along rows in their order.
+r"""Whitening of noise: among the readings of each row, and along the rows in their order.
 
-A set-up that drifts, air that moves, a floor that settles: what an instrument reads wrong at one row it mostly reads wrong
-at the next. Each component of a reading then has, beside white noise, an autoregression of first order along the rows,
+Drift of a set-up, moving air or a settling floor correlate the errors of consecutive rows. Each component of a reading then
+has, in addition to white noise, an autoregression of first order along the rows,
 
 .. math:: V_{tu} = \sigma^2 \left( (1 - s) \, \delta_{tu} + s \, \varphi^{|t - u|} \right) ,
 
 which with :math:`\varphi` near 1 is a random walk. Its innovations (Kalman 1960) are independent and follow from the
-readings by a recursion, so that rows are weighed in a time that is linear in their number, and all that is made for
-independent rows (fits, score tests, covariances) holds for the innovations.
+readings by a recursion, in a time linear in the number of rows, and all methods for independent rows (fits, score tests,
+covariances) apply to them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 
 from pincal.compiled import compiled
 
-# Poses worked on at once, so that what is needed of them stays in the cache.
+# Poses processed at once, so that their data stay in the cache.
 _TILE = 512
 
 
@@ -46,10 +46,10 @@ def whitened_rows(whitening, columns):
 
 @compiled(nogil=True)
 def recursion(phi, share, gaps, counted):
-    """Return decay, gain and scale, shape (m, N), of an autoregression beside white noise, as :func:`filtered` wants them.
+    """Return decay, gain and scale, shape (m, N), for :func:`filtered`, of an autoregression plus white noise.
 
-    Their variances are ``share`` and the rest of 1, shape (m,); ``gaps``, shape (N,), are the steps from the row before, by
-    each of which ``phi`` is left; rows that are not ``counted`` tell nothing of the next ones.
+    Their variances are ``share`` and 1 - ``share``, shape (m,); ``phi`` is the correlation per step; ``gaps``, shape (N,),
+    are the steps from the previous row; rows that are not ``counted`` do not predict the next ones.
     """
     m, n = len(phi), len(gaps)
     decay, gain, scale = np.empty((m, n)), np.empty((m, n)), np.empty((m, n))
@@ -67,11 +67,10 @@ def recursion(phi, share, gaps, counted):
 
 @compiled(nogil=True)
 def filtered(columns, order, decay, gain, scale, back):
-    """Return the innovations of columns, shape (D, m, N), along rows in an order, each times its scale.
+    """Return the innovations of columns, shape (D, m, N), along rows in an order, each times its scale (a Kalman filter).
 
-    What is known of a row from those before it is ``decay`` times what was known after the last one, and is put right by
-    ``gain`` times what the row itself shows beyond it; order has shape (N,), the others (m, N), in this order. With ``back``
-    the innovations are given, and the columns that have them returned.
+    The prediction of a row is ``decay`` times the last estimate, which is corrected by ``gain`` times the innovation; order
+    has shape (N,), the others (m, N), in this order. With ``back`` columns are returned for given innovations.
     """
     n_columns, m, n = columns.shape
     out = np.empty_like(columns)
@@ -90,15 +89,15 @@ def filtered(columns, order, decay, gain, scale, back):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Serial:
-    """How the noise of N rows of a station is correlated along their order.
+    """Correlation of the noise of N rows of a station along their order.
 
     Attributes:
-        phi: shape (m,), correlation from one place of the order to the next, of each component of a reading.
-        share: shape (m,), part of the variance that is correlated.
-        position: shape (N,), where each row stands in the order.
-        counted: shape (N,), rows that tell of the next ones; an outlier does not.
-        turns: shape (N, 3, 3), rotation of the frame in which it persists, such as a loose target's, in that of the
-            readings; default: it is the same.
+        phi: shape (m,), correlation per unit of position, of each component of a reading.
+        share: shape (m,), correlated fraction of the variance.
+        position: shape (N,), of each row in the order.
+        counted: shape (N,), rows that predict the next ones; an outlier does not.
+        turns: shape (N, 3, 3), rotation from the frame in which the error persists, such as a loose target's, to the
+            readings' frame; default: the same frame.
     """
 
     phi: np.ndarray
@@ -108,7 +107,7 @@ class Serial:
     turns: np.ndarray | None = None
 
     def select(self, rows: Any) -> Serial:
-        """Return that of some rows (mask, indices or slice)."""
+        """Return the correlation of some rows (mask, indices or slice)."""
         turns = None if self.turns is None else self.turns[rows]
         return replace(self, position=self.position[rows], counted=self.counted[rows], turns=turns)
 
@@ -122,7 +121,7 @@ class Serial:
         return order, decay, gain, scale * size[:, None]
 
     def _spread(self, phi: float, share: float) -> float:
-        """Return the variance of the rows about their mean, in units of that of the process; of a walk it is small."""
+        """Return the variance of the rows about their mean, in units of the process's; for a random walk it is small."""
         n = max(len(self.position), 1)
         # The mean of phi^|i - j| over all pairs of n rows in a closed form.
         q = 1.0 - phi
@@ -131,17 +130,17 @@ class Serial:
 
     @property
     def log_determinant(self) -> float:
-        """Logarithm of the determinant of the covariance, that of white noise of the same size being 0."""
+        """Logarithm of the determinant of the covariance, relative to white noise of the same size."""
         return -2.0 * float(np.sum(np.log(self._recursion[3])))
 
     def innovations(self, columns: np.ndarray) -> np.ndarray:
-        """Return columns of all rows, shape (D, m, N), as independent and even as those of white noise of the same size."""
+        """Return columns of all rows, shape (D, m, N), whitened to white noise of the same size."""
         if self.turns is not None:
             columns = turned_into(self.turns, columns)
         return np.asarray(filtered(np.ascontiguousarray(columns), *self._recursion, False))
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
-        """Return independent and even noise, shape (m, N), as readings have it."""
+        """Return white noise, shape (m, N), with this correlation."""
         found = np.asarray(filtered(np.ascontiguousarray(noise[None]), *self._recursion, True)[0])
         return found if self.turns is None else turned_into(self.turns.swapaxes(1, 2), found)
 

@@ -1,16 +1,16 @@
-r"""Errors of a model at measured poses, in the words and units that people use, and those of replicates by ISO 9283.
+r"""Errors of a model at measured poses in practical units, and accuracy and repeatability by ISO 9283.
 
-The error at a pose is the distance between the predicted and the measured target: the pose accuracy of position of
-ISO 9283 for a single measurement. Orientation likewise, as one angle.
+The error at a pose is the distance between the predicted and the measured target: the position accuracy of ISO 9283 for a
+single measurement. The orientation error is one angle.
 
-Which rows are replicates, repeated measurements of one pose, is the matter of :mod:`pincal.measure.poses`. With l_j the
-distance of replicate j from the mean of n replicates,
+Replicates, repeated measurements of one pose, are found by :mod:`pincal.measure.poses`. With l_j the distance of replicate j
+from the mean of n replicates,
 
 .. math:: AP = |\bar x - x_c|, \quad RP = \bar l + 3 S_l, \quad AP_a = |\bar a - a_c|, \quad RP_a = 3 S_a
 
-(ISO 9283:1998, 7.2; S with n - 1; a, b, c turn about x, y, z). The standard's commanded pose is here the one that the model
-predicts for the joints that were read: AP is the accuracy of a controller that uses this model. Both come from residuals,
-so that joints that come to rest a little differently do not count as the arm's own error.
+(ISO 9283:1998, 7.2; S with n - 1; a, b, c turn about x, y, z). The commanded pose of the standard is here the prediction for
+the joint positions that were read: AP is the accuracy of a controller that uses this model. Both follow from residuals, so
+that small differences in the final joint positions do not count as the arm's error.
 
 A pose with any replicate among the fitted rows does not count as held out.
 """
@@ -31,62 +31,44 @@ from pincal.measure.measurements import Measurements
 from pincal.units import Unit, readable_unit
 
 CYCLES = 30
-"""Cycles, measurements of each pose, that ISO 9283 asks for."""
+"""Cycles, measurements of each pose, that ISO 9283 requires."""
 
 _ANGLES = "abc"
 
 ERROR_UNITS = ("mm", "mrad", "px", "m/s^2", "mrad/s")
-"""What errors are given in."""
+"""Units of errors."""
 
 ANGLE_WORDS = {"AP_mm": "mm"} | {f"AP_{a}_mrad": f"mrad about {axis}" for a, axis in zip(_ANGLES, "xyz", strict=True)}
-"""What each kind of accuracy is given in."""
+"""Unit of each kind of accuracy."""
 
 
-def pose_errors(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the size of the error at each row, in mm for what is measured in metres, in mrad for angles, in px for images.
+def pose_error_sizes(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the size of the error at each row by its unit, one of ``ERROR_UNITS``, shape (N,) each; empty without rows.
 
-    Args:
-        station: model and readings.
-        values: shape (P,), its parameters.
-
-    Returns:
-        Block name ("position", "orientation", "distance", "image") -> shape (N,). An image's errors also stand as
-        "position": what they are across the view at the distance of the point. Those of an IMU are in m/s^2 and mrad/s.
+    Errors of images are also given in mm, across the view at the distance of the point.
     """
-    residuals = station.residuals(values)
-    found = {
-        block.name: np.linalg.norm(residuals[rows], axis=0) * _read_in(block.unit).factor
-        for block, rows in zip(station.sensor.blocks, station.block_rows, strict=True)
-    }
-    if station.sensor.blocks[0].unit == "m" or not station.sensor.reads_place:
-        return found
-    return {"position": np.linalg.norm(station.displacements(values), axis=1) * readable_unit("m").factor} | found
-
-
-def _read_in(unit: str) -> Unit:
-    """Return the unit in which errors are read: rates as angles are, in thousandths."""
-    return Unit(1e3, "mrad/s") if unit == "rad/s" else readable_unit(unit)
+    if not len(station):
+        return {}
+    residuals, found = station.residuals(values), dict[str, np.ndarray]()
+    if station.sensor.blocks[0].unit != "m" and station.sensor.reads_place:
+        found["mm"] = 1e3 * np.linalg.norm(station.displacements(values), axis=1)
+    for block, rows in zip(station.sensor.blocks, station.block_rows, strict=True):
+        unit = Unit(1e3, "mrad/s") if block.unit == "rad/s" else readable_unit(block.unit)
+        found[unit.name] = np.linalg.norm(residuals[rows], axis=0) * unit.factor
+    return found
 
 
 def error_summary(station: Station, values: np.ndarray) -> dict[str, float]:
-    """Return the statistics of the errors as :func:`pose_errors` has them, by name and unit; empty without rows.
+    """Return the statistics of the errors by name and unit; empty without rows.
 
-    Returns:
-        ``mean_mm``, ``median_mm``, ``rms_mm``, ``p95_mm`` (95th percentile) and ``max_mm``; for orientations ``mean_mrad``
-        and so on, for images ``mean_px`` and so on.
+    They are ``mean_mm``, ``median_mm``, ``rms_mm``, ``p95_mm`` (95th percentile) and ``max_mm``; for orientations
+    ``mean_mrad`` and so on, for images ``mean_px`` and so on.
     """
     return error_statistics([pose_error_sizes(station, values)])
 
 
-def pose_error_sizes(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the size of the error at each row by its unit, one of ``ERROR_UNITS``, shape (N,) each; empty without rows."""
-    units = {block.name: _read_in(block.unit).name for block in station.sensor.blocks}
-    found = pose_errors(station, values) if len(station) else {}
-    return {units.get(block, "mm"): sizes for block, sizes in found.items()}
-
-
 def error_statistics(parts: Iterable[Mapping[str, ArrayLike]]) -> dict[str, float]:
-    """Return the statistics of errors by unit, as :func:`pose_error_sizes` has them, of several stations together."""
+    """Return the statistics of errors by unit, as from :func:`pose_error_sizes`, of several stations together."""
     errors: dict[str, list[ArrayLike]] = {}
     for part in parts:
         for unit, sizes in part.items():
@@ -95,13 +77,13 @@ def error_statistics(parts: Iterable[Mapping[str, ArrayLike]]) -> dict[str, floa
 
 
 def leading_block(fit: ModelFit) -> int:
-    """Return the first block of readings that tells places, by its number; where none does, the first of all."""
+    """Return the number of the first block of readings that determines positions; if none does, of the first of all."""
     stations = ((station, blocks.start) for station, _, blocks in fit.stations)
     return next((first for station, first in stations if station.sensor.reads_place), 0)
 
 
 def leading_unit(statistics: Mapping[str, float]) -> str:
-    """Return the unit of the errors that lead: places, or where no reading tells any, images or accelerations."""
+    """Return the unit of the leading errors: of positions or, if no reading determines any, images or accelerations."""
     return next(unit for unit in ("mm", "px", "m/s^2") if f"mean_{unit}" in statistics)
 
 
@@ -122,7 +104,7 @@ class Replicates:
         table: the rows.
         station: model and readings.
         pose: shape (N,), number of each row's pose; the tables of one calibration share the numbers.
-        counted: shape (N,), rows that are not outliers.
+        counted: shape (N,), rows that are no outliers.
     """
 
     part: str
@@ -133,13 +115,10 @@ class Replicates:
 
 
 def position_accuracy(residuals: np.ndarray) -> tuple[float, float]:
-    """Return AP and RP of one pose.
+    """Return pose accuracy AP and pose repeatability RP of one pose [m].
 
     Args:
         residuals: attained minus predicted position in n >= 2 replicates, shape (3, n) [m].
-
-    Returns:
-        Pose accuracy AP and pose repeatability RP [m].
 
     Example:
         >>> position_accuracy(np.array([[1.0, 3.0], [0.0, 0.0], [0.0, 0.0]]))
@@ -159,12 +138,12 @@ def iso9283(parts: Sequence[Replicates], models: Mapping[str, np.ndarray]) -> di
     """Return accuracy and repeatability of all poses with replicates.
 
     Args:
-        parts: fitted and held-out rows; outliers count in neither.
-        models: name of a model -> shape (P,), its values; the last one's figures stand pose by pose.
+        parts: fitted and held-out rows, of which outliers are excluded.
+        models: name of a model -> shape (P,), its values; the last one's figures are given pose by pose.
 
     Returns:
-        What ``result.json`` has under this key: number of poses and cycles, mean and largest AP and RP by model and part
-        [mm, mrad], and the poses one by one. None without any such pose, or where no position is measured.
+        This entry of ``result.json``: number of poses and cycles, mean and largest AP and RP by model and part [mm, mrad],
+            and the poses one by one. None without any such pose, or where no position is measured.
     """
     if not parts[0].station.sensor.reads_pose:
         return None
@@ -204,14 +183,7 @@ def _all_poses(parts: Sequence[Replicates], values: np.ndarray) -> list[dict[str
 
 
 def groups(pose: np.ndarray) -> list[np.ndarray]:
-    """Return the rows of each pose with replicates.
-
-    Args:
-        pose: shape (N,), the number of each row's pose; -1 for none.
-
-    Returns:
-        Indices of rows, one array per pose.
-    """
+    """Return the indices of the rows of each pose with replicates, given the number of each row's pose, shape (N,); -1 for none."""
     order = np.argsort(pose, kind="stable")
     cuts = np.flatnonzero(np.diff(pose[order])) + 1
     return [rows for rows in np.split(order, cuts) if len(rows) > 1 and pose[rows[0]] >= 0]
@@ -234,7 +206,7 @@ def _summary(poses: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
 
 
 def cycle_words(iso: Mapping[str, Any]) -> str:
-    """Return how many cycles there were, and whether the standard asks for more.
+    """Return the number of cycles in words, and whether the standard requires more.
 
     Example:
         >>> cycle_words({"poses": {"train": 4, "test": 1}, "cycles": {"min": 3, "max": 5, "standard": 30}})

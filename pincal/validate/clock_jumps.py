@@ -1,4 +1,4 @@
-"""Whether the clock of an instrument that reads an arm in motion jumps, as the calibrated arm shows it."""
+"""Detect jumps in the clock of an instrument that reads an arm in motion, by the calibrated arm."""
 
 from __future__ import annotations
 
@@ -12,24 +12,20 @@ from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.motion.clocks import Jump, likeliest_jump
 
-# Rows that show whether there is one.
+# Rows that suffice to detect one.
 _ROWS = 2_000
-# Jump that no error of an arm makes, and no clock without a reason [s].
+# Jump that neither an error of an arm nor a sound clock makes [s].
 _LEAST = 1e-3
 
 
 def check_clocks(tables: Sequence[Measurements], fit: ModelFit) -> None:
-    """Refuse a table whose clock jumps.
+    """Refuse a table whose clock jumps, given the rows of each station and their calibration.
 
-    A nominal arm tells only of large jumps (:func:`pincal.motion.starts.check_clock`); what is left by the calibrated one
-    tells of those by a single image.
-
-    Args:
-        tables: the rows of each station.
-        fit: their calibration.
+    A nominal arm shows only large jumps (:func:`pincal.motion.starts.check_clock`); residuals of the calibrated one show
+    jumps by a single image.
 
     Raises:
-        MeasurementError: naming the row from which on the clock is another.
+        MeasurementError: naming the row from which on the clock is shifted.
     """
     solution = fit.solution
     for (station, places, blocks), table in zip(fit.stations, tables, strict=True):
@@ -52,8 +48,8 @@ def _jump(station: Station, values: np.ndarray, free: np.ndarray, is_offset: np.
     left, columns = left * scale, columns * scale[:, :, None]
     Q = np.linalg.qr(columns.reshape(left.size, -1))[0]
 
-    def beside(steps: np.ndarray) -> np.ndarray:
+    def projected(steps: np.ndarray) -> np.ndarray:
         flat = steps.reshape(left.size, -1)
         return np.asarray((flat - Q @ (Q.T @ flat)).reshape(steps.shape))
 
-    return likeliest_jump(station.conditions.time, left, columns[:, :, np.argmax(is_offset[free])], beside)
+    return likeliest_jump(station.conditions.time, left, columns[:, :, np.argmax(is_offset[free])], projected)

@@ -21,7 +21,7 @@ from pincal.units import format_readable
 from pincal.validate.accuracy import Replicates, groups, iso9283
 from pincal.validate.misfit import MISFIT, NoiseTest, misfit_at, tells
 
-# Replicates that differ by less than this many rounding errors of a reading carry no information on the noise.
+# Replicates that differ by less than this multiple of a reading's rounding carry no information on the noise.
 _ROUNDINGS = 10.0
 
 
@@ -45,7 +45,7 @@ class LackOfFit:
     Attributes:
         F: mean square of the misfit over that of the pure error.
         p_value: probability of an F as large if the model is complete.
-        degrees: effective degrees of freedom, corrected for readings that scatter unevenly.
+        degrees: effective degrees of freedom, corrected for uneven scatter.
         evenness: that correction, see :func:`evenness`.
         poses: number of poses with replicates.
         pure_error: standard deviation of one component between replicates, by block of readings ("sigma_m" [m], ...).
@@ -75,7 +75,7 @@ class LackOfFit:
 
     @property
     def beside(self) -> NoiseTest | None:
-        """The residuals beside the scatter between replicates; None where too few tell it."""
+        """The residuals compared with the scatter between replicates; None if the degrees of freedom are too few."""
         if not tells(self.degrees.misfit, self.degrees.pure_error):
             return None
         return NoiseTest("the scatter between repeated measurements of a pose", self.F**0.5, self.p_value)
@@ -92,14 +92,14 @@ def lack_of_fit(parts: Sequence[Replicates], values: np.ndarray, sigma: np.ndarr
 
     .. math:: F = \frac{(SS - SS_{pure}) / (N - p - f_{pure})}{SS_{pure} / f_{pure}}
 
-    No declared noise enters, only the ratio of those of position and orientation. Pure error is that of all parts; the
-    degrees of freedom are corrected for readings that scatter unevenly, see :func:`evenness`.
+    Declared noise does not enter, only the ratio of position and orientation noise. Pure error is pooled over all parts; the
+    degrees of freedom are corrected by :func:`evenness`.
 
     Args:
         parts: the fitted rows, then the held-out ones.
         values: shape (P,), the fit.
         sigma: shape (blocks,), standard deviations that it used.
-        spent: number p of parameters that the data pay for.
+        spent: effective number p of parameters.
 
     Returns:
         The outcome; None where no pose has replicates, or they differ by no more than rounding.
@@ -107,38 +107,6 @@ def lack_of_fit(parts: Sequence[Replicates], values: np.ndarray, sigma: np.ndarr
     squares = [replicate_squares(part, values, sigma) for part in parts]
     fitted = squares[0]
     return _f_test(squares, parts[0].station, fitted.total - fitted.pure, fitted.readings - spent - fitted.degrees)
-
-
-def lack_of_prediction(
-    rows_of: Replicates, values: np.ndarray, sigma: np.ndarray, covariance: np.ndarray, *, found: np.ndarray | None = None
-) -> LackOfFit | None:
-    r"""Test whether the residuals of rows that were not fitted exceed what noise and calibration uncertainty allow.
-
-    Their covariance is that of the noise, estimated from the replicates, plus that of the calibrated values:
-    :math:`s^2 D + J C J^T`.
-
-    Args:
-        rows_of: the rows.
-        values: shape (P,), the calibrated values.
-        sigma: shape (blocks,), standard deviations of one component in the calibration; only their ratio counts.
-        covariance: shape (P, P), of the values.
-        found: shape (P,), parameters that were found from these rows; default: none.
-    """
-    squares = replicate_squares(rows_of, values, sigma)
-    if not _is_enough([squares], rows_of.station):
-        return None
-    scale = squares.pure / squares.degrees
-    left = misfit_at(
-        rows_of.station,
-        values,
-        covariance=covariance,
-        found=found,
-        sigma=sigma * np.sqrt(scale),
-        robust=rows_of.counted.astype(float),
-    )
-    return _f_test(
-        [squares], rows_of.station, scale * left.square - squares.pure, squares.readings - left.found - squares.degrees
-    )
 
 
 def _is_enough(parts: Sequence[ReplicateSquares], station: Station) -> bool:
@@ -177,21 +145,30 @@ def replicate_statistics(
     covariance: np.ndarray,
     found: np.ndarray | None = None,
 ) -> tuple[dict[str, Any] | None, LackOfFit | None]:
-    """Return accuracy, repeatability and lack of fit of rows that a model has not seen, where they hold replicates.
+    r"""Return accuracy, repeatability and lack of fit of rows that were not fitted, where they contain replicates.
+
+    The test is whether residuals exceed what noise and calibration uncertainty allow: their covariance is that of the
+    noise, estimated from the replicates, plus that of the calibrated values, :math:`s^2 D + J C J^T`.
 
     Args:
         station: the calibrated model over the rows.
         values: shape (P,), its values.
         table: the rows.
-        sigma: shape (blocks,), noise of one component of each block of readings.
+        sigma: shape (blocks,), standard deviations of one component in the calibration; only their ratio counts.
         covariance: shape (P, P), of the values.
-        found: shape (P,), parameters that were found from these rows; default: none.
+        found: shape (P,), parameters that were estimated from these rows; default: none.
 
     Returns:
-        ``iso9283`` as in ``result.json``, and the test of lack of fit; None for what the rows do not show.
+        ``iso9283`` as in ``result.json``, and the test of lack of fit; None where rows do not determine them.
     """
-    rows_of = Replicates("test", table, station, replicate_groups([table])[0], np.ones(len(table), bool))
-    lack = lack_of_prediction(rows_of, values, sigma, covariance, found=found)
+    rows_of, lack = Replicates("test", table, station, replicate_groups([table])[0], np.ones(len(table), bool)), None
+    squares = replicate_squares(rows_of, values, sigma)
+    if _is_enough([squares], station):
+        scale, everything = squares.pure / squares.degrees, np.ones(len(table))
+        noise = sigma * np.sqrt(scale)
+        left = misfit_at(station, values, covariance=covariance, found=found, sigma=noise, robust=everything)
+        degrees = squares.readings - left.found - squares.degrees
+        lack = _f_test([squares], station, scale * left.square - squares.pure, degrees)
     return iso9283([rows_of], {"calibrated": values}), lack
 
 
@@ -206,7 +183,7 @@ class ReplicateSquares:
         degrees: its degrees of freedom.
         poses: number of poses with replicates.
         by_block: shape (blocks, 2), ``pure``, in the units of the readings, and ``degrees`` of each block.
-        spread: of :func:`spread_of`.
+        spread: from :func:`scatter_of`.
     """
 
     total: float
@@ -219,12 +196,9 @@ class ReplicateSquares:
 
 
 def replicate_squares(rows_of: Replicates, values: np.ndarray, sigma: np.ndarray) -> ReplicateSquares:
-    """Return the squares of the rows that are no outliers.
+    """Return the squares of the rows that are no outliers; replicates in other parts are not compared with them.
 
-    Args:
-        rows_of: rows of one part; replicates of a pose in another part are not compared with them.
-        values: shape (P,).
-        sigma: shape (blocks,), standard deviations of one component.
+    ``sigma``, shape (blocks,), are standard deviations of one component.
     """
     rows = np.flatnonzero(rows_of.counted)
     weight = rows_of.station.weights[rows] ** 2
@@ -250,7 +224,7 @@ def replicate_squares(rows_of: Replicates, values: np.ndarray, sigma: np.ndarray
 
 
 def scatter_of(apart: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    r"""Return what says how evenly readings scatter over poses and components, to be added over tables.
+    r"""Return statistics of how evenly readings scatter over poses and components, to be added over tables.
 
     With S the covariance in a pose of n = f + 1 > 2 replicates, unbiased
     :math:`\widehat{tr \Sigma^2} = \frac{f^2}{(f - 1)(f + 2)} (tr S^2 - (tr S)^2 / f)`.
@@ -273,16 +247,14 @@ def scatter_of(apart: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 
 def evenness(spread: np.ndarray) -> float:
-    """Return the factor on the degrees of freedom of sums of squares of readings that scatter unevenly or together.
+    """Return the factor on the degrees of freedom of sums of squares of readings that scatter unevenly or are correlated.
 
-    A robot scatters more where it is stretched out, and its errors in x, y and z go together; sums of squares then vary
-    more than those of independent readings (Box, Ann. Math. Stat. 25, 1954, Eq. 3.1).
+    A robot scatters more where it is stretched out, and its errors in x, y and z are correlated; sums of squares then vary
+    more than those of independent readings (Box, Ann. Math. Stat. 25, 1954, Eq. 3.1). The factor is 1 if readings are
+    independent with equal variances, down to 1 / readings.
 
     Args:
-        spread: shape (4,), sums of :func:`spread_of`.
-
-    Returns:
-        1 where all readings scatter alike and each by itself, down to 1 / readings.
+        spread: shape (4,), sums of :func:`scatter_of`.
     """
     trace, square, variance, readings = spread
     if square <= 0.0:

@@ -1,13 +1,13 @@
 r"""Path accuracy and path repeatability by ISO 9283 of an arm that drives one path n times.
 
-With x_c(s) the commanded path, and x_j(s) where cycle j crosses the plane through x_c(s) and perpendicular to the path,
+With x_c(s) the commanded path, and x_j(s) where cycle j crosses the plane through x_c(s) perpendicular to the path,
 
 .. math:: AT_p = \max_s |\bar x(s) - x_c(s)|, \quad RT_p = \max_s \, (\bar l(s) + 3 S_l(s)), \quad
           AT_a = \max_s |\bar a(s) - a_c(s)|, \quad RT_a = \max_s \, 3 S_a(s)
 
 (ISO 9283:1998, 8.2 and 8.3; l_j is the distance of cycle j from the mean of all, S with n - 1; a, b, c turn about x, y, z).
-As with poses, the commanded path is the one that the model predicts for the joints that were read. Of one cycle there is
-accuracy alone, the noise of the instrument included.
+As with poses, the commanded path is the model's prediction for the joint positions that were read. A single cycle has
+accuracy only, which includes the noise of the instrument.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 
 CYCLES_OF_PATH = 10
-"""Cycles of a path that ISO 9283 asks for."""
+"""Cycles of a path that ISO 9283 requires."""
 
-# Joints are where they were if they are nearer than this part of how far they move, root mean square.
+# Joint positions coincide if they differ by less than this fraction of their motion, root mean square.
 _SAME = 0.01
-# Part of it that the last cycle may lack.
+# Fraction of a cycle that the last one may lack.
 _SHORT = 0.02
-# Part of the usual speed below which an arm stands still.
+# Fraction of the median speed below which an arm stands still.
 _SLOW = 0.01
-# Steps of time in which cycles are looked for, and moments that are asked, at most; steps that count as one; and how often
-# a lag is met, in parts of the commonest, for the shortest of several to be that of a cycle.
+# Largest numbers of time steps and of moments in the search for cycles; steps that count as one; and frequency of a lag,
+# relative to the most frequent one, from which the shortest is the period.
 _STEPS, _ASKED, _BESIDE, _OFTEN = 20_000, 1_000, 4, 0.5
 
 
@@ -42,8 +42,8 @@ def path_accuracy(station: Station, values: np.ndarray, table: Measurements) -> 
         table: the rows.
 
     Returns:
-        Number of cycles and of points of the path, ``AT_mm`` and, of poses, ``AT_a_mrad``, ``AT_b_mrad``, ``AT_c_mrad``; of
-        more than one cycle ``RT_mm`` and so on, too. None for held poses, or where no position is measured.
+        Number of cycles and of points of the path, ``AT_mm`` and, for poses, ``AT_a_mrad``, ``AT_b_mrad``, ``AT_c_mrad``;
+            for more than one cycle also ``RT_mm`` and so on. None for held poses, or where no position is measured.
     """
     if table.moving is None or table.time is None or not station.sensor.reads_pose:
         return None
@@ -54,11 +54,11 @@ def path_accuracy(station: Station, values: np.ndarray, table: Measurements) -> 
 
 
 def along_path(time: np.ndarray, q: np.ndarray, path: np.ndarray, residuals: np.ndarray) -> dict[str, Any]:
-    """Return what :func:`path_accuracy` does.
+    """Return the result of :func:`path_accuracy`.
 
     Args:
         time: shape (N,), increasing [s].
-        q: joints, shape (N, n).
+        q: joint positions, shape (N, n).
         path: commanded positions, shape (N, 3) [m].
         residuals: attained minus commanded position [m], shape (3, N), or pose [m, rad], shape (6, N).
     """
@@ -88,9 +88,9 @@ def along_path(time: np.ndarray, q: np.ndarray, path: np.ndarray, residuals: np.
 
 
 def cycles_of(time: np.ndarray, q: np.ndarray) -> tuple[float, float, int]:
-    """Return when joints, shape (N, n), begin to do the same again and again [s], how long it takes [s], and how often.
+    """Return start [s], period [s] and number of the cycles of joint positions, shape (N, n).
 
-    What is before and after may be something else. Of joints that never do the same again it is all, once.
+    Before and after, the arm may do something else. Without repetition the whole time is one cycle.
     """
     from scipy.spatial import KDTree
 
@@ -99,7 +99,7 @@ def cycles_of(time: np.ndarray, q: np.ndarray) -> tuple[float, float, int]:
     once = float(time[0]), float(time[-1] - time[0]), 1
     z = np.stack([np.interp(even, time, joint) for joint in q.T])
     near = _SAME * float(np.sqrt(z.var(axis=1).sum()))
-    # How long after some moments the joints are where they were.
+    # Lags after which the joints are back at their positions at some moments.
     asked = np.arange(0, count, max(count // _ASKED, 1))
     found = KDTree(z.T).query_ball_point(z.T[asked], near) if near else np.empty(0, object)
     lags = np.concatenate([np.asarray(hits) - i for hits, i in zip(found, asked, strict=False)] or [np.zeros(0, int)])
@@ -112,7 +112,7 @@ def cycles_of(time: np.ndarray, q: np.ndarray) -> tuple[float, float, int]:
     period = float(step) * float(np.mean(lags[np.abs(lags - most) <= 2 * _BESIDE]))
     later = np.stack([np.interp(even + period, even, joint) for joint in z])
     same = (np.sum((later - z) ** 2, axis=0) < near**2) & (even + period <= even[-1])
-    # The longest run of rows that come again.
+    # The longest run of rows that repeat.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
     if not len(edges):
         return once
