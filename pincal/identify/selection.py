@@ -16,7 +16,7 @@ _S = TypeVar("_S")
 
 @dataclass(frozen=True)
 class Scored(Generic[_C]):
-    """A candidate, its cost given those accepted before (the least is best, the first of equals), and whether it suffices."""
+    """A candidate, its cost given those accepted before (the first of the least is best), and whether it suffices."""
 
     candidate: _C
     cost: float

@@ -183,7 +183,7 @@ def _all_poses(parts: Sequence[Replicates], values: np.ndarray) -> list[dict[str
 
 
 def groups(pose: np.ndarray) -> list[np.ndarray]:
-    """Return the indices of the rows of each pose with replicates, given the number of each row's pose, shape (N,); -1 for none."""
+    """Return the row indices of each pose with replicates, given the number of each row's pose, shape (N,), -1 for none."""
     order = np.argsort(pose, kind="stable")
     cuts = np.flatnonzero(np.diff(pose[order])) + 1
     return [rows for rows in np.split(order, cuts) if len(rows) > 1 and pose[rows[0]] >= 0]

@@ -1,4 +1,4 @@
-"""Whether what a fit leaves can be of this robot: compared with what real arms leave; what is wrong is found by trying."""
+"""Whether the residuals of a fit can be this robot's: compared with those of real arms; errors are identified by trial."""
 
 from __future__ import annotations
 
@@ -31,71 +31,70 @@ from pincal.validate.cures import (
     typical_left,
 )
 
-# Nominal error, relative to the reach, from which a mix-up is looked for; errors of real robots are a fifth of it and less.
+# Nominal error, relative to the reach, above which mistakes are searched for; real robots have a fifth of it or less.
 _SUSPICIOUS = 0.01
-# Nominal error, relative to the reach, beyond which no geometric error explains the table.
+# Nominal error, relative to the reach, above which no geometric error explains the table.
 _HOPELESS = 0.2
-# What no real arm leaves when it is calibrated: relative to the reach, and at least [m]; and in orientation [rad]. Real arms
-# leave a tenth of that, an elastic one with the rigid model less than half.
+# Residuals of a calibration that no real arm has: relative to the reach, at least [m], and in orientation [rad]. Real arms
+# have a tenth of that, an elastic one with the rigid model less than half.
 _IMPLAUSIBLE, _IMPLAUSIBLE_M, _IMPLAUSIBLE_RAD = 0.002, 0.0015, 0.02
-# Typical error [m] below which places are computed from the joints, and rounded: instruments read ten times worse.
+# Typical error [m] below which positions are computed from the joints, and rounded: instruments are ten times worse.
 _COMPUTED = 2e-6
-# Unless the instrument is declared to be as bad: so many times its noise.
+# The same limits as a multiple of the declared noise, if that is larger.
 _NOISY = 5.0
 # Factor by which undoing a mistake has to reduce the error before it is named.
 _CURED = 4.0
-# A cure that leaves less than so many times what the best leaves is as likely.
+# A correction counts as equally likely if its residuals are below this multiple of the best one's.
 _RIVAL = 2.0
-# Zeros that are farther off than this are named [rad]; beside them those that are farther off than that are shifted, too.
+# Zero errors above the first value are named [rad]; then those above the second are corrected, too.
 _SHIFT, _SLIGHT = np.deg2rad(2.0), 0.01
-# A zero of which so little is believed is unknown [rad].
+# Prior of a zero above which it counts as unknown [rad].
 _UNKNOWN = 1.0
-# What shifted zeros have to explain of what a calibration leaves: a third of it; or nothing, where the data have pulled a
-# zero by so many times its prior, and no more is left than of real arms.
+# Shifted zeros have to explain a third of the residuals of a calibration; or nothing, where the data have pulled a zero by
+# this multiple of its prior, and the residuals are as small as those of real arms.
 _IMPROVED, _NO_WORSE, _PULLED, _USUAL = 1.5, 1.1, 1.2, 0.1
-# A correction by the calibration that is smaller than so many times what is left of it anyway tells no robots apart.
+# The correction by a calibration, relative to its allowed residuals, above which it distinguishes robots.
 _TELLING = 2.0
-# Rows that are looked at; every trial is a fit. How many of the best are fitted in full.
+# Rows used for trials, each of which is a fit; and the number of the best that are fitted in full.
 _ROWS, _FITTED = 200, 3
-# Cures that base and tool are fitted with, those whose closed-form placement leaves least: what cures leaves some mm there,
-# what does not hundreds. A six-axis arm has some 120, and they grow with the square of the joints.
+# Number of corrections for which base and tool are fitted, those with the best closed-form placement: a true one leaves some
+# mm there, others hundreds. A six-axis arm has some 120, and they grow with the square of the joints.
 _PLACED = 20
-# Of the rows these are looked at: neighbours matter, and all of a long table would add nothing.
+# Largest number of rows examined: neighbours matter, and all of a long table would add nothing.
 _MOST_ROWS = 20_000
-# Scales of lengths, as logarithms: factors beyond show at the door, smaller ones are no mistake but an instrument's error.
+# Range of scales of lengths, as logarithms: larger factors are refused earlier, smaller ones are instrument errors.
 _SCALED, _SCALE_STEP = 0.5, 2e-4
 
 
 @dataclass(frozen=True)
 class _Limits:
-    """What a robot may leave: position [m], orientation [rad]."""
+    """Largest plausible residuals of a robot: position [m], orientation [rad]."""
 
     position: float
     orientation: float
 
     def exceeded(self, left: tuple[float, float]) -> float:
-        """Return how many times the limits something that is left is."""
+        """Return the ratio of residuals to the limits."""
         return max(left[0] / self.position, left[1] / self.orientation)
 
 
 def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: ModelFit) -> Correction | None:
-    """Refuse a table that is not of this robot, or whose columns are mixed up, if what is wrong can be told.
+    """Refuse a table that is not of this robot, or whose columns are mixed up, if the mistake can be identified.
 
     Args:
         robot: the arm.
-        tables: the rows of each station, in the order in which they were measured.
+        tables: the rows of each station, in the order of measurement.
         fit: their calibration.
 
     Returns:
-        What of the robot's description is not as its controller has it, with which the robot is to be calibrated again; None
-        for nearly all robots.
+        A correction of the robot's description, with which the robot is to be calibrated again; None for nearly all robots.
 
     Raises:
-        MeasurementError: naming what, undone, makes the table fit, or two things that do so equally well.
+        MeasurementError: naming the mistake, which, undone, makes the table fit, or two that explain it equally well.
     """
     pulled = _pulled(fit)
     for k, (station, places, table) in enumerate(zip(fit.problem.stations, fit.problem.places, tables, strict=True)):
-        # What is wrong with a log of an IMU is found when it is laid onto the motion.
+        # Mistakes in a log of an IMU are found when it is aligned with the motion.
         if not station.sensor.reads_place:
             continue
         error, left = (typical_left(station, values[places]) for values in (fit.nominal.values, fit.values))
@@ -111,10 +110,9 @@ def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: ModelFit)
         ]
         shifted, after = _shifted(robot, table, options)
         if shifted is not None and shifted.correction is not None:
+            exceeded, before = limits.exceeded(after), limits.exceeded(left)
             insisted = pulled & shifted.correction.shifts.keys()
-            exceeded = limits.exceeded(after)
-            before = limits.exceeded(left)
-            if exceeded < (min(1.0, max(_NO_WORSE * before, _USUAL) if insisted else before / _IMPROVED)):
+            if exceeded < min(1.0, max(_NO_WORSE * before, _USUAL) if insisted else before / _IMPROVED):
                 found.append((exceeded, shifted, after))
         if found:
             return _chosen(found, f"{table.source}: ", got, is_held=fit.options.earlier is not None)
@@ -129,11 +127,10 @@ def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: ModelFit)
 def _chosen(
     found: Sequence[tuple[float, TableCorrection, tuple[float, float]]], source: str, got: str, *, is_held: bool
 ) -> Correction | None:
-    """Return the correction among cures that leave so much, if it is the only one that leaves so little."""
+    """Return the correction with the least residuals if no other one has as little."""
     least = min(exceeded for exceeded, *_ in found)
-    # Of mistakes that are undone equally well, the first is meant.
-    best, *others = [(cure, after) for exceeded, cure, after in found if exceeded < _RIVAL * least]
-    cure, after = best
+    # Of mistakes that are undone equally well, the first counts.
+    (cure, after), *others = [(cure, after) for exceeded, cure, after in found if exceeded < _RIVAL * least]
     rivals = [
         other.words
         for other, _ in others
@@ -146,29 +143,29 @@ def _chosen(
 
 
 def _is_same(sign: TableCorrection, zero: TableCorrection) -> bool:
-    """Return whether two corrections describe one robot: the last joint of a wrist turned round is another's half a turn."""
+    """Return whether two corrections describe one robot: reversing a wrist's last joint is half a turn of another joint."""
     if sign.correction is None or zero.correction is None or not sign.correction.turned:
         return False
     return any(abs(abs(shift) - np.pi) < _SHIFT for shift in zero.correction.shifts.values())
 
 
 def _pulled(fit: ModelFit) -> set[str]:
-    """Return the joints whose zeros the data have pulled far from what is believed of them."""
+    """Return the joints whose zeros the data have pulled far outside their priors."""
     offsets = [(p, fit.values[i]) for i, p in enumerate(fit.problem.parameters) if p.effect == JointOffset.name]
     return {p.name.split(".")[0] for p, value in offsets if p.unit == "rad" and abs(value) > _PULLED * p.size}
 
 
 def unknown_zeros(fit: ModelFit) -> Iterator[str]:
-    """Yield what is to be said of joints whose zeros were not believed, where the rows tell that they are off."""
+    """Yield the notes on joints with unknown zeros whose rows show that they are shifted."""
     for i, parameter in enumerate(fit.problem.parameters):
         is_unknown = parameter.effect == JointOffset.name and parameter.unit == "rad" and fit.priors.sizes[i] > _UNKNOWN
-        # Of the first joint it is a turn of the base, of the last one of the tool: what is as uncertain is not named.
+        # For the first joint it is a turn of the base, for the last one of the tool: such uncertain ones are not named.
         if is_unknown and abs(fit.values[i]) > _SHIFT and fit.estimate.sigma[i] < _SLIGHT:
             yield shift_words(parameter.name.split(".")[0], float(fit.values[i]))
 
 
 def _shifted(robot: Robot, table: Measurements, options: Options) -> tuple[TableCorrection | None, tuple[float, float]]:
-    """Return the cure that shifts the zeros of joints, None if they are about right, and what a calibration leaves then."""
+    """Return the correction that shifts the zeros of joints, None if they are about right, and its residuals."""
     few = table.select(_few(table))
     shifts = {name: shift for name, shift in shifts_found(robot, few, options).items() if abs(shift) > _SLIGHT}
     if max(map(abs, shifts.values()), default=0.0) < _SHIFT:
@@ -183,11 +180,9 @@ def _shifted(robot: Robot, table: Measurements, options: Options) -> tuple[Table
 
 
 def implausible(fit: ModelFit, tables: Iterable[Measurements]) -> Iterator[tuple[str, str]]:
-    """Yield the stations at which a calibration leaves what no real arm does, and how much, in words.
+    """Yield the stations with calibration residuals that no real arm has, and their size in words.
 
-    Args:
-        fit: the calibration.
-        tables: the rows of each station that it was fitted to.
+    ``tables`` are the rows of each station that the fit used.
     """
     for k, (station, places, table) in enumerate(zip(fit.problem.stations, fit.problem.places, tables, strict=True)):
         left, limits = typical_left(station, fit.values[places]), _limits(fit, k, table)
@@ -198,10 +193,10 @@ def implausible(fit: ModelFit, tables: Iterable[Measurements]) -> Iterator[tuple
 
 
 def computed(fit: ModelFit) -> Iterator[tuple[str, bool, str]]:
-    """Yield the stations whose places agree with a model as only numbers computed from the joints do.
+    """Yield the stations whose positions were computed from the joint positions, since they agree too closely with a model.
 
     Yields:
-        Name, whether it is the nominal model (else the calibrated one), and what is left in words.
+        Name, whether the model is the nominal one (else the calibrated one), and the residual in words.
     """
     for station, places in zip(fit.problem.stations, fit.problem.places, strict=True):
         nominal, left = (typical_left(station, values[places])[0] for values in (fit.nominal.values, fit.values))
@@ -212,7 +207,7 @@ def computed(fit: ModelFit) -> Iterator[tuple[str, bool, str]]:
 
 
 def mix_up(measurements: Measurements, station: Station, values: np.ndarray, *, options: Options) -> str:
-    """Return what seems wrong with a table, in words; empty if nothing is known that would make it fit.
+    """Return the mistake that explains a table's residuals, in words; empty if none is found.
 
     Args:
         measurements: the table.
@@ -229,7 +224,7 @@ def mix_up(measurements: Measurements, station: Station, values: np.ndarray, *, 
 
 
 def _limits(fit: ModelFit, k: int, table: Measurements) -> _Limits:
-    """Return what the k-th station may leave; its table may declare the noise of lengths row by row."""
+    """Return the largest plausible residuals of the k-th station; its table may declare the noise of lengths row by row."""
     station, places = fit.problem.stations[k], fit.problem.places[k]
     reach, declared = fit.problem.chain.robot.reach, fit.noise.declared[fit.problem.block_spans[k]]
     length, angle = max(_IMPLAUSIBLE * reach, _IMPLAUSIBLE_M), _IMPLAUSIBLE_RAD
@@ -247,7 +242,7 @@ def _limits(fit: ModelFit, k: int, table: Measurements) -> _Limits:
 def _cured(
     robot: Robot, table: Measurements, *, error: float, limits: _Limits, options: Options
 ) -> list[tuple[TableCorrection, tuple[float, float]]]:
-    """Return the cures that make most of an error go away, the best first, and what base and tool alone leave with them."""
+    """Return the corrections that remove most of an error, the best first, and their residuals with base and tool fitted."""
     table = table.select(slice(0, _MOST_ROWS))
     rows = _few(table)
 
@@ -260,7 +255,7 @@ def _cured(
         return few, (np.inf, np.inf)
 
     possible = list(map(of_few, cures(robot, table)))
-    # In their own order: of cures that do the same, the first is meant.
+    # In their own order: of equivalent corrections, the first counts.
     sizes = [least_left(few.robot, few.table, options, limits.exceeded) for few in possible]
     likely = sorted(np.argsort(sizes, kind="stable")[:_PLACED])
     found = [tried(possible[k]) for k in likely]
@@ -273,19 +268,19 @@ def _cured(
 
         best = minimize_scalar(left_by, bounds=(-_SCALED, _SCALED), method="bounded", options={"xatol": _SCALE_STEP})
         found += [tried(of_few(cure)) for cure in [scaled(robot, table, float(np.exp(best.x)))] if cure is not None]
-    # Of cures that do the same, such as one mirror or another, the first.
+    # Of equivalent corrections, such as one mirror or another, the first.
     found.sort(key=lambda one: float(f"{limits.exceeded(one[1]):.2g}"))
     return [one for one in found if limits.exceeded(one[1]) * _CURED < error][:_FITTED]
 
 
 def _few(table: Measurements) -> np.ndarray:
-    """Return the rows that trials are made with."""
+    """Return the rows used for trials."""
     names = table.point_names
     return sample_rows(len(table), _ROWS, None if names is None else np.unique(names, return_inverse=True)[1])
 
 
 def _calibrated(cure: TableCorrection, options: Options) -> tuple[ModelFit | None, tuple[float, float]]:
-    """Return a calibration of the geometry with a mistake undone, and what it leaves; None if there is none."""
+    """Return a calibration of the geometry with a mistake undone, and its residuals; None if it fails."""
     with suppress(*UNFIT):
         fit = fit_tables(cure.robot, cure.table, replace(options, effects=GEOMETRIC, earlier=None, moment_frame="paper"))
         return fit, typical_left(fit.station, fit.values)
@@ -293,21 +288,21 @@ def _calibrated(cure: TableCorrection, options: Options) -> tuple[ModelFit | Non
 
 
 def belongs_to_other_robot(left: np.ndarray, nominal: np.ndarray, *, allowed: float) -> bool:
-    """Return whether rows speak against a calibration as such: the nominal robot is no farther from them.
+    """Return whether rows contradict a calibration as a whole: the nominal robot is no farther from them.
 
-    With d the correction that it makes, the rows show (|nominal|^2 - |left|^2 + |d|^2) / 2 |d|^2 of it: all of it for
-    the robot that was calibrated, none for any other of its type, less than a half if left is larger than nominal.
+    With d the correction that it makes, the rows show (|nominal|^2 - |left|^2 + |d|^2) / 2 |d|^2 of it: all of it for the
+    robot that was calibrated, none for another of its type, less than half if left is larger than nominal.
 
     Args:
-        left: shape (N, 3), how far the rows are off the calibrated robot, instrument and targets placed [m].
-        nominal: shape (N, 3), the same of the nominal robot [m].
-        allowed: what noise and the calibration's uncertainty leave, root mean square [m].
+        left: shape (N, 3), displacement of the rows from the calibrated robot, instrument and targets placed [m].
+        nominal: shape (N, 3), the same for the nominal robot [m].
+        allowed: residuals that noise and the calibration's uncertainty explain, root mean square [m].
     """
     rest, before, correction = (float(np.sqrt(np.mean(np.sum(way**2, axis=1)))) for way in (left, nominal, nominal - left))
     return rest >= before and correction > _TELLING * allowed
 
 
 def nominal_displacements(robot: Robot, measurements: Measurements, options: Options) -> np.ndarray:
-    """Return which way and how far rows are off the nominal robot, instrument and targets placed, shape (N, 3) [m]."""
+    """Return the displacements of rows from the nominal robot, instrument and targets placed, shape (N, 3) [m]."""
     station, values = roughly_placed(robot, measurements, options)
     return station.displacements(values)

@@ -1,4 +1,4 @@
-"""What may be wrong with a table, or with the description of its robot, each with what undoes it; and zeros far off."""
+"""Possible mistakes in a table, or in the description of its robot, each with its correction; and large zero errors."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from pincal.robot.robot import Robot
 from pincal.robot.tree import Coupling
 from pincal.robot.urdf_file import find_file
 
-# Rows from which a typical error is told.
+# Rows that suffice for a typical error.
 _TYPICAL = 1000
-# Step of the search around the turn of one joint [rad], whose fits reach some 20 deg; how many joints are tried, the most
+# Step of the search over a turn of one joint [rad], fits converging from some 20 deg; number of joints tried, the most
 # promising ones.
 _STEP, _TRIED = np.deg2rad(15.0), 4
-# Of shifts that leave as much but for this factor the smallest are meant: the first joint's is a turn of the base.
+# The smallest of the shifts whose residuals agree to this factor is taken: the first joint's is a turn of the base.
 _ALIKE = 1.2
-# Frames that are closer than this [m, rad] make no other robot.
+# Frames that are closer than this [m, rad] belong to the same robot.
 _SAME = 1e-5
 UNFIT = (BadInputError, IdentificationError, np.linalg.LinAlgError)
-"""What fits to a table end with that is not of the robot."""
+"""Errors that end fits to a table which is not of the robot."""
 
 
 def typical_left(station: Station, values: np.ndarray) -> tuple[float, float]:
-    """Return the robust size of the errors of position [m] and orientation [rad]: outliers have no say."""
+    """Return the median error of position [m] and of orientation [rad], robust against outliers."""
     if not station.sensor.reads_place:
         return 0.0, 0.0
     station = station.sample(_TYPICAL)
@@ -55,9 +55,9 @@ def typical_left(station: Station, values: np.ndarray) -> tuple[float, float]:
 
 
 def shifts_found(robot: Robot, table: Measurements, options: Options) -> dict[str, float]:
-    """Return the zeros of joints with which base and tool alone leave least [rad], by name.
+    """Return the zero shifts of joints that minimise the residuals with base and tool fitted [rad], by name.
 
-    One joint may be off by any angle, the others by as much as a fit reaches from zero.
+    One joint may be shifted by any angle, the others as far as a fit converges from zero.
 
     Args:
         robot: the arm.
@@ -96,7 +96,7 @@ def shifts_found(robot: Robot, table: Measurements, options: Options) -> dict[st
 
 
 def least_left(robot: Robot, table: Measurements, options: Options, size: Callable[[tuple[float, float]], float]) -> float:
-    """Return the size of what the best of some first placements leaves, inf if there is none."""
+    """Return the size of the residuals of the best first placement, inf if there is none."""
     with suppress(*UNFIT):
         return min(size(typical_left(*start)) for start in starts_of(robot, table, options))
     return np.inf
@@ -105,7 +105,7 @@ def least_left(robot: Robot, table: Measurements, options: Options, size: Callab
 def roughly_placed(
     robot: Robot, table: Measurements, options: Options, *, offsets: bool = False
 ) -> tuple[Station, np.ndarray]:
-    """Return a station and its values, of which base and tool are fitted, and offsets of joints that turn if asked for."""
+    """Return a station and its values, with base and tool fitted, and the offsets of revolute joints if asked for."""
     ((station, values),) = place(robot, {"": table}, options)
     problem = Problem((station,))
     free, priors = is_frame(problem), Priors(np.full(len(values), np.inf), bounds_of(problem, options))
@@ -120,10 +120,10 @@ HEADER = "correct the header of the table and run again"
 _TABLE = "correct the table and run again"
 _FRAME = "give positions and orientations in a right-handed frame and run again"
 _RECORD = "name their columns as the joints (--columns) and run again"
-# Rows by which a column may stand off: a record that is written before or after the motion.
+# Rows by which a column may be late: it was recorded before or after the motion.
 _DELAYS = tuple(sign * rows for rows in (1, 2, 3, 4, 5) for sign in (1, -1))
 _OPTION = "if so, declare it (--sign, --coupling or --zeros), and run again"
-# Parts of a neighbour's position that joints report; those of wrists, whose last joints are so many; and simple fractions.
+# Parts of a neighbour's position that joints report; those of wrists, and the number of wrist joints; and their fractions.
 _ADDED, _WRIST = (1.0, -1.0), 3
 _OF_WRISTS = tuple(sign * part for part in (1 / 2, 1 / 3, 2 / 3, 1 / 4) for sign in (1, -1))
 _FRACTIONS = {1.0: "", 1 / 2: "1/2 of ", 1 / 3: "1/3 of ", 2 / 3: "2/3 of ", 1 / 4: "1/4 of "}
@@ -131,10 +131,10 @@ _FRACTIONS = {1.0: "", 1 / 2: "1/2 of ", 1 / 3: "1/3 of ", 2 / 3: "2/3 of ", 1 /
 
 @dataclass(frozen=True)
 class Correction:
-    """What of the description of a robot is not as its controller has it.
+    """Correction of a robot's description to agree with its controller.
 
     Attributes:
-        shifts: where joints stand by the URDF when they report zero [rad], by name.
+        shifts: positions of joints by the URDF when they report zero [rad], by name.
         turned: names of the joints that count the other way.
         couplings: joints that report a combination of positions.
     """
@@ -150,7 +150,7 @@ class Correction:
         return robot.with_couplings(*self.couplings) if self.couplings else robot
 
     def cure(self, robot: Robot, table: Measurements, words: str) -> TableCorrection:
-        """Return a table that holds what the robot as it is described would have reported."""
+        """Return a table with the positions that the robot would have reported by its uncorrected description."""
         shifts = [self.shifts.get(name, 0.0) for name in robot.joint_names]
         signs = np.where(np.isin(robot.joint_names, self.turned), -1.0, 1.0)
         found = robot.with_couplings(*self.couplings) if self.couplings else robot
@@ -159,43 +159,43 @@ class Correction:
 
     @property
     def lacks(self) -> tuple[str, ...]:
-        """What coupled joints report, in words: one each."""
+        """The reports of coupled joints in words, one each."""
         ways = (f"{'minus' if one.factor > 0.0 else 'plus'} {_FRACTIONS.get(abs(one.factor), '')}" for one in self.couplings)
         return tuple(f"like its position {way}that of {one.source!r}" for way, one in zip(ways, self.couplings, strict=True))
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is to be said of it, in words."""
-        told = [shift_words(name, shift) for name, shift in self.shifts.items()]
-        told += [
-            f"{name} counts the other way than the URDF has it: the model has its axis turned round, and takes and gives "
-            "positions as they are reported"
+        """The notes on it, in words."""
+        notes = [shift_words(name, shift) for name, shift in self.shifts.items()]
+        notes += [
+            f"{name} counts the other way than in the URDF: the model reverses its axis, and takes and gives positions as "
+            "they are reported"
             for name in self.turned
         ]
         for one, lacks in zip(self.couplings, self.lacks, strict=True):
             way = lacks.removeprefix("like ").replace("'", "")
             added = f"{'+' if one.factor > 0.0 else '-'} {_FRACTIONS.get(abs(one.factor), '')}{one.source} reported"
-            told.append(
+            notes.append(
                 f"{one.joint} reports {way}, as coupled drives do: the model has {one.joint} = {one.joint} reported {added}"
             )
-        return tuple(told)
+        return tuple(notes)
 
 
 def shift_words(joint: str, shift: float) -> str:
-    """Return what is to be said of a joint that stands elsewhere than it reports [rad], in words."""
+    """Return the note on a joint whose true position differs from the reported one [rad]."""
     return f"{joint} is shifted by {np.rad2deg(shift):+.1f} deg: is it mastered?"
 
 
 @dataclass(frozen=True)
 class TableCorrection:
-    """One thing that may be wrong.
+    """One possible mistake.
 
     Attributes:
-        words: what looks wrong.
-        robot: whose table it is then.
-        table: the table with this undone.
+        words: the mistake in words.
+        robot: the robot of the table if it was made.
+        table: the table with it undone.
         advice: what to do.
-        correction: of the robot's description, where that is what is wrong; nobody has to do anything then.
+        correction: of the robot's description, if that is the mistake; nobody has to do anything then.
     """
 
     words: str
@@ -215,15 +215,15 @@ def exchanges(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
 
 
 def descriptions(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
-    """Yield joints that count the other way than the URDF's, or report a combination of positions as makers have it.
+    """Yield joints that count the other way, or report a combination of positions, as manufacturers define them.
 
-    A joint stands where its own position and its neighbour's, or a part of it in wrists, add up to; or at their difference.
+    The position of a joint is the sum or difference of its own report and its neighbour's, or in wrists a part of it.
     """
     free = free_joints(robot)
     for name in free:
         correction = Correction(turned=(name,))
-        yield correction.cure(robot, table, f"the column {name!r} looks turned round in sign")
-    # Two joints are coupled once: of either by the other no positions follow.
+        yield correction.cure(robot, table, f"the column {name!r} looks reversed in sign")
+    # Two joints are coupled once: mutual couplings would not determine positions.
     coupled = [{robot.joint_names.index(name) for name in (one.joint, one.source)} for one in robot.couplings]
     pairs = [(i, j) for i, j in permutations(robot.own_joints, 2) if abs(i - j) == 1 and {i, j} not in coupled]
     turns = [kind != "prismatic" and name in free for name, kind in zip(robot.joint_names, robot.joint_types, strict=True)]
@@ -235,26 +235,21 @@ def descriptions(robot: Robot, table: Measurements) -> Iterator[TableCorrection]
 
 def delays(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     """Yield a joint column, or all of them, recorded some rows too late or too early."""
-    n, everything = len(table), tuple(range(robot.n_joints))
+    n, each = len(table), np.eye(robot.n_joints, dtype=bool)
+    columns = {f"the column {name!r} looks": column for name, column in zip(robot.joint_names, each, strict=True)}
+    columns["all joint columns look"] = each.any(axis=0)
     for rows in _DELAYS:
         kept = np.arange(max(-rows, 0), n - max(rows, 0))
-        word = f"{counted(abs(rows), 'row')} {'late' if rows > 0 else 'early'}"
-        for columns in ((i,) for i in everything) if len(kept) > 1 else ():
-            name = f"the column {robot.joint_names[columns[0]]!r} looks"
-            yield TableCorrection(f"{name} {word}", robot, _late(table, kept, rows, columns), _TABLE)
-        if len(kept) > 1:
-            yield TableCorrection(f"all joint columns look {word}", robot, _late(table, kept, rows, everything), _TABLE)
-
-
-def _late(table: Measurements, kept: np.ndarray, rows: int, columns: tuple[int, ...]) -> Measurements:
-    found = table.select(kept)
-    q = found.q.copy()
-    q[:, columns] = table.q[kept + rows][:, columns]
-    return replace(found, q=q)
+        if len(kept) < 2:
+            continue
+        word, found = f"{counted(abs(rows), 'row')} {'late' if rows > 0 else 'early'}", table.select(kept)
+        for name, column in columns.items():
+            moved = replace(found, q=np.where(column, table.q[kept + rows], found.q))
+            yield TableCorrection(f"{name} {word}", robot, moved, _TABLE)
 
 
 def records(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
-    """Yield the other positions of the joints, where a table has those commanded and those read back."""
+    """Yield the other positions of the joints, where a table has both commanded and read-back ones."""
     if table.droop is not None:
         for name, other, sign in (("commanded", "read back", 1.0), ("read back", "commanded", -1.0)):
             words = f"the joints stood where they were {name}, not where the columns of the joints say, as {other}"
@@ -262,21 +257,21 @@ def records(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
 
 
 def misreadings(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
-    """Yield what the sensor's fields know of how their columns get mixed up."""
+    """Yield the mix-ups of columns that the fields of the sensor describe."""
     sensor = table.sensor
     for field in () if sensor is None else sensor.fields:
         for words, undo in field.mistakes:
             changed = table.with_readings(**{field.name: undo(table.readings[field.name])})
             yield TableCorrection(words, robot, changed)
     mirrors = {field.name: field.mirror for field in (() if sensor is None else sensor.fields) if field.mirror is not None}
-    # Of one field alone that is one of its own mistakes.
+    # For a single field that is one of its own mistakes.
     if len(mirrors) > 1:
         changed = table.with_readings(**{name: mirror(table.readings[name]) for name, mirror in mirrors.items()})
         yield TableCorrection("the frame of the readings looks left-handed", robot, changed, _FRAME)
 
 
 def scaled(robot: Robot, table: Measurements, factor: float) -> TableCorrection | None:
-    """Return the cure that multiplies all measured lengths; None where no length was measured."""
+    """Return the correction that multiplies all measured lengths; None where no length was measured."""
     fields = () if table.sensor is None else table.sensor.fields
     lengths = [field.name for field in fields if field.quantity == "length" and field.name in table.readings]
     if not lengths:
@@ -295,10 +290,7 @@ def others(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
 
 
 def _robots_alike(robot: Robot) -> Iterator[tuple[str, Robot]]:
-    """Yield the names of robots whose joints have the same names but stand elsewhere, and the robots, each size once.
-
-    None without example-robot-data.
-    """
+    """Yield the robots of example-robot-data with the same joint names but another geometry, by name, each size once."""
     try:
         from example_robot_data import robots_loader
     except ImportError:
@@ -322,7 +314,7 @@ def _robots_alike(robot: Robot) -> Iterator[tuple[str, Robot]]:
 
 
 def _robot_files(names: Iterable[str]) -> list[tuple[str, Path]]:
-    """Return the files of robots, those first whose own name the file bears: some loaders share one."""
+    """Return the files of robots, first those that bear the robot's own name: some loaders share one."""
     found = []
     with warnings.catch_warnings(action="ignore", category=PincalWarning):
         for name in names:
@@ -332,5 +324,5 @@ def _robot_files(names: Iterable[str]) -> list[tuple[str, Path]]:
 
 
 def cures(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
-    """Yield all that may be wrong with a table, but for a scale, which has to be found."""
+    """Yield all possible mistakes in a table, except for a scale, which has to be estimated."""
     return chain(*(kind(robot, table) for kind in (exchanges, descriptions, misreadings, records, delays, others)))

@@ -1,17 +1,15 @@
-"""Whether what is off gathers somewhere: readings go wrong anywhere, a robot in one place.
+"""Whether errors cluster: wrong readings occur anywhere, errors of a robot in one place.
 
-Rejected rows that lie next to each other in the positions of a joint, or in the order of the rows, are counted in
-windows from one of them to another. The chance that as many of all rejected rows fall into a window of so many rows is
-at most binomial; all windows are paid for (Bonferroni). It is a scan statistic: Kulldorff 1997, Commun. Stat. 26,
-1481-1496.
+Rejected rows that are neighbours in the positions of a joint, or in the order of the rows, are counted in windows from one
+of them to another. The probability that as many of all rejected rows fall into a window of so many rows is at most binomial;
+all windows are accounted for (Bonferroni). It is a scan statistic: Kulldorff 1997, Commun. Stat. 26, 1481-1496.
 
-A bump of a drive, which need not make outliers, moves the targets of all poses in a narrow window of its joint alike:
-what is off along the joint's lever has one sign there. The mean of each such window, each row clipped so that no few
-wrong readings make one, is compared with those of all other windows as wide: a model that misses something everywhere
-makes these larger, too, and is no bump.
+A bump of a drive, which need not make outliers, displaces the targets of all poses in a narrow window of its joint: the
+errors along the joint's lever have one sign there. The mean of each such window, each row clipped so that a few wrong
+readings do not make one, is compared with all other windows of that width: a model error everywhere makes these larger, too,
+and is no bump.
 
-Which way the targets move if something of a cell is other than its model says, as far as readings tell, is a motion
-field.
+A motion field is the motion of the targets, as far as readings determine it, if something in a cell differs from its model.
 """
 
 from __future__ import annotations
@@ -26,18 +24,15 @@ from scipy.special import bdtrc, stdtr
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 
-# Differences [rad or m] by which things are moved for a derivative.
+# Differences [rad or m] for numerical derivatives.
 _MOVED = 1e-5
-# Largest motion [m/m or m/rad] that is none.
+# Largest motion [m/m or m/rad] that counts as none.
 _NOTHING = 1e-5
 
 
 @dataclass(frozen=True)
 class MotionField:
-    """A motion of the targets: what it is of, and shape (n, 3, m), its directions at each row.
-
-    The motion is in metres per metre, or per radian, of what it is of.
-    """
+    """A motion of the targets: its cause, and its m directions at each row, shape (n, 3, m) [m per unit of the cause]."""
 
     name: str
     directions: np.ndarray
@@ -50,7 +45,7 @@ class MotionField:
 
 
 def fields_of_setup(station: Station, values: np.ndarray) -> Iterator[MotionField]:
-    """Yield growth about a point, then the motions of an instrument that was touched, or of the tool.
+    """Yield growth about a point, then the motions of a displaced instrument, or of the tool.
 
     Args:
         station: the calibrated model over n rows.
@@ -73,7 +68,7 @@ def fields_of_setup(station: Station, values: np.ndarray) -> Iterator[MotionFiel
 
 
 def fields_of_joints(station: Station, values: np.ndarray) -> Iterator[MotionField]:
-    """Yield the motion of the targets by each joint that moves them; arguments are those of :func:`fields_of_setup`."""
+    """Yield the motion of the targets by each joint that moves them; arguments as for :func:`fields_of_setup`."""
     motion, _ = _motions(station, values)
     of_model, _ = station.split(values)
     robot = station.model.chain.robot
@@ -81,13 +76,13 @@ def fields_of_joints(station: Station, values: np.ndarray) -> Iterator[MotionFie
         moved = station.conditions.q.copy()
         moved[:, j] += _MOVED
         directions = motion(station.model.predict(of_model, replace(station.conditions, q=moved)))
-        # One that these poses do not see moves nothing.
+        # A joint that these poses do not observe moves nothing.
         if np.abs(directions).max() > _NOTHING:
             yield MotionField(name, directions[:, :, None], unit)
 
 
 def _motions(station: Station, values: np.ndarray) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
-    """Return what gives the motion of the targets, (n, 3), from moved flange poses, (n, 3, 4), and these not moved."""
+    """Return a function from moved flange poses, (n, 3, 4), to the targets' motion, (n, 3), and the poses themselves."""
     of_model, own = station.split(values)
     sensor, poses = station.sensor, station.model.predict(of_model, station.conditions)
     here = sensor.displacement(sensor.residuals(poses, own), poses, own)
@@ -98,38 +93,38 @@ def _motions(station: Station, values: np.ndarray) -> tuple[Callable[[np.ndarray
     return motion, poses
 
 
-# Chance that outliers anywhere are taken to gather.
+# False-alarm probability for a cluster of outliers.
 _CHANCE = 1e-4
-# Fewest outliers that can gather, and the most of which all windows are looked at.
+# Fewest outliers that make a cluster, and the most for which all windows are tested.
 _FEWEST, _MOST = 3, 200
-# Fewest rows in a window in which a joint may have a bump, the ratio of each width to the next, and the part of all rows
-# that the widest may be: others have to tell what windows are like.
+# Fewest rows in a window in which a joint may have a bump, the ratio of consecutive widths, and the largest fraction of all
+# rows in a window: others have to show what windows are like.
 _IN_BUMP, _WIDER, _PART = 5, 1.4, 1 / 8
-# A row counts as no more than so many times the typical one, and not at all from so many on, where it is an outlier: a few
-# wrong rows make no bump.
+# Multiples of the typical error to which rows are clipped, and beyond which they are outliers and excluded: a few wrong rows
+# make no bump.
 _CLIPPED, _OUTLIER = 4.0, 8.0
-# Chance of a bump in a table without one; orders of the errors that tell it, and the chance counted as if windows had no
-# rows in common up to which these are drawn: it is 5 to 50 times the other.
+# False-alarm probability for a bump; number of permutations that determine it, and the p-value for disjoint windows, 5 to 50
+# times as large, up to which they are drawn.
 _CHANCE_OF_BUMP, _ORDERS, _LIKELY = 0.005, 200, 0.25
-# Standard deviation over the median of what is off, for normal noise.
+# Standard deviation over the median absolute error, for normal noise.
 _NORMAL = 1.4826
-# Part of the squares that a joint read wrong has to explain to be named.
+# Fraction of the squares that a misread joint has to explain to be named.
 _EXPLAINED = 0.8
-# Rows that a region may tell wrongly, as a part of those that are apart.
+# Largest number of misclassified rows of a region, as a fraction of the rows that do not fit.
 _MISTOLD = 0.3
 
 
 @dataclass(frozen=True)
 class Gathering:
-    """Rows that are off and lie together.
+    """A cluster of rows with errors.
 
     Attributes:
-        rows: which rows of the station they are.
+        rows: the rows of the station.
         among: number of rows there, rejected or not.
-        variable: name of the joint along whose positions they gather, "line" for the order of the rows.
-        low, high: from where to where [rad or m; line].
-        p_value: chance of as many outliers in any such place.
-        size: how far the joint is off there on average [rad or m]; None for outliers, which are off anyhow.
+        variable: name of the joint along whose positions they cluster, "line" for the order of the rows.
+        low, high: its range [rad or m; line].
+        p_value: probability of as many outliers in any such place.
+        size: mean error of the joint there [rad or m]; None for outliers.
     """
 
     rows: np.ndarray
@@ -142,14 +137,9 @@ class Gathering:
 
 
 def gathering_of(station: Station, rejected: np.ndarray) -> Gathering | None:
-    """Return where rejected rows gather most surely; None if they may lie anywhere.
-
-    Args:
-        station: all rows.
-        rejected: shape (N,), which of them were rejected.
-    """
+    """Return the most significant cluster of rejected rows, a mask of shape (N,); None if they may lie anywhere."""
     if station.conditions.inertial is not None:
-        # An arm that moves passes a place within a moment: what follows on from a wrong reading is that one again.
+        # A moving arm passes a place within a moment: consecutive wrong readings there are one.
         rejected = rejected & ~np.append(False, rejected[:-1])
     if not _FEWEST <= np.count_nonzero(rejected) <= min(_MOST, len(rejected) // 2):
         return None
@@ -170,9 +160,9 @@ def gathering_of(station: Station, rejected: np.ndarray) -> Gathering | None:
 
 
 def bump_in(station: Station, values: np.ndarray) -> Gathering | None:
-    """Return where in a joint's travel all targets are off alike, as by a bump of its drive; None if nowhere.
+    """Return the range of a joint in which all targets are displaced alike, as by a bump of its drive; None if none is.
 
-    Of an arm that moves nothing is told: what is off for a moment is off in a narrow window of each joint.
+    Arms in motion are not tested: an error that lasts for a moment is in a narrow window of each joint.
 
     Args:
         station: the calibrated model over N rows, rejected ones among them.
@@ -195,14 +185,14 @@ def bump_in(station: Station, values: np.ndarray) -> Gathering | None:
 
 @dataclass(frozen=True, eq=False)
 class _Windows:
-    """Windows of a joint's positions, for N rows in the order of these.
+    """Windows of a joint's positions, for N rows sorted by these.
 
     Attributes:
         joint: its name.
-        order: shape (N,), which row is where.
+        order: shape (N,), indices of the rows.
         q: shape (N,), positions [rad or m].
-        lever: shape (N,), how far the target moves with the joint [m/rad or m/m].
-        off: shape (N,), how far the target is off in that direction [m].
+        lever: shape (N,), motion of the target with the joint [m/rad or m/m].
+        off: shape (N,), error of the target in that direction [m].
     """
 
     joint: str
@@ -213,7 +203,7 @@ class _Windows:
 
     @classmethod
     def along(cls, field: MotionField, station: Station, off: np.ndarray) -> _Windows:
-        """Return those of a joint; targets are off by ``off``, shape (N, 3) [m]."""
+        """Return the windows of a joint for errors ``off`` of the targets, shape (N, 3) [m]."""
         q = station.conditions.q[:, station.model.chain.robot.joint_names.index(field.name)]
         order, motion = np.argsort(q, kind="stable"), field.directions[:, :, 0]
         lever = np.maximum(np.linalg.norm(motion, axis=1), 1e-300)
@@ -221,17 +211,17 @@ class _Windows:
 
     @cached_property
     def widths(self) -> list[int]:
-        """Return the numbers of rows in windows."""
+        """Numbers of rows in windows."""
         count = 1 + int(np.log(_PART * len(self.q) / _IN_BUMP) / np.log(_WIDER))
         return [int(_IN_BUMP * _WIDER**k) for k in range(count)]
 
     def _clipped(self, off: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the typical size of errors [m], and errors in units of it, shape (N,), none of which counts for many."""
+        """Return the typical size of errors [m], and clipped errors in units of it, shape (N,)."""
         typical = max(_NORMAL * float(np.median(np.abs(off))), 1e-300)
         return typical, np.where(np.abs(off) < _OUTLIER * typical, np.clip(off / typical, -_CLIPPED, _CLIPPED), 0.0)
 
     def _means(self, off: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield for each width the means of all windows in standard deviations, of errors of shape (N,)."""
+        """Yield for each width the means of all windows, in standard deviations, for errors of shape (N,)."""
         _, clipped = self._clipped(off)
         sums, squares = (np.append(0.0, np.cumsum(x)) for x in (self.lever * clipped, self.lever**2))
         for m in self.widths:
@@ -239,24 +229,24 @@ class _Windows:
             yield means / max(1.0, _NORMAL * float(np.median(means)))
 
     def surprises(self, off: np.ndarray) -> np.ndarray:
-        """Return minus the logarithm of the chance of the most surprising window of each width, shape (widths,)."""
+        """Return minus the log p-value of the most significant window of each width, shape (widths,)."""
         largest = np.array([means.max() for means in self._means(off)])
-        # There are as many windows to compare with as do not overlap.
+        # The reference are as many windows as do not overlap.
         return np.asarray(-np.log(2.0 * stdtr(len(self.q) / np.array(self.widths), -largest)))
 
     def chance(self, surprise: float) -> float:
-        """Return the chance of a window as surprising if the errors stood at positions of others."""
+        """Return the probability of a window as significant under permutations of the errors."""
         rng = np.random.default_rng(0)
         drawn = np.array([self.surprises(rng.permutation(self.off)).max() for _ in range(_ORDERS)])
         scale = np.sqrt(6.0) / np.pi * float(drawn.std())
         return -float(np.expm1(-np.exp((float(drawn.mean()) - surprise) / scale - np.euler_gamma)))
 
     def gathering(self, p_value: float) -> Gathering:
-        """Return the most surprising window."""
+        """Return the most significant window."""
         k = int(np.argmax(self.surprises(self.off)))
         first, m = int(np.argmax(list(self._means(self.off))[k])), self.widths[k]
         inside = slice(first, first + m)
-        # Wrong readings among them count as little for the size as for the chance.
+        # Wrong readings among them are clipped for the size, too.
         typical, clipped = self._clipped(self.off)
         size = typical * float(self.lever[inside] @ clipped[inside] / (self.lever[inside] @ self.lever[inside]))
         low, high = self.q[first], self.q[first + m - 1]
@@ -264,7 +254,7 @@ class _Windows:
 
 
 def _thickest(x: np.ndarray, rejected: np.ndarray) -> Iterator[tuple[float, float, float]]:
-    """Yield the chance of the window of x with the most surprising number of rejected rows, and its ends."""
+    """Yield the p-value and the ends of the window of x with the most significant number of rejected rows."""
     order = np.sort(x)
     ends = np.sort(x[rejected])
     first, last = np.searchsorted(order, ends, "left"), np.searchsorted(order, ends, "right")
@@ -278,11 +268,7 @@ def _thickest(x: np.ndarray, rejected: np.ndarray) -> Iterator[tuple[float, floa
 def in_common(station: Station, values: np.ndarray, table: Measurements, apart: np.ndarray) -> str:
     """Return what rows that do not fit have in common, in words; empty if nothing is found.
 
-    Args:
-        station: the calibrated model over all rows.
-        values: shape (P,), of its parameters.
-        table: the rows.
-        apart: shape (N,), which do not fit.
+    ``apart``, shape (N,), are the rows of the table, and of the calibrated model's station, that do not fit.
     """
     for name, unit, feature in _features(table):
         for word, inside in _subsamples(feature, apart):
@@ -312,7 +298,7 @@ def _features(table: Measurements) -> Iterator[tuple[str, str, np.ndarray]]:
 
 
 def _subsamples(feature: np.ndarray, apart: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the rows above and below the value that tells those that are apart best."""
+    """Yield the rows below and above the value that best separates those that do not fit."""
     order = np.argsort(feature, kind="stable")
     wrong = np.cumsum(apart[order])
     n, total = len(apart), int(apart.sum())

@@ -1,15 +1,16 @@
-r"""What changed midway in a table: the instrument stands elsewhere, a joint was remastered, or the tool exchanged.
+r"""Changes midway in a table: the instrument was moved, a joint remastered, or the tool exchanged.
 
-Each is a motion of the targets from some row on, along a field of directions of its own: all alike for an instrument that
-was touched, the lever of a joint whose zero is another, fixed in the tool's frame for another tool. One scan over rows and
-fields finds the step that explains most. With r the residuals, C their covariance, F what the fitted parameters can make of
-them, and U the step,
+Each is a motion of the targets from some row on, along a field of directions of its own: uniform for an instrument that was
+moved, the lever of a joint with another zero, fixed in the tool's frame for another tool. One scan over rows and fields
+finds the most significant step. With r the residuals, C their covariance, F the columns of the fitted parameters, and U the
+step,
 
 .. math:: g = r^T P U (U^T P U)^{-1} U^T P r, \quad P = C^{-1} - C^{-1} F (F^T C^{-1} F)^{-1} F^T C^{-1}
 
-is what it gains. Rows next to each other err alike: a model misses neighbouring poses alike, and instruments drift. So C is
-that of white noise and a process with a correlation that fades along the rows, by maximum likelihood beside the step. There
-is a step only if it and its C are far likelier than the likeliest C without any: a drift or a random walk is no step.
+is its gain. Errors of consecutive rows are correlated: a model has the same error at neighbouring poses, and instruments
+drift. So C is that of white noise plus a process whose correlation decays along the rows, estimated by maximum likelihood
+together with the step. A step is accepted only if it, with its C, is far more likely than the most likely C without any: a
+drift or a random walk is no step.
 """
 
 from __future__ import annotations
@@ -26,49 +27,47 @@ from pincal.validate.gathered import MotionField, fields_of_joints, fields_of_se
 
 # Fewest rows on either side of a step.
 _EACH = 10
-# A residual counts as no more than so many times the typical one: single wrong readings make no step.
+# Residuals are clipped to this multiple of the typical one: single wrong readings make no step.
 _CLIPPED = 5.0
-# The gain, in units of the variance of means of neighbours, from which a step is looked at more closely. Simulated machines
-# have up to 12, real arms measured along a grid 31.
-_LOOKED_AT = 25.0
-# Chance of a step in a table without one, over all rows and fields, if the covariance were known.
+# Gain, in units of the variance of means of neighbours, above which a step is examined. Simulated machines have up to 12,
+# real arms measured along a grid 31.
+_EXAMINED = 25.0
+# False-alarm probability for a step, over all rows and fields, if the covariance were known.
 _CHANCE = 1e-4
-# Twice the logarithm of the likelihood ratio, a thousand to one, within which causes are not told apart.
-_TOLD_APART = 13.8
-# Beside noise that is correlated along the rows, a step has to be so many times what is left: a smaller one may be the
-# model's own, as a UR10's whose drives' curves are missing (1.06 times, from one half of a table to the other). A touched
-# target is 2 times. Beside white noise likelihood tells.
+# Twice the log likelihood ratio, a thousand to one, within which causes are not distinguished.
+_DISTINGUISHED = 13.8
+# In noise that is correlated along the rows, a step has to be this multiple of the residuals: a smaller one may be the
+# model's error, as of a UR10 without its drives' curves (1.06 times, from one half of a table to the other). A touched
+# target is 2 times. In white noise the likelihood decides.
 _LEAST_PART = 1.2
-# Part of the precision's diagonal from which its neighbours show correlation.
+# Off-diagonal part of the precision, relative to its diagonal, that shows correlation.
 _CORRELATED = 0.01
 # A drift is a curve of this degree along the rows: it explains six sevenths of a step in the middle, less of one elsewhere,
 # and nearly all of a robot that warms up.
 _DRIFT = 3
-# Rows that show whether there is a step; around it all are looked at that lie within so many of these.
+# Rows that suffice to detect a step; around it all rows within so many of these are examined.
 _FEW, _AROUND = 400, 3
-# Directions of the fitted parameters that are weaker than this part of the strongest are none.
+# Directions of the fitted parameters weaker than this, relative to the strongest, are excluded.
 _RANK = 1e-5
-# Functions of a curve that follow a step by themselves; of more, neighbours do together, as the curve is smooth: the few
-# rows would not tell so many apart, nor leave anything of a step.
+# Functions of a curve that may each follow a step; of more, neighbours do together, as the curve is smooth: the few rows
+# would not distinguish so many, nor leave anything of a step.
 _FUNCTIONS = 24
-# Correlation lengths that are tried, in rows, and how far the process goes from one row to the next, in white noise's
-# variances: from what 400 rows would hardly show to nothing but the process. The longest is a random walk.
+# Trial correlation lengths, in rows, and variances of the process from one row to the next, in units of white noise: from
+# what 400 rows would hardly show to the process alone. The longest is a random walk.
 _LENGTHS, _WALKS = (3.0, 10.0, 30.0, 100.0, 1000.0), (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)
-# Largest part of the rows that may be missing between two of them.
+# Largest fraction of the rows that may be missing between two of them.
 _LONGEST_GAP = 0.2
-# Rounds in which a step and the noise beside it are found by turns.
-_TRIES = 4
-# Turns to find a step's size beside rows that are off.
-_TURNS = 20
+# Rounds in which a step and its noise are estimated in turn; iterations of a robust estimate of a step's size.
+_TRIES, _TURNS = 4, 20
 
 
 @dataclass(frozen=True)
 class StepCause:
-    """What may have happened between two rows.
+    """A possible event between two rows.
 
     Attributes:
         name: "instrument", "tool", or the joint's.
-        size: how far readings or target moved [m], or the joint [rad, or m if prismatic].
+        size: displacement of readings or target [m], or of the joint [rad, or m if prismatic].
         unit: of the size: "m" or "rad".
     """
 
@@ -87,12 +86,12 @@ class StepCause:
 
 @dataclass(frozen=True)
 class StepChange:
-    """A place in a table from which on something is other than before.
+    """A row from which on something is different.
 
     Attributes:
-        line: of the first row after it.
-        cause: what explains it best.
-        others: what explains it as well.
+        line: of the first row after the change.
+        cause: the best explanation.
+        others: equally good ones.
     """
 
     line: int
@@ -108,11 +107,11 @@ class _Rows:
     """Rows in their order.
 
     Attributes:
-        off: shape (n, 3), how far each target is off its prediction [m], single large ones clipped.
-        fitted: shape (n, 3, r), what the fitted parameters can make of it.
-        fields: what may have happened.
-        growth: what a robot or an instrument does that warms up: all grows about some point.
-        at: shape (n,), the place of each row in the table, 1 apart in the median.
+        off: shape (n, 3), displacement of each target from its prediction [m].
+        fitted: shape (n, 3, r), orthonormal directions of the fitted parameters.
+        fields: of possible changes.
+        growth: growth about some point, as of a robot or an instrument that warms up.
+        at: shape (n,), position of each row in the table, 1 apart in the median.
     """
 
     off: np.ndarray
@@ -124,7 +123,7 @@ class _Rows:
 
 @dataclass(frozen=True)
 class _Best:
-    """The best step along a field: its first row, gain and motion, and the gain of all rows."""
+    """The best step along a field: its first row, gain and motion."""
 
     field: MotionField
     row: int
@@ -144,13 +143,13 @@ def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.
         station: the calibrated model over the rows.
         values: shape (P,), of its parameters.
         free: shape (P,), which of them were fitted.
-        lines: shape (N,), line of each row, or where it stands in the order.
+        lines: shape (N,), line of each row, or its position in the order.
     """
     order = np.argsort(lines, kind="stable")
     if not station.sensor.reads_pose or len(order) < 4 * _EACH:
         return None
     few = sample_rows(len(order), _FEW)
-    # Rows that are held out are missing between others, and noise goes on there; for as many at most over a night.
+    # Held-out rows are missing between others, and noise evolves there; a night counts as a limited number of rows.
     gaps = np.diff(lines[order[few]].astype(float), prepend=lines[order[0]])
     gaps = np.minimum(gaps / max(float(np.median(gaps)), 1e-9), _LONGEST_GAP * len(few))
     rows = _rows(station.select(order[few]), values, free, np.cumsum(gaps))
@@ -163,14 +162,14 @@ def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.
     ):
         return None
     after, flat = _robust_step(rows, best)[best.row :], rows.fitted.reshape(rows.off.size, -1)
-    # As a fit leaves rows that are independent: beside a noise that persists, it leaves half of them where they are.
+    # Residuals as of a fit to independent rows: under persistent noise, a fit keeps part of them.
     left = rows.off.ravel() - flat @ (flat.T @ rows.off.ravel())
     correlated = np.abs(np.diag(noise, 1)).mean() > _CORRELATED * np.diag(noise).mean()
     if correlated and np.sqrt(np.mean(after**2)) < _LEAST_PART * np.sqrt(np.mean(left**2)):
         return None
     causes: dict[str, StepCause] = {}
     for step in sorted(steps, key=_excess, reverse=True):
-        if _excess(step) > max(_excess(best) - _TOLD_APART, 0.0):
+        if _excess(step) > max(_excess(best) - _DISTINGUISHED, 0.0):
             causes.setdefault(step.field.name, _cause(rows, step))
     first, *others = causes.values()
     place = order[few[best.row]] if len(few) == len(order) else order[_near(station, values, free, order, few, best)]
@@ -178,8 +177,8 @@ def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.
 
 
 def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray) -> _Rows:
-    """Return what is looked at of rows that stand in order."""
-    # Which way rows moved is a matter of the readings as they are.
+    """Return the data of rows in order."""
+    # Displacements follow from the readings without whitening.
     station, n = replace(station, whitening=None, serial=None), len(station)
     parts = (jacobian.columns(_FUNCTIONS, slice(3)) for _, _, jacobian in station.linearise_shared(values, free))
     J = np.concatenate([part.transpose(2, 1, 0) for part in parts]).reshape(3 * n, -1)
@@ -197,21 +196,21 @@ def _clipped(off: np.ndarray) -> np.ndarray:
 
 
 def _is_loud(rows: _Rows) -> bool:
-    """Return whether some step explains more than means of neighbours differ: it is rare, and costs little to ask."""
+    """Return whether some step exceeds the differences between means of neighbours: a cheap test that few tables pass."""
     best = _plain(rows)
     flat, off = rows.fitted.reshape(rows.off.size, -1), _clipped(rows.off)
     step = (best.step @ best.motion).ravel()
     left = (off.ravel() - step - flat @ (flat.T @ (off.ravel() - step))).reshape(-1, 3)
     width = int(np.sqrt(len(left)))
     means = left[: len(left) // width * width].reshape(-1, width, 3).mean(axis=1)
-    return best.gain > _LOOKED_AT * max(width * float(np.mean(means**2)), float(np.mean(left**2)))
+    return best.gain > _EXAMINED * max(width * float(np.mean(means**2)), float(np.mean(left**2)))
 
 
 def _judged(rows: _Rows) -> tuple[list[_Best], np.ndarray, float]:
     """Return the best step along each field, gains in units of the noise, its precision, and the best one's likelihood.
 
-    The precision has shape (n, n); the likelihood is that of the step over none, as twice its logarithm. Along the lever of
-    a joint that arrives unevenly rows scatter more than in other directions: if the best step is its, all count for less.
+    The precision has shape (n, n); the likelihood is twice the log ratio to no step. A joint with uneven arrival scatters
+    more along its lever than in other directions: if the best step is along it, all gains are reduced accordingly.
     """
     best = _plain(rows)
     for _ in range(_TRIES):
@@ -225,7 +224,7 @@ def _judged(rows: _Rows) -> tuple[list[_Best], np.ndarray, float]:
 
 
 def _unevenness(rows: _Rows, step: _Best) -> float:
-    """Return how many times as much rows scatter along the lever of a joint as on average; at least 1."""
+    """Return the ratio of the variance along the lever of a joint to the average one; at least 1."""
     if step.field.freedoms > 1:
         return 1.0
     explained = _robust_step(rows, step)
@@ -236,27 +235,22 @@ def _unevenness(rows: _Rows, step: _Best) -> float:
 
 
 def _plain(rows: _Rows) -> _Best:
-    """Return the step that would be found if rows had nothing in common."""
+    """Return the best step for independent rows."""
     return max(_scan(rows, None), key=lambda step: step.gain / _limit(step))
 
 
 def _limit(step: _Best) -> float:
-    """Return what chance gains at most, in units of the noise, over all rows and with all freedoms of a field."""
+    """Return the largest gain by chance, in units of the noise, over all rows and with all freedoms of a field."""
     return float(chdtri(step.field.freedoms, _CHANCE / len(step.field.directions)))
 
 
 def _excess(step: _Best) -> float:
-    """Return by how much a step gains more than chance would."""
+    """Return the gain of a step beyond the largest one by chance."""
     return step.gain - _limit(step)
 
 
 def _scan(rows: _Rows, precision: np.ndarray | None) -> list[_Best]:
-    """Return the best step along each field.
-
-    Args:
-        rows: the rows.
-        precision: shape (n, n), of what is left, the same for each coordinate; default: 1, so that gains are squares.
-    """
+    """Return the best step along each field, for a precision of each coordinate of shape (n, n); default: 1."""
     n, off = len(rows.off), _clipped(rows.off)
     metric = np.eye(n) if precision is None else precision
     fitted = rows.fitted.reshape(n, -1)
@@ -272,7 +266,7 @@ def _scan(rows: _Rows, precision: np.ndarray | None) -> list[_Best]:
 
 
 def _best(field: MotionField, metric: np.ndarray, weighed: np.ndarray, seen: np.ndarray, *, is_plain: bool) -> _Best:
-    """Return the best step along a field, from the weighed residuals, shape (n, 3), and parameters, shape (n, 3, r)."""
+    """Return the best step along a field, for weighted residuals, shape (n, 3), and parameters, shape (n, 3, r)."""
     D = field.directions
     n, _, m = D.shape
     sums = _after(np.einsum("nam,na->nm", D, weighed))
@@ -286,7 +280,7 @@ def _best(field: MotionField, metric: np.ndarray, weighed: np.ndarray, seen: np.
                 both = metric * (D[:, :, a] @ D[:, :, b].T)
                 own[:, a, b] = own[:, b, a] = np.diag(_after(_after(both).T))
     normal = own - parts @ parts.transpose(0, 2, 1)
-    # A motion that the fitted parameters make themselves tells nothing.
+    # A motion within the span of the fitted parameters has no gain.
     scale = np.sqrt(np.maximum(np.einsum("naa->na", own), 1e-300))
     normal = normal / (scale[:, :, None] * scale[:, None, :]) + _RANK * np.eye(m)
     inside = slice(_EACH, n - _EACH + 1)
@@ -302,9 +296,9 @@ def _after(values: np.ndarray) -> np.ndarray:
 
 
 def _noise_beside(rows: _Rows, step: _Best) -> tuple[np.ndarray, float]:
-    """Return the precision of what a step leaves, shape (n, n), and twice the logarithm of its likelihood over no step's.
+    """Return the precision of the residuals of a step, shape (n, n), and twice its log likelihood ratio to no step.
 
-    The likelihood is that of the readings beside the fitted parameters (restricted).
+    The likelihood is restricted, with the fitted parameters marginalised.
     """
     n, r = len(rows.off), rows.fitted.shape[2]
     explained = _robust_step(rows, step)
@@ -330,7 +324,7 @@ def _noise_beside(rows: _Rows, step: _Best) -> tuple[np.ndarray, float]:
 
 
 def _robust_step(rows: _Rows, step: _Best) -> np.ndarray:
-    """Return what a step explains, shape (n, 3), its size found beside clipped residuals."""
+    """Return the displacements that a step explains, shape (n, 3), its size estimated with clipped residuals."""
     X = np.concatenate([step.step, rows.fitted], axis=2).reshape(rows.off.size, -1)
     inverse = np.linalg.pinv(X)
     fitted = np.zeros_like(rows.off)
@@ -341,7 +335,7 @@ def _robust_step(rows: _Rows, step: _Best) -> np.ndarray:
 
 
 def _cause(rows: _Rows, step: _Best) -> StepCause:
-    """Return a step as what happened: how far targets moved, or a joint."""
+    """Return the cause of a step: displacement of the targets, or of a joint."""
     moved, lever = _robust_step(rows, step), step.step
     if step.field.name in ("instrument", "tool"):
         after = moved[step.row :]
@@ -350,7 +344,7 @@ def _cause(rows: _Rows, step: _Best) -> StepCause:
 
 
 def _drift(rows: _Rows, field: MotionField, precision: np.ndarray) -> float:
-    """Return what a motion along a field gains that comes and goes smoothly over the rows."""
+    """Return the gain of a motion along a field that varies smoothly along the rows."""
     n = len(rows.off)
     curves = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), _DRIFT)[:, 1:]
     drift = (field.directions[:, :, :, None] * curves[:, None, None, :]).reshape(n, 3, -1)
@@ -365,7 +359,7 @@ def _drift(rows: _Rows, field: MotionField, precision: np.ndarray) -> float:
 
 
 def _near(station: Station, values: np.ndarray, free: np.ndarray, order: np.ndarray, few: np.ndarray, best: _Best) -> int:
-    """Return the first row after a step, looked for among all rows near it."""
+    """Return the first row after a step, searched among all rows near it."""
     around = few[max(best.row - _AROUND * _EACH, 0)], few[min(best.row + _AROUND * _EACH, len(few) - 1)]
     places = np.arange(around[0], around[1] + 1)
     rows = _rows(station.select(order[places]), values, free, places.astype(float))

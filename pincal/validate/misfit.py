@@ -1,14 +1,14 @@
-r"""How far readings are from a model, against what noise and the calibration's own uncertainty allow, and what that says.
+r"""Misfit of readings to a model, compared with noise and the calibration's uncertainty, and the verdict that follows.
 
-With residuals r of rows that the calibration did not use, weights W by the noise, Jacobians R and F by the parameters that
-are known with covariance C and by those that are found from the very rows,
+With residuals r of rows that the calibration did not use, weights W by the noise, Jacobians R and F with respect to
+parameters known with covariance C and to those estimated from these rows,
 
 .. math:: \chi^2 = r^T V^{-1} r, \quad V = W^{-1} + R C R^T, \quad F \text{ projected out,}
 
-follows the chi-square distribution if the robot is what the model says. It follows from the same A and b as a station's part
-of a joint fit, see :mod:`pincal.identify.posterior`.
+follows the chi-square distribution if the model is complete. It follows from the same A and b as a station's part of a joint
+fit, see :mod:`pincal.identify.posterior`.
 
-Every verb judges a model by one rule, :func:`judge`: by a noise that the model has no part in, and by what is doubtful.
+Every command judges a model by one rule, :func:`judge`: by a noise that does not depend on the model, and by reservations.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ MISFIT = 1e-3
 
 One false alarm in a thousand calibrations. tests/test_replicates.py checks level and power of the test for lack of fit.
 """
-# What real arms leave on another day, in units of what noise and uncertainty allow: a UR10 discovered in one month leaves
-# 1.7 times as much in the next. Beyond this, something else is at work.
+# Residuals of real arms on another day, relative to noise and uncertainty: a UR10 discovered in one month has 1.7 times as
+# much in the next. Above this, there is another cause.
 _FAR = 5.0
-# Part of the squares by which a station must fit better elsewhere for the move to matter: a tenth in the error.
+# Reduction of the squares, as a fraction, for which the displacement of a station matters: a tenth of the error.
 _MATTERS = 0.2
-# What an arm leaves beside noise is a field over the poses. A few rows in a corner of the workspace may call for another
-# place to explain it, by so many times its square: in blocks of 12 to 400 rows of a UR10 under its geometry up to 2.2.
+# The model error of an arm is a field over the poses. A few rows in a corner of the workspace may fit better with another
+# placement, by this multiple of its square: in blocks of 12 to 400 rows of a UR10 under its geometry up to 2.2.
 _LOCAL = 3.0
 
 
 SURE = 0.6
-"""Part of the subsamples of a search, half of the poses each, in which a name has to come up to be more than a hint.
+"""Fraction of the subsamples of a search, half of the poses each, in which a name has to occur to be more than a hint.
 
-``tests/stability_study.py`` draws how many of the names that come up so often are right.
+``tests/stability_study.py`` measures how many of such names are right.
 """
 TWICE, POWER = 2.0, 0.9
-"""Residuals of so many times the noise have to be noticed so surely before "adequate" may be said.
+"""Power with which residuals of this multiple of the noise have to be detected for the verdict "adequate".
 
-A model then misses 1.7 times as much as the noise, which any plot of the residuals shows. At :data:`MISFIT` that takes 18
-degrees of freedom beside a declared noise, and 30 of pure error beside a hundred of the misfit.
+The model error is then 1.7 times the noise, which any plot of the residuals shows. At :data:`MISFIT` that takes 18 degrees
+of freedom with declared noise, and 30 of pure error with a hundred of the misfit.
 """
 
 
@@ -59,13 +59,13 @@ class Misfit:
     """Misfit of a model to rows that its calibration did not use, all squares in units of the noise.
 
     Attributes:
-        square: chi-square with the calibration's uncertainty allowed for.
+        square: chi-square, the calibration's uncertainty accounted for.
         plain: sum of squared residuals.
-        expected: what that is on average if noise and the calibration's uncertainty are all there is.
+        expected: its expectation for noise and the calibration's uncertainty alone.
         degrees: degrees of freedom of both.
-        found: number of directions that were found from the very rows.
-        systematic: part of the noise's squares that is probably none, but what the model leaves: noise was estimated from
-            residuals, and good instruments have less.
+        found: number of directions estimated from the same rows.
+        systematic: fraction of the noise's squares that is probably model error: noise was estimated from residuals, and
+            good instruments have less.
     """
 
     square: float
@@ -77,35 +77,35 @@ class Misfit:
 
     @property
     def ratio(self) -> float:
-        """Residuals over what is expected of them, root mean square; 1 where no row is left to judge by."""
+        """Residuals relative to their expectation, root mean square; 1 without degrees of freedom."""
         return float(np.sqrt(self.plain / self.expected)) if self.degrees else 1.0
 
     @property
     def allowed(self) -> float:
-        """What is expected of residuals in units of the noise, root mean square."""
+        """Expected residuals in units of the noise, root mean square."""
         return float(np.sqrt(self.expected / self.degrees)) if self.degrees else 1.0
 
     @property
     def p_value(self) -> float:
-        """Probability of a chi-square as large if noise and the calibration's uncertainty are all there is."""
+        """Probability of a chi-square as large for noise and the calibration's uncertainty alone."""
         return float(chdtrc(self.degrees, self.square)) if self.degrees else 1.0
 
     @property
     def is_significant(self) -> bool:
-        """Whether there is more than noise and the calibration's uncertainty."""
+        """Whether noise and the calibration's uncertainty do not explain the residuals."""
         return self.p_value < MISFIT
 
     def is_far(self, factor: float = 1.0) -> bool:
-        """Return whether there is more, by a factor, than a robot leaves that is still as it was calibrated."""
+        """Return whether the misfit exceeds that of an unchanged robot by a factor."""
         return self.is_significant and self.ratio > factor * _FAR
 
 
 def has_moved(before: Misfit, after: Misfit) -> bool:
-    """Return whether rows call for another place of instrument and targets.
+    """Return whether rows require another placement of instrument and targets.
 
     Args:
         before: the misfit of the rows to the calibrated station.
-        after: the same with its place found from the rows.
+        after: the misfit with the placement estimated from the rows.
     """
     # A field over the poses, not scatter from row to row.
     field = after.systematic * after.degrees + max(after.square - after.degrees, 0.0)
@@ -129,10 +129,10 @@ def misfit_at(
     Args:
         station: model and readings.
         values: shape (P,).
-        covariance: shape (P, P), of what is known of the parameters from elsewhere; zero for those that are exact.
+        covariance: shape (P, P), prior covariance of the parameters; zero for exact ones.
         sigma: shape (blocks,), standard deviation of one component of each block of readings.
-        robust: shape (N,), 0 for rows that are left out.
-        found: shape (P,), parameters that were found from these rows, whose covariance does not count; default: none.
+        robust: shape (N,), 0 for excluded rows.
+        found: shape (P,), parameters estimated from these rows, whose covariance is ignored; default: none.
     """
     found = np.zeros(len(values), bool) if found is None else found
     free = found | (np.diag(covariance) > 0.0)
@@ -140,7 +140,7 @@ def misfit_at(
     readings = station.reading_size * int(np.sum(robust > 0.0))
     squares = float(np.sum(normal.squares.blocks / sigma**2))
     if normal.believed is not None and found.any():
-        # What the sensor knows of its own parameters counts as readings where these are found.
+        # The sensor's knowledge of its own parameters counts as readings where these are estimated.
         facts = station.sensor.constraints(station.split(values)[1])
         squares += normal.believed.square
         readings += 0 if facts is None else len(facts.residuals)
@@ -182,7 +182,7 @@ class Verdict(StrEnum):
 
 
 def worst(verdicts: Iterable[Verdict]) -> Verdict:
-    """Return the verdict on several together: none is better than the worst.
+    """Return the joint verdict on several: the worst of them.
 
     Example:
         >>> worst([Verdict.ADEQUATE, Verdict.NOT_JUDGED]).value
@@ -194,12 +194,12 @@ def worst(verdicts: Iterable[Verdict]) -> Verdict:
 
 @dataclass(frozen=True)
 class NoiseTest:
-    """Residuals beside a noise that is known without the model: declared, or from poses that were measured again.
+    """Residuals compared with a noise known without the model: declared, or from poses that were measured again.
 
     Attributes:
         noise: which noise, in words.
         ratio: root mean square of the residuals over the noise.
-        p_value: chance of residuals as large if the model is complete.
+        p_value: probability of residuals as large if the model is complete.
     """
 
     noise: str
@@ -213,17 +213,15 @@ class NoiseTest:
 
 
 def tells(degrees: float, of_noise: float = np.inf) -> bool:
-    """Return whether so many degrees of freedom notice residuals of twice the noise, by a test at :data:`MISFIT`.
+    """Return whether a test at :data:`MISFIT` with these degrees of freedom detects residuals of twice the noise.
 
-    Args:
-        degrees: of the residuals.
-        of_noise: of the noise; infinite for a declared one.
+    ``of_noise`` are the degrees of freedom of the noise; infinite for a declared one.
 
     Example:
         >>> tells(1e-6), tells(17.0), tells(18.0), tells(100.0, 29.0), tells(100.0, 30.0)
         (False, False, True, False, True)
     """
-    # Of a small part of one degree a quantile is zero in a float, so that nothing would be missed.
+    # For a small fraction of a degree a quantile underflows to zero, and the power would seem to be 1.
     if degrees < 1.0 or of_noise < 1.0:
         return False
     if np.isinf(of_noise):
@@ -236,17 +234,17 @@ def tells(degrees: float, of_noise: float = np.inf) -> bool:
 def judge(
     beside: NoiseTest | None, doubts: Sequence[Note] = (), *, unusable: bool = False, left: bool = False, few: bool = False
 ) -> Verdict:
-    """Return what is to be said of a model.
+    """Return the verdict on a model.
 
-    It is "adequate" only if its residuals are those of a known noise, enough poses say so, and nothing is doubtful. Without
-    a known noise, or with too few poses, nothing can be said for it, but something may speak against it.
+    It is "adequate" only if its residuals agree with a known noise, there are enough poses, and there is no reservation.
+    Without a known noise, or with too few poses, nothing can speak for it, but something may speak against it.
 
     Args:
-        beside: the residuals beside a noise that is known without the model; None without any.
-        doubts: what makes the result doubtful.
-        unusable: whether one of them says that it is none.
-        left: whether something is left that is no noise, whatever the size of the residuals.
-        few: whether the poses are too few for the residuals to tell, see :func:`tells`.
+        beside: the residuals compared with a noise known without the model; None without any.
+        doubts: reservations about the result.
+        unusable: whether one of them makes it unusable.
+        left: whether there is a significant model error, whatever the size of the residuals.
+        few: whether there are too few poses for the test, see :func:`tells`.
 
     Example:
         >>> declared = NoiseTest("the declared noise", 1.01, 0.4)

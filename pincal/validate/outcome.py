@@ -1,4 +1,4 @@
-"""What a calibration comes to beside its parameters: noise, rows, errors, stations."""
+"""The results of a calibration besides its parameters: noise, rows, errors, stations."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class NoiseRecord(TypedDict):
 
 
 def noise_key(unit: str) -> str:
-    """Return the entry of a :class:`NoiseRecord` that is in a unit.
+    """Return the entry of a :class:`NoiseRecord` in a unit.
 
     Example:
         >>> noise_key("m"), noise_key("m/s^2")
@@ -51,7 +51,7 @@ class RowCounts(TypedDict):
 
     Attributes:
         train: fitted.
-        test: held out: they never touch the fit.
+        test: held out, not used by the fit.
     """
 
     train: int
@@ -98,17 +98,17 @@ class StationRecord(TypedDict):
 
     Attributes:
         name: of the station.
-        kind: what was measured.
+        kind: of its measurements.
         rows: numbers of rows.
         moved_mm: displacement of the instrument relative to the robot since the first station, if both determine the whole
             base frame.
-        noise: as that of the whole.
+        noise: as for the whole.
         outliers: lines of rejected rows.
         error: of the station's rows.
         left_out: errors of the model of the other stations, only the station's own frames fitted to it.
-        left_out_geometric: the same of their geometric model.
+        left_out_geometric: the same for their geometric model.
         parameters: of the robot, those that changed at any of the stations.
-        iso9283: as that of the whole, where the station measured poses more than once.
+        iso9283: as for the whole, where the station measured poses more than once.
         lack_of_fit: likewise.
     """
 
@@ -128,15 +128,15 @@ class StationRecord(TypedDict):
 
 @dataclass(frozen=True)
 class ClockRecord:
-    """Clock of an instrument that read an arm in motion: its stamp t is of the joints' t + offset + drift (t - middle).
+    """Clock of an instrument that reads an arm in motion: its stamp t is the joints' time t + offset + drift (t - middle).
 
     Attributes:
-        station: name of the station, "" for one that is alone.
+        station: name of the station, "" for a single one.
         offset_s, offset_sigma_s: offset and its standard deviation [s].
         drift_ppm, drift_sigma_ppm: drift and its standard deviation [1e-6].
         middle_s: stamp at which the offset holds [s].
-        gyro_early_s, gyro_early_sigma_s: of an IMU, by how much the stamps of its rates are earlier than those of its
-            accelerations of the same moment [s]; else null.
+        gyro_early_s, gyro_early_sigma_s: lead of an IMU's rate stamps over acceleration stamps of the same moment [s]; else
+            null.
     """
 
     station: str
@@ -154,7 +154,7 @@ class Improvement:
     """Standard deviation of the predicted position of a link in a region.
 
     Attributes:
-        link: whose origin is predicted, as seen from the robot's base link.
+        link: whose origin is predicted, relative to the robot's base link.
         region: "measured poses", or which part of those within the joints' limits.
         poses: number of poses.
         before_mm: before the calibration [mm], root mean square over the poses.
@@ -170,10 +170,10 @@ class Improvement:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """All that ``result.json`` says beside the parameters.
+    """All of ``result.json`` besides the parameters.
 
     ``iso9283`` and ``lack_of_fit`` are None where no pose was measured more than once, and then not in the file; nor is
-    ``stations`` where there is only one. Of several stations each has its own.
+    ``stations`` where there is only one. Several stations have their own each.
 
     Attributes:
         noise: of the readings.
@@ -181,21 +181,21 @@ class Outcome:
         rank: number of parameters, or combinations of them, that the data identify.
         condition: condition number of the identifiable part, each parameter in units of its typical size.
         chi2_reduced: sum of squared residuals over the noise, per degree of freedom; about 1 for a complete model.
-        chi2_p_value: probability of one as large if the model is complete; null where the noise was estimated.
+        chi2_p_value: probability of a value as large if the model is complete; null where the noise was estimated.
         iterations: steps of the solver in all.
         seconds: time that the fit took [s].
         converged: whether the last step was negligible.
-        outliers: lines of the rows that were rejected.
+        outliers: lines of the rejected rows.
         correlations: pairs of parameters with strongly correlated estimates.
         stages: the stages of the fit.
-        error: by model ("nominal": base and tool fitted alone; "calibrated") and rows ("train", "test"): statistics
-            with their units, such as ``mean_mm``, ``rms_mm``, ``p95_mm``, ``max_mm``, ``mean_mrad``.
+        error: by model ("nominal": base and tool fitted alone; "calibrated") and rows ("train", "test"): statistics with
+            their units, such as ``mean_mm``, ``rms_mm``, ``p95_mm``, ``max_mm``, ``mean_mrad``.
         warnings: further messages, doubts first; plain texts in files of version 0.1.0.
         degrees: readings of distinct poses beyond the parameters that they determine; not in files of version 0.1.0.
         iso9283: pose accuracy AP and pose repeatability RP (ISO 9283) by model and rows, and pose by pose [mm, mrad].
         lack_of_fit: test of the residuals against the scatter between repeated measurements.
         stations: results of each station.
-        improvement: how far predictions are improved, by link and region, where no instrument saw the robot.
+        improvement: how far predictions are improved, by link and region, where no instrument observed the robot.
         clocks: of the instruments that read an arm in motion.
     """
 
