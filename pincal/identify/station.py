@@ -225,11 +225,11 @@ class Station:
         else:
             # A curve has another value at each moment of a row.
             poses, motion = part._motion(of_model, model_free)
+        curves = [(parameters, basis, i) for i, group in enumerate(shared) for parameters, basis in group.families]
         apart = free.copy()
         self.split(apart)[0][:] = model_free
-        for group in shared:
-            for parameters, _ in group.families:
-                apart[parameters] = False
+        for parameters, *_ in curves:
+            apart[parameters] = False
         columns, residuals = part.sensor.jacobian(poses, motion, own), part.sensor.residuals(poses, own)
         if part.whitening is not None:
             columns = whitened_rows(part.whitening, np.ascontiguousarray(columns))
@@ -239,12 +239,8 @@ class Station:
         plain = not shared and not len(of_sensor)
         dense = columns[:n_apart] if plain else np.concatenate([columns[:n_apart], of_sensor])
         column_of = np.cumsum(free) - 1
-        families = (
-            SharedColumns(column_of[parameters], basis, columns[n_apart + i])
-            for i, group in enumerate(shared)
-            for parameters, basis in group.families
-        )
-        jacobian = Jacobian(int(free.sum()), column_of[apart], dense, tuple(families))
+        families = tuple(SharedColumns(column_of[places], basis, columns[n_apart + i]) for places, basis, i in curves)
+        jacobian = Jacobian(int(free.sum()), column_of[apart], dense, families)
         if self.serial is None:
             return residuals, jacobian
         # The effect of a curve at one row persists in the next ones, too.

@@ -287,12 +287,10 @@ def in_common(station: Station, values: np.ndarray, table: Measurements, apart: 
 
 
 def _features(table: Measurements) -> Iterator[tuple[str, str, np.ndarray]]:
-    yield "line", "", table.rows.astype(float)
-    if table.time is not None:
-        yield "time", " s", table.time
-    for name, q in zip(table.joint_names, table.q.T, strict=True):
-        yield name, "", q
-    for name, unit, column in (("payload", " kg", table.payload), ("temperature", " deg C", table.temperature)):
+    """Yield name, unit and values of each column that rows may have in common."""
+    joints = ((name, "", q) for name, q in zip(table.joint_names, table.q.T, strict=True))
+    conditions = (("payload", " kg", table.payload), ("temperature", " deg C", table.temperature))
+    for name, unit, column in (("line", "", table.rows.astype(float)), ("time", " s", table.time), *joints, *conditions):
         if column is not None:
             yield name, unit, column
 
@@ -305,8 +303,6 @@ def _subsamples(feature: np.ndarray, apart: np.ndarray) -> Iterator[tuple[str, n
     ends = np.flatnonzero(np.append(np.diff(feature[order]) > 0, False))
     if not len(ends):
         return
-    below = wrong[ends] + (n - (ends + 1)) - (total - wrong[ends])
-    k = int(ends[np.argmax(below)])
-    yield "at most", feature <= feature[order][k]
-    k = int(ends[np.argmin(below)])
-    yield "at least", feature > feature[order][k]
+    right, values = wrong[ends] + (n - (ends + 1)) - (total - wrong[ends]), feature[order][ends]
+    yield "at most", feature <= values[np.argmax(right)]
+    yield "at least", feature > values[np.argmin(right)]

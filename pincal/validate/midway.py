@@ -120,6 +120,11 @@ class _Rows:
     growth: MotionField
     at: np.ndarray
 
+    def residuals(self, off: np.ndarray) -> np.ndarray:
+        """Return displacements, shape (n, 3), minus their projection onto the fitted parameters."""
+        flat = self.fitted.reshape(off.size, -1)
+        return np.asarray((off.ravel() - flat @ (flat.T @ off.ravel())).reshape(off.shape))
+
 
 @dataclass(frozen=True)
 class _Best:
@@ -161,9 +166,9 @@ def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.
         _drift(rows, field, noise) for field in (best.field, rows.growth)
     ):
         return None
-    after, flat = _robust_step(rows, best)[best.row :], rows.fitted.reshape(rows.off.size, -1)
+    after = _robust_step(rows, best)[best.row :]
     # Residuals as of a fit to independent rows: under persistent noise, a fit keeps part of them.
-    left = rows.off.ravel() - flat @ (flat.T @ rows.off.ravel())
+    left = rows.residuals(rows.off)
     correlated = np.abs(np.diag(noise, 1)).mean() > _CORRELATED * np.diag(noise).mean()
     if correlated and np.sqrt(np.mean(after**2)) < _LEAST_PART * np.sqrt(np.mean(left**2)):
         return None
@@ -198,9 +203,7 @@ def _clipped(off: np.ndarray) -> np.ndarray:
 def _is_loud(rows: _Rows) -> bool:
     """Return whether some step exceeds the differences between means of neighbours: a cheap test that few tables pass."""
     best = _plain(rows)
-    flat, off = rows.fitted.reshape(rows.off.size, -1), _clipped(rows.off)
-    step = (best.step @ best.motion).ravel()
-    left = (off.ravel() - step - flat @ (flat.T @ (off.ravel() - step))).reshape(-1, 3)
+    left = rows.residuals(_clipped(rows.off) - best.step @ best.motion)
     width = int(np.sqrt(len(left)))
     means = left[: len(left) // width * width].reshape(-1, width, 3).mean(axis=1)
     return best.gain > _EXAMINED * max(width * float(np.mean(means**2)), float(np.mean(left**2)))
@@ -227,9 +230,7 @@ def _unevenness(rows: _Rows, step: _Best) -> float:
     """Return the ratio of the variance along the lever of a joint to the average one; at least 1."""
     if step.field.freedoms > 1:
         return 1.0
-    explained = _robust_step(rows, step)
-    flat, left = rows.fitted.reshape(rows.off.size, -1), _clipped(rows.off - explained).ravel()
-    left, way = (left - flat @ (flat.T @ left)).reshape(-1, 3), step.field.directions @ step.motion
+    left, way = rows.residuals(_clipped(rows.off - _robust_step(rows, step))), step.field.directions @ step.motion
     along = float(np.sum(np.sum(left * way, axis=1) ** 2) / np.sum(way**2))
     return max(along / float(np.mean(left**2)), 1.0)
 

@@ -129,13 +129,8 @@ def path_words(found: dict[str, Any]) -> str:
         >>> path_words({"cycles": 1, "points": 9, "standard": 10, "AT_mm": 0.25})
         'AT 0.2500 mm; one cycle, the noise of the instrument included: repeat the path, ISO 9283 asks for 10 cycles'
     """
-    sizes = [
-        f"{name.split('_')[0]} {found[name]:.4f} mm"
-        if name.endswith("_mm")
-        else f"{name[:4].replace('_', ' ')} {found[name]:.4f} mrad"
-        for name in found
-        if name[:3] in ("AT_", "RT_")
-    ]
+    parts = {name: name.rsplit("_", 1) for name in found if name.startswith(("AT_", "RT_"))}
+    sizes = [f"{of.replace('_', ' ')} {found[name]:.4f} {unit}" for name, (of, unit) in parts.items()]
     n, asked = found["cycles"], found["standard"]
     rest = f"one cycle, the noise of the instrument included: repeat the path, ISO 9283 asks for {asked} cycles"
     if n > 1:
