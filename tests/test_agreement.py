@@ -155,8 +155,8 @@ def test_a_strange_table_costs_a_fixed_number_of_fits(
 ) -> None:
     """All cures are looked at where they would stand, the likeliest are fitted: as many for any number of joints."""
     looked, fits = list[int](), list[int]()
-    left, placed = agreement.least_left, agreement.roughly_placed
-    monkeypatch.setattr(agreement, "least_left", lambda *given: looked.append(1) or left(*given))
+    left, placed = agreement.least_size, agreement.roughly_placed
+    monkeypatch.setattr(agreement, "least_size", lambda *given: looked.append(1) or left(*given))
     monkeypatch.setattr(agreement, "roughly_placed", lambda *given: fits.append(1) or placed(*given))
     monkeypatch.setattr(agreement, "minimize_scalar", lambda *_, **__: SimpleNamespace(x=0.1))
     order = np.random.default_rng(0).permutation(len(table))

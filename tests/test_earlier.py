@@ -151,11 +151,11 @@ def test_what_the_new_model_leaves_out_is_zero(both: Fit) -> None:
     gone = np.array([name.endswith((".k_x", ".k_y", ".k_z")) for name in old.names])
     C = np.linalg.inv(old.information)
     gain = C[np.ix_(~gone, gone)] @ np.linalg.inv(C[np.ix_(gone, gone)])
-    given = old.known_zero(gone)
+    given = old.given_zero(gone)
     np.testing.assert_allclose(given.mean / given.sigma, (old.mean[~gone] - gain @ old.mean[gone]) / given.sigma, atol=1e-6)
     covariance = C[np.ix_(~gone, ~gone)] - gain @ C[np.ix_(gone, ~gone)]
     np.testing.assert_allclose(given.sigma, np.sqrt(np.diag(covariance)), rtol=1e-6)
-    assert old.known_zero(np.zeros(len(old.names), bool)) is old
+    assert old.given_zero(np.zeros(len(old.names), bool)) is old
 
 
 def test_it_is_of_the_robot_alone(both: Fit) -> None:

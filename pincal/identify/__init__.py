@@ -1,1 +1,1 @@
-"""Identification: start values, one solver, stages, and what the data can tell."""
+"""Identification: start values, the solver, its stages, and which parameters the data determine."""

@@ -39,7 +39,7 @@ def of_stations(problem: Problem, mask_of: Callable[[Station], np.ndarray]) -> n
     return found
 
 
-def sensors_own(problem: Problem) -> np.ndarray:
+def of_sensors(problem: Problem) -> np.ndarray:
     """Return which parameters belong to sensors (coordinates of named points, a camera's lens), shape (P,)."""
     return of_stations(problem, Station.sensors)
 
@@ -81,7 +81,7 @@ def require_named(problem: Problem, options: Options) -> None:
 
 def _named(problem: Problem, pattern: str) -> list[int]:
     """Return the indices of the parameters that match a name or pattern, frame coordinates and sensors' own excluded."""
-    is_place = is_frame(problem) | sensors_own(problem)
+    is_place = is_frame(problem) | of_sensors(problem)
     names = [{p.name, p.local_name} for p in problem.parameters]
     return [k for k, of in enumerate(names) if not is_place[k] and any(fnmatchcase(name, pattern) for name in of)]
 
@@ -98,20 +98,16 @@ def released_of(problem: Problem, options: Options) -> np.ndarray:
     given = given_sizes(problem, options)
     found = of_stations(problem, released) & (given != 0.0)
     if not any(station.sensor.reads_place for station in problem.stations):
-        # A prior of 2 mm on lengths that no reading sees made a real arm worse than nominal.
-        found &= ~(lengths_of_links(problem) & np.isnan(given))
+        # A prior of 2 mm on unobservable lengths of links made a real arm worse than nominal.
+        of_robot = ~of_stations(problem, lambda station: station.is_own)
+        lengths = [p.unit == "m" and not p.is_extrinsic for p in problem.parameters] & of_robot
+        found &= ~(lengths & np.isnan(given))
     return np.asarray(found)
-
-
-def lengths_of_links(problem: Problem) -> np.ndarray:
-    """Return which parameters are lengths of the robot, shape (P,)."""
-    own = of_stations(problem, lambda station: station.is_own)
-    return np.asarray([p.unit == "m" and not p.is_extrinsic for p in problem.parameters] & ~own)
 
 
 def excited_of(problem: Problem) -> np.ndarray:
     """Return which parameters act at all at the nominal geometry, or did so in an earlier fit, shape (P,)."""
-    return np.asarray(problem.beliefs.is_remembered | problem.largest_basis[1])
+    return np.asarray(problem.beliefs.is_earlier | problem.largest_basis[1])
 
 
 def deviations(problem: Problem, options: Options) -> tuple[np.ndarray, ...]:
@@ -123,7 +119,7 @@ def deviations(problem: Problem, options: Options) -> tuple[np.ndarray, ...]:
     unknown = np.array(
         [p.local_name in mounts or any(fnmatchcase(p.local_name, z) for z in zeros) for p in problem.parameters]
     )
-    known = ~(unknown | is_frame(problem) | sensors_own(problem)) & np.isnan(given_sizes(problem, options))
+    known = ~(unknown | is_frame(problem) | of_sensors(problem)) & np.isnan(given_sizes(problem, options))
     elastic = np.array([p.is_compliance for p in problem.parameters], bool)
     lengths, angles = (known & ~elastic & np.array([p.unit == unit for p in problem.parameters]) for unit in ("m", "rad"))
     drives = np.array([p.symbol == "k_z" for p in problem.parameters], bool)
@@ -156,7 +152,7 @@ def bounds_of(problem: Problem, options: Options) -> np.ndarray:
     sizes = np.where([p.unit == "m" for p in problem.parameters], np.where(given > 0.0, given, sizes), np.inf)
     bounds = options.length_bound * np.maximum(sizes / LENGTH_SIZE, 1.0)
     far = np.array([p.unit == "m" and p.is_extrinsic for p in problem.parameters])
-    bounds[sensors_own(problem) & far] = _FARTHEST
+    bounds[of_sensors(problem) & far] = _FARTHEST
     return bounds
 
 

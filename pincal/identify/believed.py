@@ -65,7 +65,7 @@ class Earlier:
         names = tuple(name for name, is_free in zip(estimate.names, free, strict=True) if is_free)
         return cls(names, estimate.values[free], inverse @ inverse.T, sigma)
 
-    def known_zero(self, others: np.ndarray) -> Earlier:
+    def given_zero(self, others: np.ndarray) -> Earlier:
         """Return the distribution of the other parameters, conditioned on ``others``, shape (K,), being zero."""
         if not others.any():
             return self
@@ -76,7 +76,7 @@ class Earlier:
         names = tuple(name for name, is_kept in zip(self.names, kept, strict=True) if is_kept)
         return Earlier(names, mean, H, np.sqrt(np.diag(C)))
 
-    def taken_back(self, sizes: np.ndarray) -> np.ndarray:
+    def contained_priors(self, sizes: np.ndarray) -> np.ndarray:
         """Return the sizes of the priors that the term contains, shape (K,), inf for none, given those of all parameters."""
         return np.full(len(self.places), np.inf) if self.sigma is None else sizes[self.places]
 
@@ -86,15 +86,15 @@ class Beliefs(NamedTuple):
 
     Attributes:
         terms: no parameter is in two of them.
-        is_remembered: shape (P,), which parameters are known from an earlier fit.
+        is_earlier: shape (P,), which parameters are known from an earlier fit.
         is_slope: whether the only term is the slope of contacts, which is negligible where readings are exact.
     """
 
     terms: tuple[Earlier, ...]
-    is_remembered: np.ndarray
+    is_earlier: np.ndarray
     is_slope: bool
 
-    def recalled(self, values: np.ndarray) -> np.ndarray:
+    def with_earlier(self, values: np.ndarray) -> np.ndarray:
         """Return values, shape (P,), with those of an earlier fit where it has any."""
         recalled = values.copy()
         for term in self.terms:
@@ -117,7 +117,7 @@ class Beliefs(NamedTuple):
         total = 0.0
         for term in self.terms:
             here, off = values[term.places], values[term.places] - term.mean
-            total += float(off @ term.information @ off - np.sum((here / term.taken_back(sizes)) ** 2))
+            total += float(off @ term.information @ off - np.sum((here / term.contained_priors(sizes)) ** 2))
         return total
 
     def beyond_priors(self, kept: np.ndarray, values: np.ndarray, sizes: np.ndarray) -> Form:
@@ -130,7 +130,7 @@ class Beliefs(NamedTuple):
         """
         information, slope = np.zeros((len(kept), len(kept))), np.zeros(len(kept))
         for term in self.terms:
-            back, here = term.taken_back(sizes), values[term.places]
+            back, here = term.contained_priors(sizes), values[term.places]
             of = np.flatnonzero(np.isin(term.places, kept))
             at = np.searchsorted(kept, term.places[of])
             information[at[:, None], at] += (term.information - np.diag(back**-2.0))[of[:, None], of]

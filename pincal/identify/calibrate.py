@@ -25,7 +25,7 @@ from pincal.identify.initial import begin
 from pincal.identify.many_rows import over_all
 from pincal.identify.noise import is_exact, rounding, usual_sizes
 from pincal.identify.options import Options, PriorScale, StationOptions, Tools
-from pincal.identify.prior_scale import prior_scale, sees_places
+from pincal.identify.prior_scale import observes_places, prior_scale
 from pincal.identify.problem import Problem
 from pincal.identify.solve import SETTLED, Course, solve
 from pincal.measure.measurements import Measurements
@@ -92,7 +92,7 @@ def fit_tables(
     _refuse_too_few(tables, fit)
     fit = _by_all(replace(fit, nominal=_without_outliers(fit, executor)), problem, executor)
     fit = _in_best_frame(fit)
-    if options.prior_scale is None and options.earlier is None and not sees_places(fit):
+    if options.prior_scale is None and options.earlier is None and not observes_places(fit):
         fit = _cautious(fit)
     if any(station.serial is not None for station in fit.problem.stations):
         return with_blocks(placed_at_mean(fit))
@@ -177,7 +177,7 @@ def _tools(options: Options, table: Measurements) -> Tools | None:
 
 def _begun(fit: ModelFit, executor: Executor | None = None) -> ModelFit:
     """Return a fit from the start values, with those of an earlier fit where it has any."""
-    return _solved(fit, fit.problem.beliefs.recalled(fit.values), executor=executor)
+    return _solved(fit, fit.problem.beliefs.with_earlier(fit.values), executor=executor)
 
 
 def _by_all(fit: ModelFit, problem: Problem, executor: Executor | None) -> ModelFit:
@@ -375,7 +375,7 @@ def _refuse_too_few(tables: dict[str, Measurements], fit: ModelFit) -> None:
     readings, rows = int(problem.readings(fitted.weights).sum()), np.count_nonzero(fitted.weights)
     spent = fitted.posterior.visible_rank
     if problem.earlier is not None:
-        spent = CRITERIA.readings_left + int(np.sum(fitted.free & ~problem.beliefs.is_remembered))
+        spent = CRITERIA.readings_left + int(np.sum(fitted.free & ~problem.beliefs.is_earlier))
     if fit.noise.declared[0] is None and spent >= readings:
         raise MeasurementError(
             f"{', '.join(table.source for table in tables.values())}: {rows} training poses give {readings} "

@@ -28,28 +28,24 @@ from pincal.model.effect import Effect
 from pincal.parameters import Covariance, Estimate
 
 
-class Called(NamedTuple):
+class RequiredFeatures(NamedTuple):
     """Bearing features that the data require, and their joint gain in the sum of squares, to first order."""
 
     effects: tuple[Effect, ...]
     gain: float
 
 
-def required_features(fit: ModelFit, least: float = 0.0) -> Called:
-    """Return the bearing features that a fit does not have and that the data require.
+def required_features(fit: ModelFit, least: float = 0.0) -> RequiredFeatures:
+    """Return the bearing features that a fit lacks and the data require; none if their joint gain is below ``least``.
 
     By default a bearing sits where the URDF has the joint, and its stiff and soft directions are the axes of its frame. A
     place next to a compliance that is hardly determined makes a ridge along which a fit wanders, and every superfluous
     parameter costs accuracy. So features enter one by one, each by its gain to first order given those before it.
-
-    Args:
-        fit: the fit.
-        least: joint gain below which no feature is returned.
     """
     effects = fit.options.effects
     candidates = [e for e in bearing_features(fit.problem.chain, effects) if e not in effects]
     if not candidates:
-        return Called((), 0.0)
+        return RequiredFeatures((), 0.0)
     wider = fit.with_effects((*effects, *candidates))
     problem, near, sizes = wider.problem, wider.solution, priors_of(wider.problem, fit.options).sizes
     places = {effect: int(problem.places_at(effect)[0]) for effect in candidates}
@@ -65,7 +61,7 @@ def required_features(fit: ModelFit, least: float = 0.0) -> Called:
 
     without, most = gain(), gain(*candidates)
     if most - without <= least:
-        return Called((), 0.0)
+        return RequiredFeatures((), 0.0)
 
     def scores(found: tuple[Effect, ...]) -> Iterator[Scored[Effect]]:
         enough = gain(*found) + CRITERIA.bearing
@@ -75,7 +71,7 @@ def required_features(fit: ModelFit, least: float = 0.0) -> Called:
             yield Scored(effect, -gained, gained >= enough)
 
     found = select_stepwise(tuple[Effect, ...](), scores, lambda found, effect: (*found, effect), most=len(candidates))
-    return Called(found, gain(*found) - without)
+    return RequiredFeatures(found, gain(*found) - without)
 
 
 # Rows used to choose a convention: a difference that these do not show does not matter.

@@ -45,7 +45,7 @@ class Linearised:
         executor: computes the stations' contributions; default: serially, in this process.
         sigma: shape (blocks,), the noise for which equations will be needed, if known before the residuals: one pass over
             several stations then serves both.
-        is_doubtful: whether the values may be rejected by their squares, which are then computed first, in a tenth of the
+        squares_first: whether the values may be rejected by their squares, which are then computed first, in a tenth of the
             time.
         normals: the latest normal equations of batches at these values, by number, perhaps with other robust weights.
         sums: contributions of batches for the latest noise, and the squares of their residuals.
@@ -58,13 +58,13 @@ class Linearised:
     sizes: np.ndarray
     executor: Executor | None = None
     sigma: np.ndarray | None = None
-    is_doubtful: bool = False
+    squares_first: bool = False
     normals: dict[int, Normal] = field(default_factory=dict)
     sums: dict[_Key, _Sums] = field(default_factory=dict)
 
     def reweighted(self, robust: np.ndarray) -> Linearised:
         """Return the same point with other robust weights; stations whose weights are unchanged are not recomputed."""
-        return replace(self, robust=robust, is_doubtful=False)
+        return replace(self, robust=robust, squares_first=False)
 
     def narrowed(self, free: np.ndarray) -> Linearised:
         """Return the same point with fewer free parameters, shape (P,); known normal equations are not recomputed."""
@@ -92,7 +92,7 @@ class Linearised:
 
     @cached_property
     def _batches(self) -> list[Batch]:
-        return [part for batch in self.problem.batches for part in batch.alike(self.free)]
+        return [part for batch in self.problem.batches for part in batch.by_free(self.free)]
 
     @property
     def _normals(self) -> list[Normal]:
@@ -109,9 +109,9 @@ class Linearised:
 
     @cached_property
     def _squares(self) -> list[StationSquares]:
-        if self._are_kept and not self.is_doubtful:
+        if self._are_kept and not self.squares_first:
             return [normal.squares for normal in self._normals]
-        if self.sigma is not None and not self.is_doubtful:
+        if self.sigma is not None and not self.squares_first:
             return [found for _, found in self._contributions(self.sigma)]
         return list(self._done(batch.work(squares, self.values, self.robust[batch.rows]) for batch in self._batches))
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.errors import BadInputError, MeasurementError
-from pincal.identify.beliefs import bounds_of, declared_noise, is_frame, priors_of, released_of, require_named, sensors_own
+from pincal.identify.beliefs import bounds_of, declared_noise, is_frame, of_sensors, priors_of, released_of, require_named
 from pincal.identify.believed import Earlier
 from pincal.identify.fit import ModelFit, Priors
 from pincal.identify.many_rows import some_of
@@ -59,7 +59,7 @@ def begin(
     released, frames = released_of(problem, options), is_frame(problem)
     course = Course(options.loss, rough=True, executor=executor)
     nominal = solve(problem, values, frames & released, priors, noise, replace(course, label="base and tool"))
-    lens = sensors_own(problem) & released
+    lens = of_sensors(problem) & released
     if np.any(lens & ~frames):
         free = frames & released | lens
         nominal = solve(problem, nominal.values, free, priors, noise, replace(course, label="camera"))

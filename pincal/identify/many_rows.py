@@ -43,7 +43,7 @@ def over_all(fit: ModelFit, problem: Problem, executor: Executor | None) -> Mode
 
     judge = Judge(problem, start.free, fit.noise, options.loss)
     # Squares alone take a tenth of the time.
-    point = Linearised(problem, start.values, start.free, np.ones(len(problem)), priors.sizes, executor, is_doubtful=True)
+    point = Linearised(problem, start.values, start.free, np.ones(len(problem)), priors.sizes, executor, squares_first=True)
     solution = replace(start, weights=judge.weights(point, start.sigma, hard=True))
 
     course = Course(options.loss, rough=True, label="base and tool", executor=executor)

@@ -181,7 +181,7 @@ class Judge:
         counted = self.counted(point.robust)
         if self.loss == "none" or (hard and self.loss == "screen"):
             is_shared = self.problem.is_shared
-            shared = int(np.sum(self.free & is_shared & ~self.problem.beliefs.is_remembered))
+            shared = int(np.sum(self.free & is_shared & ~self.problem.beliefs.is_earlier))
             own = [int(np.sum((self.free & ~is_shared)[places])) for places in self.problem.places]
             estimated = np.sqrt(point.squares / self.degrees(point.robust, shared, own, most=CRITERIA.most_spent))
         else:

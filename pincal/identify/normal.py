@@ -46,7 +46,7 @@ class Batch:
     own: np.ndarray
     first: int
 
-    def alike(self, free: np.ndarray) -> Iterator[Batch]:
+    def by_free(self, free: np.ndarray) -> Iterator[Batch]:
         """Yield parts of the batch with the same free parameters, given the mask of all parameters."""
         if len(self.stations) == 1:
             yield self

@@ -41,7 +41,7 @@ def has_instrument(fit: ModelFit) -> bool:
     return any(station.sensor.base_symbols or station.sensor.is_on_tool for station in fit.problem.stations)
 
 
-def sees_places(fit: ModelFit) -> bool:
+def observes_places(fit: ModelFit) -> bool:
     """Return whether an instrument observes target positions, which an IMU does not."""
     return has_instrument(fit) and any(station.sensor.reads_place for station in fit.problem.stations)
 

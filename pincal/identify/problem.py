@@ -120,21 +120,21 @@ class Problem:
 
         An earlier fit already includes the smoothness of curves; a station's own curves are not known that well.
         """
-        terms, is_remembered = [], np.zeros(len(self.parameters), bool)
+        terms, is_earlier = [], np.zeros(len(self.parameters), bool)
         if self.earlier is not None:
-            known = self.earlier.known_zero(np.array([name not in self._index for name in self.earlier.names], bool))
+            known = self.earlier.given_zero(np.array([name not in self._index for name in self.earlier.names], bool))
             places = np.array([self._index[name] for name in known.names], int)
             terms.append(replace(known, places=places))
-            is_remembered[places] = True
+            is_earlier[places] = True
         for effect in self.effects:
             if (information := effect.smoothness()) is not None:
                 places = self.places_at(effect)
-                if np.all(self.is_shared[places] & ~is_remembered[places]):
+                if np.all(self.is_shared[places] & ~is_earlier[places]):
                     names = tuple(self.parameters[place].name for place in places)
                     terms.append(Earlier(names, np.zeros(len(places)), information, None, places))
         if self.earlier is None and (scale := scale_of_contacts(self.stations, self.places, self.parameters)) is not None:
-            return Beliefs((*terms, scale), is_remembered, not terms)
-        return Beliefs(tuple(terms), is_remembered, not terms)
+            return Beliefs((*terms, scale), is_earlier, not terms)
+        return Beliefs(tuple(terms), is_earlier, not terms)
 
     @cached_property
     def rows(self) -> tuple[slice, ...]:

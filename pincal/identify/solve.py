@@ -274,12 +274,12 @@ class _Run:
         )
 
     def linearised(
-        self, values: np.ndarray, robust: np.ndarray, sigma: np.ndarray | None, *, is_doubtful: bool = False
+        self, values: np.ndarray, robust: np.ndarray, sigma: np.ndarray | None, *, squares_first: bool = False
     ) -> Linearised:
         """Return the problem at values; if ``sigma``, the noise so far, is the declared one, it will be used again."""
         likely = sigma if sigma is not None and np.array_equal(sigma, self.judge.noise.known) else None
         return Linearised(
-            self.problem, values, self.free, robust, self.priors.sizes, self.course.executor, likely, is_doubtful
+            self.problem, values, self.free, robust, self.priors.sizes, self.course.executor, likely, squares_first
         )
 
     def length(self, square: float) -> float:
@@ -345,8 +345,8 @@ class _Trial:
         """Try a step, shape (F,); return whether all fits have a successful step now."""
         run = self._run
         # Squares suffice for the last point if only its values are needed.
-        is_doubtful = self._is_refused or run.was_refused or (run.wanted < run.course.short and not run.is_whole)
-        self.there = self.at(step, is_doubtful=is_doubtful)
+        squares_first = self._is_refused or run.was_refused or (run.wanted < run.course.short and not run.is_whole)
+        self.there = self.at(step, squares_first=squares_first)
         self.is_open &= self.there.objectives(self._sigma) > self._limits
         if self.is_open.any():
             self._is_refused = True
@@ -354,8 +354,8 @@ class _Trial:
         run.was_refused = self._is_refused
         return True
 
-    def at(self, step: np.ndarray, *, is_doubtful: bool = False) -> Linearised:
+    def at(self, step: np.ndarray, *, squares_first: bool = False) -> Linearised:
         """Return the point where the fits that still need a step take this one."""
         here, free, values = self._here, self._run.free, self.there.values.copy()
         values[free] = np.where(self.is_open[self._group], here.values[free] + step, values[free])
-        return self._run.linearised(values, here.robust, self._sigma, is_doubtful=is_doubtful)
+        return self._run.linearised(values, here.robust, self._sigma, squares_first=squares_first)

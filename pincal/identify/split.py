@@ -61,18 +61,10 @@ def ways_held_out(measurements: Measurements, fraction: float, *, seed: int = 0)
     """Return which rows to hold out both ways, half of them by regions of joint space and half by stretches of rows.
 
     A model that knows the neighbours of a pose, or the rows measured before and after it, predicts it better than others: by
-    curves between trained positions, or by drift between trained rows.
-
-    Args:
-        measurements: the table.
-        fraction: of the rows to hold out, from 0 to below 1.
-        seed: of the choice.
+    curves between trained positions, or by drift between trained rows. Arguments and errors as for :func:`hold_out`.
 
     Returns:
         For each way a mask, shape (N,); readings of one pose stay together, and no row is in both.
-
-    Raises:
-        BadInputError: if the fraction is out of range.
     """
     n, wanted = len(measurements), _rows_to_hold(measurements, fraction, part=0.5)
     if not wanted:

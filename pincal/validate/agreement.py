@@ -23,12 +23,12 @@ from pincal.validate.cures import (
     Correction,
     TableCorrection,
     cures,
-    least_left,
+    least_size,
     roughly_placed,
     scaled,
     shift_words,
-    shifts_found,
-    typical_left,
+    typical_residuals,
+    zero_shifts,
 )
 
 # Nominal error, relative to the reach, above which mistakes are searched for; real robots have a fifth of it or less.
@@ -97,7 +97,7 @@ def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: ModelFit)
         # Mistakes in a log of an IMU are found when it is aligned with the motion.
         if not station.sensor.reads_place:
             continue
-        error, left = (typical_left(station, values[places]) for values in (fit.nominal.values, fit.values))
+        error, left = (typical_residuals(station, values[places]) for values in (fit.nominal.values, fit.values))
         limits = _limits(fit, k, table)
         if error[0] < _SUSPICIOUS * robot.reach and limits.exceeded(left) < 1.0 and not pulled:
             continue
@@ -167,7 +167,7 @@ def unknown_zeros(fit: ModelFit) -> Iterator[str]:
 def _shifted(robot: Robot, table: Measurements, options: Options) -> tuple[TableCorrection | None, tuple[float, float]]:
     """Return the correction that shifts the zeros of joints, None if they are about right, and its residuals."""
     few = table.select(_few(table))
-    shifts = {name: shift for name, shift in shifts_found(robot, few, options).items() if abs(shift) > _SLIGHT}
+    shifts = {name: shift for name, shift in zero_shifts(robot, few, options).items() if abs(shift) > _SLIGHT}
     if max(map(abs, shifts.values()), default=0.0) < _SHIFT:
         return None, (np.inf, np.inf)
     fit, left = _calibrated(Correction(shifts).cure(robot, few, ""), options)
@@ -185,7 +185,7 @@ def implausible(fit: ModelFit, tables: Iterable[Measurements]) -> Iterator[tuple
     ``tables`` are the rows of each station that the fit used.
     """
     for k, (station, places, table) in enumerate(zip(fit.problem.stations, fit.problem.places, tables, strict=True)):
-        left, limits = typical_left(station, fit.values[places]), _limits(fit, k, table)
+        left, limits = typical_residuals(station, fit.values[places]), _limits(fit, k, table)
         if limits.exceeded(left) >= 1.0:
             found = f"{left[0] * 1e3:.2g} mm" + (f" and {left[1] * 1e3:.2g} mrad" if left[1] else "")
             expected = f"{limits.position * 1e3:.2g} mm" + (f" and {limits.orientation * 1e3:.2g} mrad" if left[1] else "")
@@ -199,7 +199,7 @@ def computed(fit: ModelFit) -> Iterator[tuple[str, bool, str]]:
         Name, whether the model is the nominal one (else the calibrated one), and the residual in words.
     """
     for station, places in zip(fit.problem.stations, fit.problem.places, strict=True):
-        nominal, left = (typical_left(station, values[places])[0] for values in (fit.nominal.values, fit.values))
+        nominal, left = (typical_residuals(station, values[places])[0] for values in (fit.nominal.values, fit.values))
         is_spare = len(station) * station.reading_size > 2 * len(fit.values)
         is_place = (station.sensor.blocks[0].unit, station.sensor.blocks[0].size) == ("m", 3)
         if is_place and is_spare and min(nominal, left) < _COMPUTED:
@@ -209,13 +209,10 @@ def computed(fit: ModelFit) -> Iterator[tuple[str, bool, str]]:
 def mix_up(measurements: Measurements, station: Station, values: np.ndarray, *, options: Options) -> str:
     """Return the mistake that explains a table's residuals, in words; empty if none is found.
 
-    Args:
-        measurements: the table.
-        station: the robot over it, its instrument and targets placed.
-        values: shape (P,), of the station's parameters.
-        options: how the nominal robot is placed.
+    ``station`` is the robot over the table with instrument and targets placed, ``values``, shape (P,), are its parameters,
+    and ``options`` place the nominal robot.
     """
-    robot, left = station.model.chain.robot, typical_left(station, values)
+    robot, left = station.model.chain.robot, typical_residuals(station, values)
     if left[0] < _SUSPICIOUS * robot.reach:
         return ""
     limits = _Limits(max(_IMPLAUSIBLE * robot.reach, _IMPLAUSIBLE_M), _IMPLAUSIBLE_RAD)
@@ -251,12 +248,12 @@ def _cured(
 
     def tried(few: TableCorrection) -> tuple[TableCorrection, tuple[float, float]]:
         with suppress(*UNFIT):
-            return few, typical_left(*roughly_placed(few.robot, few.table, options))
+            return few, typical_residuals(*roughly_placed(few.robot, few.table, options))
         return few, (np.inf, np.inf)
 
     possible = list(map(of_few, cures(robot, table)))
     # In their own order: of equivalent corrections, the first counts.
-    sizes = [least_left(few.robot, few.table, options, limits.exceeded) for few in possible]
+    sizes = [least_size(few.robot, few.table, options, limits.exceeded) for few in possible]
     likely = sorted(np.argsort(sizes, kind="stable")[:_PLACED])
     found = [tried(possible[k]) for k in likely]
     if scaled(robot, table, 1.0) is not None:
@@ -283,7 +280,7 @@ def _calibrated(cure: TableCorrection, options: Options) -> tuple[ModelFit | Non
     """Return a calibration of the geometry with a mistake undone, and its residuals; None if it fails."""
     with suppress(*UNFIT):
         fit = fit_tables(cure.robot, cure.table, replace(options, effects=GEOMETRIC, earlier=None, moment_frame="paper"))
-        return fit, typical_left(fit.station, fit.values)
+        return fit, typical_residuals(fit.station, fit.values)
     return None, (np.inf, np.inf)
 
 

@@ -41,7 +41,7 @@ UNFIT = (BadInputError, IdentificationError, np.linalg.LinAlgError)
 """Errors that end fits to a table which is not of the robot."""
 
 
-def typical_left(station: Station, values: np.ndarray) -> tuple[float, float]:
+def typical_residuals(station: Station, values: np.ndarray) -> tuple[float, float]:
     """Return the median error of position [m] and of orientation [rad], robust against outliers."""
     if not station.sensor.reads_place:
         return 0.0, 0.0
@@ -54,15 +54,10 @@ def typical_left(station: Station, values: np.ndarray) -> tuple[float, float]:
     return position, max(float(np.median(np.linalg.norm(residuals[part], axis=0))) for part in turned)
 
 
-def shifts_found(robot: Robot, table: Measurements, options: Options) -> dict[str, float]:
+def zero_shifts(robot: Robot, table: Measurements, options: Options) -> dict[str, float]:
     """Return the zero shifts of joints that minimise the residuals with base and tool fitted [rad], by name.
 
-    One joint may be shifted by any angle, the others as far as a fit converges from zero.
-
-    Args:
-        robot: the arm.
-        table: some rows of it.
-        options: how the robot is placed.
+    One joint may be shifted by any angle, the others as far as a fit converges from zero. ``table`` holds some of the rows.
     """
     options = replace(options, effects=(JointOffset(),), zeros=("*",), earlier=None, moment_frame="paper")
     names = free_joints(robot)
@@ -75,7 +70,7 @@ def shifts_found(robot: Robot, table: Measurements, options: Options) -> dict[st
         for i in turning:
             angles = np.arange(_STEP, 2.0 * np.pi - 0.5 * _STEP, _STEP)
             shifts = [np.eye(robot.n_joints)[i] * (angle - 2.0 * np.pi * (angle > np.pi)) for angle in angles]
-            sizes = (least_left(robot, shifted(shift), options, lambda left: left[0]) for shift in shifts)
+            sizes = (least_size(robot, shifted(shift), options, lambda left: left[0]) for shift in shifts)
             yield min(zip(sizes, shifts, strict=True), key=lambda one: one[0])
 
     likely = sorted(starts(), key=lambda one: one[0])[:_TRIED]
@@ -85,7 +80,7 @@ def shifts_found(robot: Robot, table: Measurements, options: Options) -> dict[st
             station, values = roughly_placed(robot, shifted(shift), options, offsets=True)
             pairs = zip(station.parameters, values.tolist(), strict=True)
             offsets = {p.name.split(".")[0]: value for p, value in pairs if p.effect == JointOffset.name}
-            rest = typical_left(station, values)[0]
+            rest = typical_residuals(station, values)[0]
             found.append((rest, shift + [offsets.get(name, 0.0) for name in robot.joint_names]))
     if not found:
         return {}
@@ -95,10 +90,10 @@ def shifts_found(robot: Robot, table: Measurements, options: Options) -> dict[st
     return {robot.joint_names[i]: float(best[i]) for i in turning}
 
 
-def least_left(robot: Robot, table: Measurements, options: Options, size: Callable[[tuple[float, float]], float]) -> float:
+def least_size(robot: Robot, table: Measurements, options: Options, size: Callable[[tuple[float, float]], float]) -> float:
     """Return the size of the residuals of the best first placement, inf if there is none."""
     with suppress(*UNFIT):
-        return min(size(typical_left(*start)) for start in starts_of(robot, table, options))
+        return min(size(typical_residuals(*start)) for start in starts_of(robot, table, options))
     return np.inf
 
 

@@ -47,9 +47,7 @@ class MotionField:
 def fields_of_setup(station: Station, values: np.ndarray) -> Iterator[MotionField]:
     """Yield growth about a point, then the motions of a displaced instrument, or of the tool.
 
-    Args:
-        station: the calibrated model over n rows.
-        values: shape (P,), of its parameters.
+    ``station`` is the calibrated model over n rows, ``values``, shape (P,), are its parameters.
     """
     motion, poses = _motions(station, values)
 
@@ -162,11 +160,8 @@ def gathering_of(station: Station, rejected: np.ndarray) -> Gathering | None:
 def bump_in(station: Station, values: np.ndarray) -> Gathering | None:
     """Return the range of a joint in which all targets are displaced alike, as by a bump of its drive; None if none is.
 
-    Arms in motion are not tested: an error that lasts for a moment is in a narrow window of each joint.
-
-    Args:
-        station: the calibrated model over N rows, rejected ones among them.
-        values: shape (P,), of its parameters.
+    Arms in motion are not tested: an error that lasts for a moment is in a narrow window of each joint. Arguments as for
+    :func:`fields_of_setup`, rejected rows included.
     """
     is_moving = station.conditions.inertial is not None
     if is_moving or not station.sensor.reads_pose or station.serial is not None or len(station) * _PART < _IN_BUMP:
