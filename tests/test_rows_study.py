@@ -231,9 +231,9 @@ def test_a_change_is_told_by_what_it_is_and_near_its_line() -> None:
     truth: list[list[str | None]] = [["remastered", "axis_1", None]]
     case = {"kind": "remastered", "truth": truth, "setup": [], "line": 100, "names": []}
 
-    assert rows_study.is_right({**case, "notes": ["from line 102 on axis_1 stands 1 mrad off: was it remastered?"]})
-    assert not rows_study.is_right({**case, "notes": ["from line 120 on axis_1 stands 1 mrad off: was it remastered?"]})
-    assert not rows_study.is_right({**case, "notes": ["from line 100 on axis_2 stands 1 mrad off: was it remastered?"]})
+    assert rows_study.is_right({**case, "notes": ["from line 102 on axis_1 is off by 1 mrad: was it remastered?"]})
+    assert not rows_study.is_right({**case, "notes": ["from line 120 on axis_1 is off by 1 mrad: was it remastered?"]})
+    assert not rows_study.is_right({**case, "notes": ["from line 100 on axis_2 is off by 1 mrad: was it remastered?"]})
     assert not rows_study.is_right({**case, "notes": ["from line 100 on readings are shifted by 2 mm: axis_1"]})
 
 

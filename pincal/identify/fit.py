@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -265,7 +266,9 @@ def posterior_of(problem: Problem, part: Solution, priors: Priors) -> Posterior:
 
 def carried(solution: Solution, before: Problem, after: Problem) -> Solution:
     """Return a solution with its values by name over another problem's parameters; its posterior is unchanged."""
-    vectors = {name: before.carried_over(getattr(solution, name), after) for name in ("values", "free", "at_bound")}
+    vectors: dict[str, Any] = {
+        name: before.carried_over(getattr(solution, name), after) for name in ("values", "free", "at_bound")
+    }
     return replace(solution, **vectors)
 
 

@@ -38,10 +38,10 @@ _HOPELESS = 0.2
 # Residuals of a calibration that no real arm has: relative to the reach, at least [m], and in orientation [rad]. Real arms
 # have a tenth of that, an elastic one with the rigid model less than half.
 _IMPLAUSIBLE, _IMPLAUSIBLE_M, _IMPLAUSIBLE_RAD = 0.002, 0.0015, 0.02
-# Typical error [m] below which positions are computed from the joints, and rounded: instruments are ten times worse.
-_COMPUTED = 2e-6
 # The same limits as a multiple of the declared noise, if that is larger.
 _NOISY = 5.0
+# Typical error [m] below which positions are computed from the joints, and rounded: instruments are ten times worse.
+_COMPUTED = 2e-6
 # Factor by which undoing a mistake has to reduce the error before it is named.
 _CURED = 4.0
 # A correction counts as equally likely if its residuals are below this multiple of the best one's.

@@ -80,8 +80,8 @@ class StepCause:
         if self.name == "instrument":
             return f"readings are shifted by {shown}: was the instrument or the robot's base touched?"
         if self.name == "tool":
-            return f"the target sits {shown} elsewhere on the tool: was it touched, or the tool exchanged?"
-        return f"{self.name} stands {shown} off: was it remastered?"
+            return f"the target is displaced by {shown} on the tool: was it touched, or the tool exchanged?"
+        return f"{self.name} is off by {shown}: was it remastered?"
 
 
 @dataclass(frozen=True)
