@@ -38,7 +38,8 @@ def test_words_hold_the_figures() -> None:
     for factor, words in ((1.0, "a.d + b.d"), (-1.0005, "a.d - b.d"), (-0.5, "a.d - 0.5 x b.d")):
         assert str(Combination("a.d", factor, "b.d")) == words
     assert str(Reason(Cause.TOOL)) == "the unknown tool frame absorbs it"
-    assert str(Reason(Cause.TOOL, beside="the unknown points")) == "the unknown tool frame and the unknown points absorb it"
+    words = str(Reason(Cause.TOOL, unknowns="the unknown points"))
+    assert words == "the unknown tool frame and the unknown points absorb it"
 
 
 @pytest.mark.parametrize(

@@ -343,7 +343,7 @@ def _is_missed(fit: ModelFit, released: np.ndarray) -> tuple[bool, Linearised]:
     problem linearised at the fit is returned as well.
     """
     problem, fitted, sizes = fit.problem, fit.solution, fit.priors.sizes
-    # A parameter of one of several stations alone says nothing of the robot.
+    # A parameter that only one of several stations has concerns that station alone.
     held = released & ~fitted.free & problem.is_shared
     found = Linearised(problem, fitted.values, fitted.free | held, fitted.weights, sizes)
     if not held.any():

@@ -181,7 +181,7 @@ class _FittedStation:
         means = np.stack([np.bincount(pose, row) for row in residuals]) / np.sqrt(np.bincount(pose))
         return dependence(means, position[first])
 
-    def first(self, most: int) -> np.ndarray:
+    def first_readings(self, most: int) -> np.ndarray:
         """Return the rows that count with the first ``most`` readings in the order, shape (n,)."""
         assert self.station.position is not None
         sound = np.flatnonzero(self.counted)
@@ -189,15 +189,15 @@ class _FittedStation:
         return np.asarray(sound[np.argsort(self.station.position[sound], kind="stable")][:few])
 
     def first_instants(self, most: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows as :meth:`first`, and for each the number of its image, both shape (n,).
+        """Return rows as :meth:`first_readings`, and for each the number of its image, both shape (n,).
 
         Points of one image of a moving arm share one error of its path, so images count as rows do.
         """
         if not self.station.conditions.are_in_motion:
-            some = self.first(most)
+            some = self.first_readings(most)
             return some, np.arange(len(some))
         assert self.station.position is not None
-        some = self.first(_MOST_AT_ONCE * most)
+        some = self.first_readings(_MOST_AT_ONCE * most)
         at_once = np.unique(self.station.position[some], return_inverse=True)[1]
         some = some[at_once < most // self.station.reading_size]
         return some, at_once[: len(some)]
@@ -220,7 +220,7 @@ class _FittedStation:
         if len(np.unique(plain.poses)) < len(plain.station):
             # Several readings of a pose are correlated by the pose, which is another noise.
             return None
-        some = first.first(_READINGS)
+        some = first.first_readings(_READINGS)
         every, places = first.columns(some)
         assert first.station.position is not None
         near = first.station.position[some]

@@ -53,8 +53,8 @@ class Cause(Enum):
     NOT_EXCITED = "not excited by any of these poses"
     NOT_OBSERVED = "has no influence on the measured target"
     BASE = "the unknown base frame absorbs it"
-    TOOL = "the unknown tool frame{beside} absorb{s} it"
-    FRAMES = "the unknown base and tool frames{beside} absorb it"
+    TOOL = "the unknown tool frame{unknowns} absorb{s} it"
+    FRAMES = "the unknown base and tool frames{unknowns} absorb it"
     PARALLEL_AXES = "only {combination} is identifiable (the axes are parallel)"
     COMBINATION = "only {combination} is identifiable"
     ALIASED = "indistinguishable from {aliases}{together}"
@@ -95,7 +95,7 @@ class Reason:
         unit: SI unit of the parameter.
         axis: letter of a compliance's axis; otherwise empty.
         moment: largest static moment about that axis in these poses [N m].
-        beside: what else is unknown along with the tool frame, such as "the unknown points".
+        unknowns: what else is unknown along with the tool frame, such as "the unknown points".
     """
 
     cause: Cause
@@ -106,7 +106,7 @@ class Reason:
     unit: str = ""
     axis: str = ""
     moment: float | None = None
-    beside: str = ""
+    unknowns: str = ""
 
     def __str__(self) -> str:
         words = self.cause.value.format(
@@ -116,8 +116,8 @@ class Reason:
             narrowed="" if self.narrowed is None else format_readable(self.narrowed, self.unit),
             axis=self.axis,
             together=" together" if len(self.parameters) > 1 else "",
-            beside=f" and {self.beside}" if self.beside else "",
-            s="" if self.beside else "s",
+            unknowns=f" and {self.unknowns}" if self.unknowns else "",
+            s="" if self.unknowns else "s",
         )
         return words if self.moment is None else f"{words} (static moment about this axis: at most {self.moment:.2g} N m)"
 
@@ -169,10 +169,10 @@ def explain(fit: ModelFit) -> tuple[ParameterFinding, ...]:
 
 def _frame_variances(fit: ModelFit) -> dict[int, float]:
     """Return for each free coordinate of bases and tools its variance conditional on all that it absorbs at the nominal."""
-    found, beside, free = fit.solution.posterior, fit.solution.known, fit.solution.free
+    found, reported, free = fit.solution.posterior, fit.solution.known, fit.solution.free
     frames, inner = np.flatnonzero(~found.has_prior), np.flatnonzero(found.has_prior)
     shared = np.flatnonzero(free & fit.problem.is_shared)
-    C, few = beside.covariance, found.information < 1.0
+    C, few = reported.covariance, found.information < 1.0
     # Their units differ by orders of magnitude.
     scale = np.sqrt(np.diag(C)[inner])[:, None]
     F = -(np.linalg.solve(C[np.ix_(inner, inner)] / (scale * scale.T), C[np.ix_(inner, frames)] / scale) / scale).T
@@ -185,7 +185,7 @@ def _frame_variances(fit: ModelFit) -> dict[int, float]:
     # A station's frames follow the robot's parameters by the coefficients of their elimination.
     place, variance, spread = np.flatnonzero(free), fit.estimate.covariance.variance, np.zeros((len(shared), int(few.sum())))
     spread[inner] = weak
-    for part in beside.own:
+    for part in reported.own:
         hidden = np.sum((part.carried @ spread[part.shared]) ** 2, axis=-1)
         left = np.maximum(variance[part.places] - hidden, 0.0)
         is_frame = np.broadcast_to(part.precision == 0.0, part.places.shape)
@@ -309,7 +309,7 @@ class _Nominal:
         if cause is Cause.ALIASED:
             named = (self.names[j] for j, s in zip(others, share, strict=True) if abs(s) > CRITERIA.worth_naming)
             return Reason(cause, tuple(named))
-        return Reason(cause, beside="" if cause is Cause.BASE else self.unknowns)
+        return Reason(cause, unknowns="" if cause is Cause.BASE else self.unknowns)
 
     def _candidates(self, i: int) -> Iterator[tuple[list[int], Cause]]:
         """Yield sets of parameters that may have the same effect, the simplest first, with the cause if they do."""

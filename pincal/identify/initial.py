@@ -1,4 +1,4 @@
-"""Where a fit of a station begins: the best of its sensor's closed-form placements of base and tool."""
+"""Start values of a station: the best of its sensor's closed-form placements of base and tool."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ def place_arm(
 ) -> list[tuple[Station, np.ndarray]]:
     """Return the stations of an arm with known deviations, base and tool roughly placed, and their values.
 
-    Each station takes the closed-form candidate whose fit of base and tool leaves least, the last of equal ones.
+    Each station takes the closed-form start with the smallest residuals once base and tool are fitted, the last of equals.
 
     Args:
         arm: the arm's chain and effects, without base and tool; its targets and reference orientations are ignored.

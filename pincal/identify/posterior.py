@@ -44,7 +44,7 @@ class Posterior:
         sizes: shape (F,), standard deviations of the priors; inf for none.
         offsets: shape (F,), present values minus the priors' centres.
         own: the parameters of stations that were eliminated.
-        believed: shape (F, F), the part of H that is no data: an earlier fit, smooth curves; None for nothing.
+        believed: shape (F, F), the part of H that is not from data: an earlier fit, smooth curves; None for nothing.
     """
 
     form: Form

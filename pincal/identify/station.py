@@ -205,8 +205,7 @@ class Station:
     def linearise_shared(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, Jacobian]]:
         """Yield what :meth:`linearise` does, whitened and with curves as basis times column, for Gram matrices.
 
-        Joints off the path that have changed what those on it bear have no columns, as their effect is a millionth of their
-        own.
+        Parameters of joints off the path that act through the loads on it alone have no columns: their effect is negligible.
         """
         # Nothing of a piece is held here while it is processed.
         for piece in self._pieces():

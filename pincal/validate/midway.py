@@ -217,7 +217,7 @@ def _judged(rows: _Rows) -> tuple[list[_Best], np.ndarray, float]:
     """
     best = _plain(rows)
     for _ in range(_TRIES):
-        precision, likelihood = _noise_beside(rows, best)
+        precision, likelihood = _noise_with(rows, best)
         steps, before = _scan(rows, precision), best
         best = max(steps, key=_excess)
         if best.row == before.row and best.field is before.field:
@@ -296,7 +296,7 @@ def _after(values: np.ndarray) -> np.ndarray:
     return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])
 
 
-def _noise_beside(rows: _Rows, step: _Best) -> tuple[np.ndarray, float]:
+def _noise_with(rows: _Rows, step: _Best) -> tuple[np.ndarray, float]:
     """Return the precision of the residuals of a step, shape (n, n), and twice its log likelihood ratio to no step.
 
     The likelihood is restricted, with the fitted parameters marginalised.
@@ -307,7 +307,7 @@ def _noise_beside(rows: _Rows, step: _Best) -> tuple[np.ndarray, float]:
     scaled = step.step / np.maximum(np.abs(step.step).max(axis=(0, 1)), 1e-300)
     columns = np.concatenate([rows.fitted, scaled, off[:, :, None]], axis=2).reshape(n, -1)
     apart = np.abs(rows.at[:, None] - rows.at)
-    degrees, without, beside = 3 * n - r, np.inf, np.inf
+    degrees, without, best = 3 * n - r, np.inf, np.inf
     precision = np.eye(n)
     for length, walk in ((1.0, 0.0), *((length, walk) for length in _LENGTHS for walk in _WALKS)):
         C = np.eye(n) + 0.5 * walk * length * np.exp(-apart / length)
@@ -318,10 +318,10 @@ def _noise_beside(rows: _Rows, step: _Best) -> tuple[np.ndarray, float]:
         squares = [max(float(np.sum(R[k:, -1] ** 2)), 1e-300) for k in (r, len(R) - 1)]
         costs = [float(degrees * np.log(square) + volume) for square in squares]
         without = min(without, costs[0])
-        if costs[1] < beside:
+        if costs[1] < best:
             variance = squares[1] / (degrees - step.field.freedoms)
-            beside, precision = costs[1], cho_solve((L, True), np.eye(n), check_finite=False) / variance
-    return precision, without - beside
+            best, precision = costs[1], cho_solve((L, True), np.eye(n), check_finite=False) / variance
+    return precision, without - best
 
 
 def _robust_step(rows: _Rows, step: _Best) -> np.ndarray:
