@@ -388,7 +388,7 @@ def test_a_later_session_shows_whether_the_robot_has_changed(
     assert "joint_lag of joint_3" in capsys.readouterr().out
     (tmp_path / "slow" / "tracker.csv").unlink()
     assert run("diagnose", model, tmp_path / "slow", "--out", tmp_path / "c", "--quiet") == Exit.BAD_INPUT
-    assert "do not tell where the tool is" in capsys.readouterr().err
+    assert "do not determine positions of the tool" in capsys.readouterr().err
 
 
 @pytest.mark.long

@@ -85,7 +85,7 @@ def test_a_folder_of_two_runs_is_refused(tmp_path: Path, way: str) -> None:
     assert not is_mixed(tmp_path / "b")
     (tmp_path / "a" / "result.json").rename(tmp_path / "b" / "result.json")
 
-    with pytest.raises(ModelFileError, match=r"result\.json beside it was not written by the same run"):
+    with pytest.raises(ModelFileError, match=r"result\.json in the same folder was not written by the same run"):
         read_model(model)
 
 

@@ -177,7 +177,7 @@ def test_rows_that_are_too_few_to_place(machine: sim.TrueMachine, kuka: Robot, m
     here, away = (measured(machine, kuka, poses=2, T_instrument_base=at) for at in (FIRST, AWAY))
 
     assert validate_rows([model], here).placed == "as calibrated"
-    with pytest.raises(BadInputError, match=r"2 position measurements; .* as calibrated, they are off by \d+ mm"):
+    with pytest.raises(BadInputError, match=r"2 position measurements; .* as calibrated, their mean error is \d+ mm"):
         validate_rows([model], away)
 
 
@@ -219,7 +219,7 @@ def test_the_command_tells_places_and_exits(
     assert "located again from these rows: the instrument moved by 1300 mm" in capsys.readouterr().out
     assert run("validate", tmp_path / "model.json", here, bent, "--max-error", "1um") == 6
     told = capsys.readouterr()
-    assert "bent.csv: off by" in told.err and "pincal diagnose" in told.err and "calibrated" in told.out
+    assert "bent.csv: mean error" in told.err and "pincal diagnose" in told.err and "calibrated" in told.out
     assert run("validate", tmp_path / "model.json", here, "--station", "noon") == 3
 
 

@@ -1,4 +1,4 @@
-"""The calibrated model, the one object to predict with, and its file ``model.json``."""
+"""The calibrated model, which predicts, and its file ``model.json``."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from pincal.result_table import Table
 if TYPE_CHECKING:
     import pinocchio as pin
 
-# Rows worked on at once: with 60 parameters a piece is about 6 MB.
+# Rows per piece: with 60 parameters a piece is about 6 MB.
 _PIECE = 4096
 
 
 class Calibrated(ABC):
-    """What a calibration is good for, with one station or more, whether it was made just now or read from a file."""
+    """What can be done with a calibrated robot of one station or more, fitted or read from a file."""
 
     @property
     @abstractmethod
     def models(self) -> Mapping[str, CalibratedModel]:
-        """The calibrated model of each station by its name; of a single one, which needs none, under ""."""
+        """The calibrated model of each station by its name, of a single one under ""."""
 
     @abstractmethod
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -52,7 +52,7 @@ class Calibrated(ABC):
         """The parameters with their standard deviations, as a table."""
 
     def summary(self) -> str:
-        """Return which robot it is, what it was calibrated with and how many parameters were found."""
+        """Return the robot, its measurements and the number of fitted parameters, in words."""
         return self.robot_model().summary()
 
     @property
@@ -61,7 +61,7 @@ class Calibrated(ABC):
         return tuple(self.models)
 
     def at(self, station: str | None = None) -> CalibratedModel:
-        """Return the calibrated model that predicts what one station reads; default: the only one.
+        """Return the calibrated model of a station; default: the only one.
 
         Raises:
             BadInputError: if there is no such station, or none is named and there are several.
@@ -81,14 +81,14 @@ class Calibrated(ABC):
         return self.models[station]
 
     def to_model(self) -> CalibratedModel:
-        """Return the calibrated model of the only station, all that a prediction or a diagnosis needs."""
+        """Return the calibrated model of the only station."""
         return self.at()
 
     def robot_model(self, kind: str | None = None) -> CalibratedModel:
-        """Return the model of the first station with all that the rows of all cover: the robot is the same in each.
+        """Return the model of the first station, with the coverage of all stations, which share the robot.
 
         Args:
-            kind: kind of a sensor; the first station with such a one is taken, where there is any.
+            kind: kind of sensor; the first station with such a sensor is taken, if there is any.
         """
         models = self.models.values()
         first = next((model for model in models if model.sensor_kind == kind), next(iter(models)))
@@ -101,7 +101,7 @@ class Calibrated(ABC):
 
     @property
     def robot_estimate(self) -> Estimate:
-        """What is known of the robot's own parameters, whatever it was measured with: ``Options.earlier`` of a next fit."""
+        """The estimate of the robot's own parameters: ``Options.earlier`` of a further fit."""
         first = next(iter(self.models.values()))
         effects = (effect for effect in first.model.effects if effect.scope == "robot")
         return first.estimate.take(p.name for effect in effects for p in effect.parameters(first.model.chain))
@@ -128,11 +128,11 @@ class Calibrated(ABC):
 
         Args:
             at: joint positions, shape (N, n) or (n,) [rad, prismatic m], or the conditions of N poses, for models that need
-                temperature, time or the direction of approach. Temperature and time that they lack are those of the mean of
-                the calibration's rows, for what follows them.
+                temperature, time or the direction of approach. Missing temperatures and times are taken to be the means of
+                the calibration's rows.
             payload: mass at the tip [kg]; not with conditions.
             target: name of the target; default: the first one; not with conditions.
-            return_sigma: whether to return the standard deviation of the position, too.
+            return_sigma: whether to also return the standard deviation of the position.
 
         Returns:
             Rotation and translation [m], shape (N, 3, 4), and with ``return_sigma`` the standard deviation of the position,
@@ -149,9 +149,8 @@ class Calibrated(ABC):
     def position_sigma(self, conditions: Conditions) -> np.ndarray:
         r"""Return the standard deviation of the predicted position, shape (N, 3) [m], in the instrument's axes.
 
-        :math:`\sqrt{\mathrm{diag}(J C J^T)}`: what the calibration leaves unknown, without the noise of a measurement; and
-        what is unknown beside that, where an effect follows temperature or time and the conditions lack them: as much as it
-        varied over the calibration's rows.
+        :math:`\sqrt{\mathrm{diag}(J C J^T)}`, the uncertainty of the calibration, without measurement noise; plus, where an
+        effect depends on a temperature or time that the conditions lack, its variation over the calibration's rows.
         """
         found = self.at()
         lacking, conditions, n = found.unrecorded(conditions), found.of_its_day(conditions), found.model.n_parameters
@@ -165,7 +164,7 @@ class Calibrated(ABC):
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of the values, shape (P, P); zero rows and columns for those that were not fitted."""
+        """Covariance of the values, shape (P, P); zero rows and columns for parameters that were not fitted."""
         return self.at().dense_covariance
 
     def export_urdf(self, path: str | os.PathLike[str] | None = None) -> UrdfExport:
@@ -173,7 +172,7 @@ class Calibrated(ABC):
 
         Raises:
             RobotFileError: if the model has no URDF.
-            OutputError: if the place can't be written to.
+            OutputError: if the file can't be written.
         """
         found = self.robot_model()
         export = calibrated_urdf(found.model, found.values)
@@ -182,7 +181,7 @@ class Calibrated(ABC):
         return export
 
     def to_pinocchio(self) -> pin.Model:
-        """Return the robot's Pinocchio model with the calibrated geometry; elastic effects are not in it."""
+        """Return the robot's Pinocchio model with the calibrated geometry, without elastic effects."""
         found = self.robot_model()
         return pinocchio_model(found.model, found.model_values)
 
@@ -224,7 +223,7 @@ class CalibratedModel(StationModel, Calibrated):
         k = [found.name for found in fit.problem.stations].index(name)
         at, options = fit.problem.stations[k], fit.options.at(name)
         own = tuple(fit.problem.parameters[i].name for i in fit.problem.places[k])
-        # A file of stations that share nothing but the robot needs no list of names.
+        # Stations that share only the robot need no list of names.
         table_names = own if at.shares_setup else ()
         estimate, places = estimate_at(fit.estimate, name, at.model, own)
         return cls(
@@ -248,7 +247,7 @@ class CalibratedModel(StationModel, Calibrated):
 
     @property
     def models(self) -> Mapping[str, CalibratedModel]:
-        """Itself."""
+        """The model itself."""
         return {"": self}
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -258,7 +257,7 @@ class CalibratedModel(StationModel, Calibrated):
             path: the file; an existing one is replaced only when the new one is complete.
 
         Raises:
-            OutputError: if the place can't be written to, or a number is not finite.
+            OutputError: if the file can't be written, or a number is not finite.
         """
         write_model_file(path, lambda: ModelFile.of_model(self))
 
@@ -268,7 +267,7 @@ class CalibratedModel(StationModel, Calibrated):
         return estimate_table(self.estimate)
 
     def summary(self) -> str:
-        """Return which robot it is, what it was calibrated with and how many parameters were found."""
+        """Return the robot, its measurements and the number of fitted parameters, in words."""
         robot = self.model.chain.robot
         effects = ", ".join(dict.fromkeys(effect.name for effect in self.model.effects))
         return (
@@ -278,13 +277,13 @@ class CalibratedModel(StationModel, Calibrated):
 
 
 def estimate_at(estimate: Estimate, station: str, model: Model, names: Sequence[str] = ()) -> tuple[Estimate, np.ndarray]:
-    """Return the estimate of one station's parameters by their names within it, and their places among all, shape (P,).
+    """Return the estimate of one station's parameters by their names within it, and their indices among all, shape (P,).
 
     Args:
         estimate: of all parameters.
         station: name of the station.
         model: its model.
-        names: of its parameters among all; default: those of the robot, and ``STATION/NAME``.
+        names: of its parameters among all; default: the robot's, and ``STATION/NAME``.
     """
     if not names:
         of_sensor = [p.name for p in estimate.parameters if p.station == station]

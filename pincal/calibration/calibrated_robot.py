@@ -1,4 +1,4 @@
-"""A calibrated robot with one station or more: read from a file, or made from tables, as a user works with it."""
+"""A calibrated robot with one station or more, read from a file or fitted to tables."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ from pincal.robot.robot import Robot
 
 @dataclass(frozen=True, repr=False)
 class CalibratedRobot(Calibrated):
-    """A calibrated robot as files hold it, with parameters common to its stations, one or more.
+    """A calibrated robot as stored in files, with one station or more.
 
     Attributes:
-        stations: the calibrated model of each station, by the station's name; of one alone under "".
+        stations: the calibrated model of each station, by the station's name, of a single one under "".
         estimate: the robot's parameters, then those of each station under its name.
         nominal_values: shape (P,), the values with only base and tool fitted.
         provenance: version of pincal, time, input files with their SHA-256, command and seed.
@@ -60,7 +60,7 @@ class CalibratedRobot(Calibrated):
         *,
         left_by: Callable[[], Unmodelled | None] | None = None,
     ) -> CalibratedRobot:
-        """Return what a fit found."""
+        """Return the calibrated robot of a fit."""
         names = [station.name for station in fit.problem.stations]
         models = {name: CalibratedModel.of(fit, provenance, station=name) for name in names}
         models[names[0]] = replace(models[names[0]], left_by=left_by, information_by=partial(RobotInformation.of, fit))
@@ -84,7 +84,7 @@ class CalibratedRobot(Calibrated):
         """Write ``model.json``: the whole file or nothing, its numbers in full precision.
 
         Raises:
-            OutputError: if the place can't be written to, or a number is not finite.
+            OutputError: if the file can't be written, or a number is not finite.
         """
         if len(self.stations) == 1:
             return self.at().save(path)
@@ -92,7 +92,7 @@ class CalibratedRobot(Calibrated):
 
 
 def load_stations(path: str | os.PathLike[str]) -> CalibratedRobot:
-    """Read ``model.json`` with one station, which then has no name, or several.
+    """Read ``model.json`` with one station, then without a name, or several.
 
     Raises:
         ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
@@ -125,8 +125,7 @@ def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
     """Read ``model.json`` of one station.
 
     Raises:
-        ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid; or if it
-            holds several stations.
+        ModelFileError: as for :func:`load_stations`, and if it holds several stations.
     """
     found = load_stations(path)
     if len(found.stations) > 1:
@@ -140,7 +139,7 @@ def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
 def _read(
     entry: MeasuredEntry, model: Model, estimate: Estimate, *, nominal_values: np.ndarray | None, provenance: dict[str, Any]
 ) -> CalibratedModel:
-    """Return the calibrated model of a station of a file; the others as they stand in :class:`CalibratedModel`."""
+    """Return the calibrated model of a station of a file."""
     measured = {name: getattr(entry, name) for name in MeasuredEntry.__struct_fields__ if name != "sensor_module"}
     found = measured | {"setup": entry.setup.setup(), "nominal_values": nominal_values, "provenance": provenance}
     return CalibratedModel(
@@ -156,14 +155,11 @@ Files = File | Sequence[File] | Mapping[str, File]
 
 @dataclass(frozen=True, repr=False)
 class Fit(identified.ModelFit, Calibrated):
-    """A calibrated robot with all results of its identification.
-
-    It predicts and is saved and exported like a :class:`pincal.CalibratedModel`; in addition it has problem and solution.
-    """
+    """A calibrated robot with its problem and solution; otherwise used like a :class:`pincal.CalibratedModel`."""
 
     @classmethod
     def of(cls, found: identified.ModelFit) -> Fit:
-        """Return what an identification found, with the methods of a calibrated model."""
+        """Return an identified fit with the methods of a calibrated model."""
         return cls(**{field.name: getattr(found, field.name) for field in fields(identified.ModelFit)})
 
     def __repr__(self) -> str:
@@ -181,7 +177,7 @@ class Fit(identified.ModelFit, Calibrated):
 
     @cached_property
     def models(self) -> Mapping[str, CalibratedModel]:
-        """The calibrated model of each station by its name; of a single one, which needs none, under ""."""
+        """The calibrated model of each station by its name, of a single one under ""."""
         return self._robot().stations
 
     def save(self, path: str | os.PathLike[str], *, provenance: dict[str, Any] | None = None) -> None:
@@ -192,28 +188,28 @@ class Fit(identified.ModelFit, Calibrated):
             provenance: its origin, in JSON types.
 
         Raises:
-            OutputError: if the place can't be written to, or a number is not finite.
+            OutputError: if the file can't be written, or a number is not finite.
         """
         self._robot(provenance).save(path)
 
     def information(self) -> RobotInformation:
-        """Return the information of the rows on the robot, with base, targets and instrument eliminated: some kilobytes."""
+        """Return the information of the rows on the robot, with base, targets and instrument eliminated."""
         return RobotInformation.of(self)
 
     def to_stations(self) -> CalibratedRobot:
-        """Return the robot with its stations; a fit has them itself: this is for one release."""
+        """Return the robot with its stations; deprecated, as a fit has them itself."""
         warnings.warn("fit.to_stations() is the fit itself: fit.models, fit.at(NAME)", DeprecationWarning, stacklevel=2)
         return self._robot()
 
     @cached_property
     def log_likelihood(self) -> float:
-        """Logarithm of the density of the readings that count (outliers do not), given the values and the noise."""
+        """Log-likelihood of the readings, without outliers, given the values and the noise."""
         weights = [self.solution.weights[rows] for rows in self.problem.rows]
         return float(sum(map(self._log_density, range(len(weights)), self.problem.stations, weights)))
 
     @property
     def aic(self) -> float:
-        """Akaike's information criterion; a parameter counts as far as readings, not its prior, tell it."""
+        """Akaike's information criterion; a parameter counts as far as readings, not its prior, determine it."""
         return 2.0 * self.solution.effective - 2.0 * self.log_likelihood
 
     @property
@@ -223,11 +219,11 @@ class Fit(identified.ModelFit, Calibrated):
         return float(self.solution.effective * np.log(n)) - 2.0 * self.log_likelihood
 
     def score(self, measurements: Measurements | str | os.PathLike[str], *, station: str = "") -> float:
-        """Return the mean log density of one reading of other rows, given the values and the noise; the larger the better.
+        """Return the mean log-likelihood per reading of other rows, given the values and the noise; larger is better.
 
         Args:
             measurements: the rows, or their file.
-            station: whose base, targets and noise they have, if the fit is of several.
+            station: their station, with its base, targets and noise, if the fit is of several.
         """
         table = _tables(self.problem.chain.robot, measurements)
         if not isinstance(table, Measurements):
@@ -236,22 +232,22 @@ class Fit(identified.ModelFit, Calibrated):
         return self._log_density(k, rows, np.ones(len(table))) / (len(table) * rows.reading_size)
 
     def _log_density(self, k: int, rows: Station, weights: np.ndarray) -> float:
-        """Return the log density of rows at the k-th station, with robust weights of shape (N,): 0 where not counted."""
+        """Return the log-likelihood of rows at the k-th station, with robust weights of shape (N,), 0 for outliers."""
         sigma = np.repeat(self.solution.sigma[self.problem.block_spans[k]], rows.block_sizes)[:, None]
         residuals = rows.whitened(rows.residuals(self.values[self.problem.places[k]])) * (scale := rows.weights / sigma)
         counted = weights > 0.0
-        # Innovations of correlated noise have the determinant of its covariance beside that of white noise.
+        # The covariance of correlated noise has another determinant than that of white noise.
         constant = float(np.sum(np.log(2.0 * np.pi / scale[:, counted] ** 2)))
         constant += 0.0 if rows.serial is None else rows.serial.log_determinant
         return -0.5 * (float(np.sum(residuals[:, counted] ** 2)) + constant)
 
     @property
     def parameters(self) -> Table:
-        """Value and standard deviation of each parameter; of one station also whether the data identify it, or why not."""
+        """Value and standard deviation of each parameter; of one station also status and reason."""
         return estimate_table(self.estimate) if len(self.names) > 1 else parameter_table(parameter_rows(self))
 
     def summary(self) -> str:
-        """Return what was calibrated, whether the fit converged and what is left of the residuals."""
+        """Return the robot, the convergence of the fit and its residuals, in words."""
         state = "converged" if self.solution.converged else "did not converge"
         rank = self.solution.posterior.identifiable_rank
         return (
@@ -272,18 +268,18 @@ def calibrate(
 ) -> Fit:
     """Calibrate a robot from measured poses.
 
-    Several tables are several stations: set-ups of an instrument and its targets, of the same kind or not. Each has base,
-    targets and noise of its own, and all share the robot.
+    Several tables are several stations: set-ups of an instrument and its targets, of the same kind or not. Each has its own
+    base, targets and noise, and all share the robot.
 
     Args:
         robot: the arm.
-        measurements: training rows, one table or several, perhaps by the names of their stations, or the files that hold
-            them; hold rows back before the call to validate on them.
+        measurements: training rows, one table or several, optionally by the names of their stations, or their files; hold
+            rows out before the call to validate on them.
         options: how to calibrate; defaults as documented there.
-        executor: evaluates the stations side by side; default: one after the other.
+        executor: evaluates the stations in parallel; default: sequentially.
 
     Returns:
-        The fit, ready to predict; look at ``solution.converged``.
+        The fit, ready to predict; check ``solution.converged``.
 
     Raises:
         MeasurementError: if the rows are too few to determine the parameters and the noise.
@@ -309,7 +305,7 @@ def calibrate(
 
 
 def _tables(robot: Robot, measurements: Tables | Files) -> Tables:
-    """Return tables of this robot, those that are given as files read; several files are stations named after them."""
+    """Return the tables of this robot, reading files; several files are stations named after them."""
     several = [measurements] if isinstance(measurements, Measurements | str | os.PathLike) else measurements
     named = isinstance(several, Mapping)
     tables, sessions = list[tuple[str, Measurements]](), list[Session]()
@@ -328,16 +324,16 @@ def _tables(robot: Robot, measurements: Tables | Files) -> Tables:
 def calibrate_parts(robot: Robot, parts: Iterable[Measurements], options: Options | None = None) -> Fit:
     """Calibrate a robot from more rows than memory holds, one part of them at a time.
 
-    Each part is fitted with the information of those before it, see ``Options.earlier``, with base, targets and noise
-    of its own, as if it were a station. Where parts are similar, as those of a table in random order, no accuracy is lost.
+    Each part is fitted with the information of the previous ones, see ``Options.earlier``, with its own base, targets and
+    noise, as a station. Where parts are similar, as parts of a table in random order are, no accuracy is lost.
 
     Args:
         robot: the arm.
         parts: the rows, each part with enough of them to place instrument and targets.
-        options: how to calibrate; what they leave open is decided by the first part.
+        options: how to calibrate; automatic choices are made with the first part.
 
     Returns:
-        The fit of the last part, whose robot is that of all.
+        The fit of the last part, with the robot identified from all.
 
     Raises:
         BadInputError: without any part.
@@ -352,7 +348,7 @@ def calibrate_parts(robot: Robot, parts: Iterable[Measurements], options: Option
     for k, part in enumerate(parts, 1):
         fit, rows = calibrate(robot, part, options), rows + len(part)
         options = replace(fit.options, earlier=fit.robot_estimate)
-        log.info("part %d taken in, %d rows so far", k, rows)
+        log.info("part %d fitted, %d rows so far", k, rows)
     if fit is None:
         raise BadInputError("no rows to calibrate with; expected at least one part")
     return fit

@@ -27,7 +27,7 @@ from pincal.validate.agreement import check_agreement, unknown_zeros
 from pincal.validate.clock_jumps import check_clocks
 
 log = logging.getLogger(__name__)
-# Corrections of a robot's description, after which it is none.
+# Corrections of a robot's description at most.
 _CORRECTIONS = 12
 
 
@@ -63,11 +63,7 @@ class Calibration:
 
     @property
     def station(self) -> StationRows:
-        """The rows of the only station.
-
-        Raises:
-            BadInputError: if there are several.
-        """
+        """The rows of the only station; BadInputError if there are several."""
         if len(self.stations) > 1:
             names = ", ".join(rows.name for rows in self.stations)
             raise BadInputError(f"this needs a single station, and there are several: {names}; use the rows of one station")
@@ -75,12 +71,12 @@ class Calibration:
 
     @property
     def train(self) -> Measurements:
-        """Rows that the fit saw, of the only station."""
+        """Fitted rows of the only station."""
         return self.station.train
 
     @property
     def test(self) -> Measurements:
-        """Rows that it did not see, of the only station; may be empty."""
+        """Held-out rows of the only station; may be empty."""
         return self.station.test
 
     def n_poses(self, *parts: str) -> int:
@@ -107,19 +103,16 @@ def run_calibration(
         measurements: one table or several, as :func:`pincal.calibrate` takes them.
         options: how to calibrate.
         test_fraction: part of each station's rows held out; ignored with ``holdout``.
-        split: how rows are chosen; "both" holds out regions of joint space and stretches of consecutive rows, and leads with
-            those that are predicted worse; with "station" all rows train, and each station in turn is predicted by a model
-            of the others, only its own frames fitted to it.
+        split: how rows are chosen; "both" holds out regions of joint space and stretches of consecutive rows, the headline
+            being the one predicted worse; with "station" all rows are fitted, and each station in turn is predicted by a
+            model of the others, only its own frames fitted to it.
         seed: of the choice.
-        holdout: other measurements to validate on; then all rows of ``measurements`` train. Of several stations the rows
-            name theirs.
-        executor: makes the models that leave a station out; default: one after the other, here.
-
-    Returns:
-        The calibration.
+        holdout: other measurements to validate on; then all rows of ``measurements`` are fitted. Of several stations the
+            rows name theirs.
+        executor: fits the models that leave a station out; default: sequentially, here.
 
     Raises:
-        BadInputError: if tables and robot don't go together, or rows are too few.
+        BadInputError: if tables and robot don't match, or rows are too few.
         IdentificationError: if nothing can be identified.
     """
     begun = time.perf_counter()
@@ -144,15 +137,16 @@ def run_calibration(
     corrected = list[str]()
     # The description may be wrong in more than one way.
     while (found := check_agreement(robot, admitted.tables.values(), fit)) is not None and len(corrected) < _CORRECTIONS:
-        robot, told_of = found.of(robot), found.notes
-        log.info("again, as %s", "; ".join(told_of))
-        fit, corrected = calibrate(robot, trained, options), [*corrected, *told_of]
+        robot = found.of(robot)
+        corrected += found.notes
+        log.info("repeating, as %s", "; ".join(found.notes))
+        fit = calibrate(robot, trained, options)
     corrected += unknown_zeros(fit)
     for text in corrected:
         warn(text)
     rows = tuple(replace(part, name=at.name) for part, at in zip(parts, fit.problem.stations, strict=True))
     notes = [*corrected, *robot.notes, *dict.fromkeys((*admitted.notes, *split_notes)), *admitted.idle]
-    # What one station's sensor can't see another's may.
+    # What the sensor of one station can't observe, that of another may.
     unseen = [list(unobservable_notes(train, setup_of(name))) for name, train in trained.items()]
     notes += [note for note in unseen[0] if all(note in other for other in unseen)]
     chosen, first = fit.options.moment_frame, options.first_frame
@@ -160,6 +154,6 @@ def run_calibration(
         notes.append(f"moments act as with --moment-frame {chosen}: it fits better than {first}")
     log.info("judging the fit")
     left_out = leave_out_stations(robot, admitted.tables, options, executor=executor) if split == "station" else ()
-    told = doubts_first(notes)
-    result = result_of(fit, rows, seconds=time.perf_counter() - begun, notes=told, left_out=tuple(left_out))
-    return Calibration(robot, rows, fit, result, told)
+    sorted_notes = doubts_first(notes)
+    result = result_of(fit, rows, seconds=time.perf_counter() - begun, notes=sorted_notes, left_out=tuple(left_out))
+    return Calibration(robot, rows, fit, result, sorted_notes)

@@ -1,4 +1,4 @@
-"""What a user should know about a fit: the findings as data, and the one place where they become words."""
+"""Reservations about a fit: the findings as data, and the one place where they are worded."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from pincal.validate.outcome import MovedParameter
 _FAR = 10.0
 # Lines that a note lists.
 _LISTED = 8
-# Rank correlation of a joint's positions with the order of the rows from which it moved steadily along them; rows for that.
+# Rank correlation of a joint's positions with the row order above which the joint moved steadily; the fewest rows for that.
 _STEADY, _ROWS = 0.95, 20
-# Times what an IMU scatters within its windows, and times the usual noise of one, from which on more is left than noise:
-# sound logs have up to 1.6, also of arms with ripples and friction that no effect describes, joints that were commanded 10.
+# Residuals of an IMU that exceed noise, in units of its scatter within a window and of the usual noise: sound logs reach
+# 1.6, including arms with ripple and friction that no effect describes; commanded instead of measured joints give 10.
 _UNLIKE, _USUAL = 4.0, 2.0
-# Part of the rows from which on outliers are no exceptions; of real tables some percent are left out.
+# Fraction of the rows above which outliers are no exceptions; real tables have some percent.
 _MANY = 0.25
 
 
 class CaveatKind(Enum):
-    """What is noteworthy; the values are how it is said, with its figures in braces."""
+    """What is noteworthy; the values are the messages, with their figures in braces."""
 
     FEW_READINGS = (
         "{poses} training poses give {readings} readings for {parameters} parameters, {left:.0f} more than "
@@ -58,22 +58,21 @@ class CaveatKind(Enum):
     )
     NOISE_OVERSTATED = "the residuals are smaller than the declared noise allows: the declared noise is too large"
     NO_INSTRUMENT = (
-        "no instrument saw the robot, so what its readings do not show stays as its description has it; deviations from "
-        "that are taken to be as large as the readings allow: {lengths:g} times the usual in lengths, {angles:g} in angles, "
-        "{drives:g} in drive compliances, {bearings:g} in others. Elsewhere the standard deviation of a predicted position "
-        "falls {how}"
+        "no instrument measured the robot, so what its readings do not determine keeps its nominal value; priors are as "
+        "wide as the readings require: {lengths:g} times the usual in lengths, {angles:g} in angles, {drives:g} in drive "
+        "compliances, {bearings:g} in others. Elsewhere the standard deviation of a predicted position falls {how}"
     )
     UNSEEN_DIRECTION = (
-        "all readings are within 10 degrees of {where} in the axes of {base}: nothing was measured across; vary the "
-        "directions of contact"
+        "all readings are within 10 degrees of {where} in the axes of {base}: nothing was measured perpendicular to it; "
+        "vary the directions of contact"
     )
     BLIND = (
-        "these readings tell little of {link}: the standard deviation of its predicted position in its workspace was "
+        "these readings hardly determine {link}: the standard deviation of its predicted position in its workspace was "
         "{before:.2g} mm and is {after:.2g} mm; do not use the model to correct its positions"
     )
     MOUNT_MOVED = (
-        "the readings alone move the mount of {joint} by {moved:.3g} mm, known to {sigma:.2g} mm: they do not hold it. "
-        "Measure in more directions, and at more places, or with an instrument"
+        "the readings alone move the mount of {joint} by {moved:.3g} mm, with a standard deviation of {sigma:.2g} mm: they "
+        "do not determine it. Measure in more directions and at more places, or with an instrument"
     )
     MASSES_FOUND = (
         "the robot description has no usable masses for {links} links: they were estimated with the compliances, "
@@ -84,13 +83,13 @@ class CaveatKind(Enum):
         "the instrument is that noisy, declare it (--noise, or a column sigma)"
     )
     OWN_POSE = (
-        "base and tool alone leave {left}: no instrument reads so, these are the controller's own poses, computed from the "
-        "joints (or simulated without noise). They say nothing of the robot's errors; give the readings of an instrument, "
-        "or say which columns they are (--columns)"
+        "base and tool alone leave {left}: no instrument is that accurate, these are the controller's own poses, computed "
+        "from the joints (or simulated without noise). They contain nothing about the robot's errors; supply the readings "
+        "of an instrument, or name their columns (--columns)"
     )
     OWN_MODEL = (
-        "the calibration leaves {left}: no instrument reads so, these are poses that a controller computed with its own "
-        "parameters (or simulated without noise). What is found are these parameters, not the robot's errors"
+        "the calibration leaves {left}: no instrument is that accurate, these are poses that a controller computed with its "
+        "own parameters (or simulated without noise). The result is these parameters, not the robot's errors"
     )
     MANY_OUTLIERS = (
         "{count} of {rows} rows do not fit the others, so the calibration is rejected: {common}; find the cause "
@@ -102,12 +101,12 @@ class CaveatKind(Enum):
         "during the measurement: the instrument's set-up, temperature, the clamping of robot and target"
     )
     LEFT_IN_MOTION = (
-        "the residuals follow the motion: {what}; rows were weighted accordingly; the model lacks something of the arm, "
-        "which pincal discover looks for, or the instrument's set-up or a clock changed on the way"
+        "the residuals follow the motion: {what}; rows were weighted accordingly; the model lacks an effect of the arm, "
+        "which pincal discover can identify, or the instrument's set-up or a clock changed during the session"
     )
     UNLIKE_ITS_SCATTER = (
-        "readings of {what} are off by {ratio:.2g} times what they scatter within a tenth of a second: are the joints those "
-        "that were commanded and not measured, was the IMU polled or its range too small, or is its own filter too slow?"
+        "residuals of the {what} are {ratio:.2g} times the scatter within a tenth of a second: were the joints commanded "
+        "instead of measured, was the IMU polled or its range too small, or is its filter too slow?"
     )
     BLOCKS = (
         "the errors of consecutive rows are correlated: standard deviations are {factor:.3g} times those of independent "
@@ -126,13 +125,13 @@ class CaveatKind(Enum):
         "its drive has a local error that the model does not describe; measure more poses there. Lines {lines}"
     )
     MOVED = (
-        "{what} since the first station: the model has one value for all stations and is right at none; calibrate them one "
-        "by one, or run pincal discover on all of them, which names what changed"
+        "{what} since the first station: one value for all stations is right at none of them; calibrate each separately, or "
+        "run pincal discover on all of them, which names what changed"
     )
     MISREAD = (
-        "the readings follow the instrument's own directions ({effect}, p {p_value:.1g}): it misreads, or the robot has an "
-        "error alike, and intervals do not include it; run pincal discover, or measure the same poses with the instrument "
-        "elsewhere"
+        "the residuals depend on the instrument's own axes ({effect}, p {p_value:.1g}): it misreads, or the robot has an "
+        "equivalent error, and intervals do not include it; run pincal discover, or measure the same poses with the "
+        "instrument elsewhere"
     )
     OUTLIERS = "{count} rows were rejected as outliers and left out of the fit: lines {lines}"
     NOT_HELD_OUT = "no rows were held out, so the errors are those of the fit, not of prediction"
@@ -149,40 +148,30 @@ class CaveatKind(Enum):
 
 
 UNUSABLE = frozenset({CaveatKind.IMPLAUSIBLE, CaveatKind.MANY_OUTLIERS, CaveatKind.MOUNT_MOVED})
-"""What makes a calibration none, though it converged."""
+"""What rejects a calibration, though it converged."""
 
-DOUBTS = UNUSABLE | {
-    CaveatKind.FEW_READINGS,
-    CaveatKind.OWN_POSE,
-    CaveatKind.UNSEEN_DIRECTION,
-    CaveatKind.BLIND,
-    CaveatKind.NOT_CONVERGED,
-    CaveatKind.NOISE_EXCEEDED,
-    CaveatKind.CONTRADICTED,
-    CaveatKind.STEP,
-    CaveatKind.DEPENDENT_ROWS,
-    CaveatKind.LEFT_IN_MOTION,
-    CaveatKind.UNLIKE_ITS_SCATTER,
-    CaveatKind.BLOCKS,
-    CaveatKind.SORTED,
-    CaveatKind.GATHERED,
-    CaveatKind.BUMP,
-    CaveatKind.FAR_OFF,
-    CaveatKind.LACK_OF_FIT,
-    CaveatKind.MOVED,
-    CaveatKind.MISREAD,
+DOUBTS = frozenset(CaveatKind) - {
+    CaveatKind.SPARE_READINGS,
+    CaveatKind.NOISE_OVERSTATED,
+    CaveatKind.NO_INSTRUMENT,
+    CaveatKind.MASSES_FOUND,
+    CaveatKind.OWN_MODEL,
+    CaveatKind.OUTLIERS,
+    CaveatKind.NOT_HELD_OUT,
+    CaveatKind.NOT_LEFT_OUT,
+    CaveatKind.NOISY_REPLICATES,
 }
-"""What keeps the verdict from being "adequate"."""
+"""What keeps the verdict from being "adequate": all but mere notes."""
 
 
 @dataclass(frozen=True)
 class Caveat:
-    """One thing that was found; ``str()`` gives it in words.
+    """One reservation; ``str()`` returns its message.
 
     Attributes:
         kind: what was found.
-        figures: its particulars, by the names in the text of the kind; ``count`` and ``lines`` are those of the rows.
-        station: name of the station that it is about; "" for all of them.
+        figures: its figures by the names in the message; ``count`` and ``lines`` follow from the rows.
+        station: name of the station concerned; "" for all of them.
         rows: lines of the rows concerned, if any.
     """
 
@@ -198,7 +187,7 @@ class Caveat:
 
     @property
     def note(self) -> Note:
-        """What is said of it."""
+        """Its message with its severity."""
         return Note(Severity.DOUBT if self.kind in DOUBTS else Severity.NOTE, str(self), self.rows)
 
 
@@ -208,8 +197,7 @@ class Readings:
 
     Attributes:
         poses: number of distinct poses of the fitted rows.
-        readings: what was read of them; a pose that was measured again counts once, and has six coordinates however much
-            was read of it.
+        readings: number of readings; a repeated pose counts once, and a pose for at most six coordinates.
         degrees: readings beyond the parameters that they determine.
     """
 
@@ -219,7 +207,7 @@ class Readings:
 
     @classmethod
     def of(cls, fit: ModelFit, replicates: Iterable[np.ndarray]) -> Readings:
-        """Count those of a calibration; ``replicates`` are, for each station, the numbers of the fitted rows' poses."""
+        """Count the readings of a calibration; ``replicates`` are each station's pose numbers of the fitted rows."""
         readings, n_poses = 0, 0
         for (station, places, _), numbers in zip(fit.stations, replicates, strict=True):
             distinct = len(np.unique(numbers))
@@ -231,7 +219,7 @@ class Readings:
 
 
 def findings_on_data(fit: ModelFit, read: Readings) -> list[Caveat]:
-    """Return whether the readings are few for the parameters, and whether they contradict what was given."""
+    """Return whether the readings are few for the parameters, and whether they contradict given values."""
     found = [Caveat(CaveatKind.CONTRADICTED, {"what": what}) for what in doubts_of_known(fit)]
     released = int(fit.solution.free.sum())
     figures = {"poses": read.poses, "readings": read.readings, "parameters": released}
@@ -241,11 +229,11 @@ def findings_on_data(fit: ModelFit, read: Readings) -> list[Caveat]:
 
 
 def findings_on_moves(fit: ModelFit, moves: Sequence[Sequence[MovedParameter]]) -> Iterator[Caveat]:
-    """Yield what moved by so much that the model, which has one value for all stations, is not right there.
+    """Yield moves that the model's one value for all stations does not describe.
 
     Args:
         fit: a calibration.
-        moves: for each of its stations what moved; none of a single one.
+        moves: for each of its stations the parameters that moved; empty for a single one.
     """
     effects = (effect for station in fit.problem.stations for effect in station.model.effects)
     own = {p.name for e in effects if e.locus.station is not None for p in e.parameters(fit.problem.chain)}
@@ -261,12 +249,7 @@ def findings_on_moves(fit: ModelFit, moves: Sequence[Sequence[MovedParameter]]) 
 
 
 def findings_on_fit(fit: ModelFit, p_value: float | None) -> list[Caveat]:
-    """Return what the fit itself says.
-
-    Args:
-        fit: the calibration.
-        p_value: of its chi-square against the declared noise; None if none was declared.
-    """
+    """Return the findings of the fit itself; ``p_value`` is of chi-square against the declared noise, None without any."""
     found = [] if fit.solution.converged else [Caveat(CaveatKind.NOT_CONVERGED, {"how": fit.solution.exit.value})]
     if p_value is not None and p_value < MISFIT:
         found.append(Caveat(CaveatKind.NOISE_EXCEEDED, {"ratio": float(np.sqrt(fit.solution.cost)), "p_value": p_value}))
@@ -283,20 +266,20 @@ def findings_on_fit(fit: ModelFit, p_value: float | None) -> list[Caveat]:
 
 
 def findings_on_scatter(fit: ModelFit) -> Iterator[Caveat]:
-    """Yield what is left of the readings of IMUs that scatter much less."""
+    """Yield IMU readings whose residuals exceed their scatter by far."""
     for station, _, blocks in fit.stations:
         scatter = () if station.conditions.around is None else station.conditions.around.scatter
         for block, noise, expected in zip(station.sensor.blocks, fit.solution.estimated[blocks], scatter, strict=False):
-            # A filter in the sensor takes scatter away; what it leaves is then no more than of any IMU.
+            # A filter in the sensor reduces the scatter; the residuals are then still those of any IMU.
             if noise > max(_UNLIKE * expected, _USUAL * block.noise):
                 figures = {"what": block.name.replace("_", " "), "ratio": noise / expected}
                 yield Caveat(CaveatKind.UNLIKE_ITS_SCATTER, figures, station.name)
 
 
 def findings_on_order(station: Station) -> list[Caveat]:
-    """Return whether the noise of a station's rows depends on their order, and whether that order is a joint's, too."""
+    """Return whether the noise of a station's rows depends on their order, and whether a joint moved in that order."""
     found, serial, n = [], station.serial, len(station)
-    # The windows of an IMU overlap by what they are.
+    # The windows of an IMU overlap by design.
     if serial is not None and station.sensor.reads_place:
         rows = 1.0 / (1.0 - float(np.max(serial.phi)))
         lasts = f"for about {rows:.0f} rows" if rows < n else "over all rows"
@@ -305,7 +288,7 @@ def findings_on_order(station: Station) -> list[Caveat]:
         kind = CaveatKind.LEFT_IN_MOTION if station.conditions.are_in_motion else CaveatKind.DEPENDENT_ROWS
         found.append(Caveat(kind, {"what": what}, station.name))
     if station.position is not None and n >= _ROWS:
-        # What sets one load apart from another may be elastic.
+        # Blocks of different loads are judged separately: what differs between them may be elastic.
         loads = (station.conditions.payload == load for load in np.unique(station.conditions.payload))
         parts = [station.select(rows) for rows in loads if rows.sum() >= _ROWS] or [station]
         steady = np.full(station.conditions.q.shape[1], np.inf)
@@ -320,7 +303,7 @@ def findings_on_order(station: Station) -> list[Caveat]:
 
 
 def findings_on_plausibility(fit: ModelFit, tables: Iterable[Measurements]) -> list[Caveat]:
-    """Return at which stations, with these fitted rows, the fit leaves more, or less, than a real arm does."""
+    """Return the stations at which the residuals are larger or smaller than those of any real arm."""
     kinds = (CaveatKind.OWN_MODEL, CaveatKind.OWN_POSE)
     own = [Caveat(kinds[is_nominal], {"left": left}, name) for name, is_nominal, left in computed(fit)]
     return [Caveat(CaveatKind.IMPLAUSIBLE, {"how": how}, name) for name, how in implausible(fit, tables)] + own
@@ -329,11 +312,11 @@ def findings_on_plausibility(fit: ModelFit, tables: Iterable[Measurements]) -> l
 def findings_on_outliers(
     station: Station, values: np.ndarray, free: np.ndarray, *, table: Measurements, rejected: np.ndarray
 ) -> list[Caveat]:
-    """Return which rows of a station were rejected, by their lines, and where the instrument was moved between rows.
+    """Return which rows of a station were rejected, and where the instrument was moved between rows.
 
     Args:
         station: the calibrated model over the fitted rows.
-        values: shape (P,), of its parameters.
+        values: shape (P,), its parameters.
         free: shape (P,), which of them were fitted.
         table: the fitted rows.
         rejected: shape (N,), which of them were rejected.
@@ -364,13 +347,13 @@ def findings_on_outliers(
 
 
 def _unit_of(station: Station, gathered: Gathering) -> str:
-    """Return the unit of the joint that outliers gather along; empty if it is none."""
+    """Return the unit of the joint along which outliers cluster; empty for another variable."""
     robot = station.model.chain.robot
     return dict(zip(robot.joint_names, robot.joint_units, strict=True)).get(gathered.variable, "")
 
 
 def findings_on_held_out(test: Station | None, values: np.ndarray, table: Measurements) -> list[Caveat]:
-    """Return whether some held-out rows of a station are far off all others: a few of them dominate a mean."""
+    """Return whether some held-out rows of a station have errors far beyond all others, which dominate a mean."""
     if test is None:
         return []
     errors = next(iter(pose_error_sizes(test, values).values()))
@@ -382,16 +365,8 @@ def findings_on_held_out(test: Station | None, values: np.ndarray, table: Measur
 
 
 def findings_on_replicates(lack: LackOfFit | None, p_value: float | None) -> list[Caveat]:
-    """Return what replicates say of model and noise.
-
-    Args:
-        lack: the test of lack of fit, None without replicates.
-        p_value: of chi-square against the declared noise; None if none was declared.
-    """
-    if lack is None:
-        return []
-    if lack.is_significant:
+    """Return what replicates show of model and noise; ``p_value`` as for :func:`findings_on_fit`."""
+    if lack is not None and lack.is_significant:
         return [Caveat(CaveatKind.LACK_OF_FIT, {"test": lack})]
-    if p_value is not None and p_value < MISFIT:
-        return [Caveat(CaveatKind.NOISY_REPLICATES, {"test": lack})]
-    return []
+    is_noisy = lack is not None and p_value is not None and p_value < MISFIT
+    return [Caveat(CaveatKind.NOISY_REPLICATES, {"test": lack})] if is_noisy else []

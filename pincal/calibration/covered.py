@@ -1,9 +1,8 @@
-"""What a calibration's rows cover: the range beyond which nobody has checked the model, and the day they were measured on.
+"""The coverage of a calibration's rows: the range within which the model is validated, and the conditions of the day.
 
-An effect that follows temperature, time or a move that other rows did not record stands where the column's mean over the
-calibration's rows puts it, and by as much as it varied there, a prediction is unsure. Directions of approach and commanded
-positions are another matter: they are not the day's but each pose's own, the robot's part can't be told without them, and
-rows that lack them are refused.
+Where other rows lack temperature, time or move, an effect of it is evaluated at the column's mean over the calibration's
+rows, and the prediction is uncertain by its variation there. Directions of approach and commanded positions belong to each
+pose, not to the day; rows that lack them are refused.
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ from pincal.model.model import Model
 from pincal.parameters import Estimate
 from pincal.robot.robot import Robot
 
-# What still counts as covered beyond the training rows: this part of their range, and this much [rad, m or kg].
+# Margin beyond the training rows that counts as covered: a fraction of their range, and a constant [rad, m or kg].
 _MARGIN_PART, _MARGIN = 0.02, 1e-3
-# Points of each piece of a curve at which it is asked whether the rows told it.
+# Points per piece of a curve at which its uncertainty is evaluated.
 _POINTS = 4
-# Columns that tell the day, not the pose.
+# Columns that describe the day, not the pose.
 OF_THE_DAY = ("temperature", "time", "move")
 
 
@@ -42,14 +41,9 @@ class Outside(NamedTuple):
 
 
 class OutsideCurve(NamedTuple):
-    """Rows beyond the range in which a curve of the model was seen; there it keeps its end value.
+    """Number of rows beyond the range, lower to upper, of a curve of a variable; there it keeps its end value.
 
-    Attributes:
-        effect, joint: the curve.
-        variable: what it follows: a joint's name, "time", "temperature" or "payload".
-        rows: how many rows lie beyond.
-        lowest, highest: of the variable over all rows.
-        lower, upper: the range that was seen.
+    The variable is a joint's name, "time", "temperature" or "payload", and over all rows between lowest and highest.
     """
 
     effect: str
@@ -63,14 +57,7 @@ class OutsideCurve(NamedTuple):
 
 
 class CurveGap(NamedTuple):
-    """A range in which the training rows left a curve of the model open, and across which it is interpolated.
-
-    Attributes:
-        effect, joint: the curve.
-        variable: what it follows: a joint's name, "time", "temperature" or "payload".
-        rows: how many rows lie there.
-        lower, upper: where it begins and ends.
-    """
+    """Number of rows in a range, lower to upper, where the training rows do not determine a curve: it is interpolated."""
 
     effect: str
     joint: str
@@ -81,13 +68,7 @@ class CurveGap(NamedTuple):
 
 
 class Turned(NamedTuple):
-    """Rows with a joint a whole turn or more from where a curve of the model was seen; it is taken as if it repeated.
-
-    Attributes:
-        effect, joint: the curve.
-        variable: the joint that it follows.
-        rows: how many rows.
-    """
+    """Number of rows with a joint a whole turn or more outside the range of a curve, which is taken to be periodic."""
 
     effect: str
     joint: str
@@ -96,7 +77,7 @@ class Turned(NamedTuple):
 
 
 class Covered(Record, frozen=True):
-    """What the training rows cover.
+    """Coverage of the training rows.
 
     Attributes:
         q: shape (n, 2), least and largest joint positions [rad or m].
@@ -111,17 +92,17 @@ class Covered(Record, frozen=True):
 
     @classmethod
     def of(cls, conditions: Conditions) -> Covered:
-        """Return what some rows cover."""
+        """Return the coverage of some rows."""
         q, payload, days = conditions.q, conditions.payload, dict[str, tuple[float, float]]()
         for name in OF_THE_DAY:
             if (x := conditions.column(name)) is not None:
-                # Moves, of all joints, go one way as often as the other.
+                # Moves of all joints have mean zero.
                 is_move = name == "move"
                 days[name] = 0.0 if is_move else float(np.mean(x)), _rms(x) if is_move else float(np.std(x))
         return cls(np.column_stack([q.min(axis=0), q.max(axis=0)]), np.array([payload.min(), payload.max()]), days)
 
     def over(self, other: Covered) -> Covered:
-        """Return what rows of both cover; a column that does not vary on the second day tells nothing of it."""
+        """Return the coverage of the rows of both; a column that is constant on the second day is not counted."""
         spans = [np.stack([one, two]) for one, two in ((self.q, other.q), (self.payload, other.payload))]
         q, payload = (np.stack([both[..., 0].min(axis=0), both[..., 1].max(axis=0)], axis=-1) for both in spans)
         days = dict(self.days)
@@ -138,7 +119,7 @@ class Covered(Record, frozen=True):
         return ~_beyond(payload, *self.payload)
 
     def outside(self, robot: Robot, conditions: Conditions) -> list[Outside]:
-        """Return, row by row, what lies beyond; a joint that turns is at the same place after a turn."""
+        """Return, row by row, values beyond the coverage; a revolute joint repeats after a turn."""
         turns = np.array([kind != "prismatic" for kind in robot.joint_types])
         at = np.where(turns, into_range(conditions.q, *self.q.T), conditions.q)
         values = np.column_stack([conditions.q, conditions.payload])
@@ -151,7 +132,7 @@ class Covered(Record, frozen=True):
 
 
 class SeenCurve(NamedTuple):
-    """A curve of a model at some rows: the variable that it follows as recorded, and at the turn where it is taken."""
+    """A curve of a model at some rows: its variable as recorded, and shifted by whole turns into its span."""
 
     effect: Effect
     joint: str
@@ -166,9 +147,9 @@ class SeenCurve(NamedTuple):
         return _beyond(self.x, *self.span)
 
     def gaps(self, chain: Chain, estimate: Estimate) -> np.ndarray:
-        """Return where in its range the training rows left it open, shape (G, 2).
+        """Return where in its range the training rows do not determine it, shape (G, 2).
 
-        They told less than three quarters of its variance there; its mean, which is the joint offset's, apart.
+        There the variance of its deviation from its mean (the mean is the joint offset's) is reduced by less than 3/4.
         """
         effect, members = self.effect, self.effect.parameters(chain)
         if not isinstance(effect, Curve) or (belief := effect.belief(members)) is None:
@@ -182,7 +163,7 @@ class SeenCurve(NamedTuple):
         edges = np.flatnonzero(is_open[1:] != is_open[:-1]).reshape(-1, 2)
         return np.asarray(x[np.minimum(edges, len(x) - 1)])
 
-    def told(self, chain: Chain, estimate: Estimate) -> np.ndarray:
+    def determined(self, chain: Chain, estimate: Estimate) -> np.ndarray:
         """Return the rows at which the training rows determined it, shape (N,)."""
         return ~self.beyond & ~self.rows_in(self.gaps(chain, estimate)).any(axis=0)
 
@@ -213,5 +194,5 @@ def _rms(x: np.ndarray) -> float:
 
 
 def of_the_day(effect: Effect) -> tuple[str, ...]:
-    """Return the columns of the day that an effect needs."""
+    """Return the columns that describe the day that an effect needs."""
     return tuple(column for column in effect.needs if column in OF_THE_DAY)

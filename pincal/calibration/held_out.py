@@ -1,4 +1,4 @@
-"""The rows that a calibration fitted and those that it held out, station by station, or whole stations in turn."""
+"""The fitted and held-out rows of a calibration, station by station, and whole stations held out in turn."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from pincal.spread import spread
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 
 SplitBy = Literal["both", "random", "blocked", "station"]
-"""What is held out: regions of joint space and stretches of rows, rows at random, regions alone, or each station in turn."""
+"""Held-out rows: regions of joint space and stretches of rows, rows at random, regions alone, or each station in turn."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class StationRows:
     """Rows of one station.
 
     Attributes:
-        name: of the station; "" for one that is alone.
-        train: poses that the fit saw: the mean of each one's readings.
-        test: those that it did not see; may be empty.
-        measured: the rows of both, as they were measured.
-        ways: of each way of holding rows out, if there are two, the held-out poses, shape (test,).
+        name: of the station; "" for a single one.
+        train: fitted poses, the mean of the readings of each.
+        test: held-out poses; may be empty.
+        measured: the rows of both as measured.
+        ways: for each of two ways of holding rows out its held-out poses, shape (test,); empty for one way.
     """
 
     name: str
@@ -55,18 +55,18 @@ class StationRows:
     def of(
         cls, name: str, train: Measurements, test: Measurements | None = None, ways: Mapping[Way, np.ndarray] | None = None
     ) -> StationRows:
-        """Return the rows of a station by their poses: to fit, held out (default: none), and lines held out in each way."""
+        """Return the rows of a station by pose, from rows to fit, held-out rows, and lines held out in each way."""
         test = train.select(slice(0)) if test is None else test
         poses = by_pose(test)
         of_ways = {way: np.isin(poses.rows, lines) for way, lines in (ways or {}).items()}
         return cls(name, by_pose(train), poses, (train, test), of_ways)
 
     def held(self, fit: ModelFit) -> Station | None:
-        """Return the held-out poses under the calibrated model, None without any."""
+        """Return the held-out poses under the calibrated model; None without any."""
         return fit.readings(self.test, station=self.name) if len(self.test) else None
 
     def by_row(self, weights: np.ndarray) -> np.ndarray:
-        """Return what is said of each fitted pose, shape (poses,), for each fitted row as it was measured, shape (N,)."""
+        """Return values of the fitted poses, shape (poses,), for each fitted row as measured, shape (N,)."""
         rows, _ = self.measured
         return weights if self.train is rows else weights[replicate_groups([rows], within=SCATTER)[0]]
 
@@ -77,7 +77,7 @@ class LeftOut:
 
     Attributes:
         station: its name.
-        sizes: model -> unit ("mm", ...) -> shape (N,), size of the error at each row, of the "nominal", "geometric" and
+        sizes: model -> unit ("mm", ...) -> shape (N,), error magnitude at each row, of the "nominal", "geometric" and
             "calibrated" robot; empty if it can't be predicted.
         obstacle: why not; empty otherwise.
     """
@@ -90,10 +90,7 @@ class LeftOut:
 def split_rows(
     tables: Mapping[str, Measurements], setup_of: Callable[[str], Setup], *, fraction: float, split: SplitBy, seed: int
 ) -> tuple[StationRows, ...]:
-    """Hold back a part of each station's rows; arguments as of :func:`pincal.calibration.calibration.run_calibration`.
-
-    Where whole stations are held back in turn, all rows train.
-    """
+    """Hold out a part of each station's rows, none with the split "station"; arguments as of :func:`run_calibration`."""
     if split == "station":
         return tuple(StationRows.of(name, table) for name, table in tables.items())
     found = []
@@ -115,10 +112,10 @@ def split_rows(
 def with_holdout(
     robot: Robot, tables: Mapping[str, Measurements], holdout: Tables, setup_of: Callable[[str], Setup]
 ) -> tuple[StationRows, ...]:
-    """Return the rows of each station with those of other tables to judge them by.
+    """Return the rows of each station with the held-out rows of other tables.
 
     Raises:
-        BadInputError: if these are not of a station that is fitted, or can't be of this robot.
+        BadInputError: if these are not of a fitted station, or can't be of this robot.
     """
     held = tables_of(holdout)
     if len(tables) == len(held) == 1:
@@ -126,14 +123,14 @@ def with_holdout(
     for name in held.keys() - tables.keys():
         raise BadInputError(
             f"{held[name].source}: rows to validate on of the station {name!r}; expected one of "
-            f"{', '.join(map(repr, tables))}: name it in a column station, or hold rows back by --test-fraction"
+            f"{', '.join(map(repr, tables))}: name it in a column station, or hold rows out by --test-fraction"
         )
     tests = {name: admit_test(robot, held[name], setup_of(name).over(tables[name])) for name in tables if name in held}
     return tuple(StationRows.of(name, table, tests.get(name)) for name, table in tables.items())
 
 
 def as_measured(fit: ModelFit, rows: Sequence[StationRows]) -> ModelFit:
-    """Return a fit over the fitted rows as they were measured, where it was made of means of poses; else itself."""
+    """Return a fit over the fitted rows as measured, where means of poses were fitted; else itself."""
     if all(part.train is part.measured[0] for part in rows):
         return fit
     stations = tuple(
@@ -144,11 +141,9 @@ def as_measured(fit: ModelFit, rows: Sequence[StationRows]) -> ModelFit:
 
 
 def errors_held_out(fit: ModelFit, values: np.ndarray, rows: Sequence[StationRows]) -> dict[str, dict[str, float]]:
-    """Return the statistics of errors of held-out poses, of all stations together.
+    """Return the error statistics of the held-out poses of all stations together, "test", and of each way of two.
 
-    Returns:
-        Name and statistics, as those of :func:`pincal.validate.accuracy.error_statistics`: "regions" and "stretches", where
-        rows are held out both ways, and "test" for all that are held out.
+    See :func:`pincal.validate.accuracy.error_statistics`; the ways are "regions" and "stretches".
     """
     sizes: dict[str, list[dict[str, np.ndarray]]] = {}
     for part, places in zip(rows, fit.problem.places, strict=True):
@@ -164,13 +159,13 @@ def errors_held_out(fit: ModelFit, values: np.ndarray, rows: Sequence[StationRow
 
 
 def headline_of(errors: Mapping[str, Mapping[str, float]]) -> str:
-    """Return which of the errors of :func:`errors_held_out` leads: the way in which a model predicts worse."""
+    """Return which of the errors of :func:`errors_held_out` is the headline: the way in which predictions are worse."""
     ways = [name for name in errors if name in get_args(Way)]
     return max(ways, key=lambda way: next(iter(errors[way].values())), default="test")
 
 
 FitOthers = Callable[[Robot, dict[str, Measurements], Options], CalibratedFit]
-"""From a robot, the tables of some stations and options to their calibration; picklable, if an executor needs that."""
+"""Calibrates a robot from the tables of some stations and options; picklable if an executor needs that."""
 
 
 def leave_out_stations(
@@ -181,17 +176,17 @@ def leave_out_stations(
     fit_others: FitOthers = calibrate,
     executor: Executor | None = None,
 ) -> Iterator[LeftOut]:
-    """Predict each station by the model of the others, only its own frames fitted; with an executor, all side by side.
+    """Predict each station by the model of the others, only its own frames fitted.
 
-    This is what to expect of a set-up that the calibration never saw: rows held out of a station share its frames, its day
-    and its temperature with those that were fitted.
+    This is the accuracy to expect at a new set-up: held-out rows of a station share its frames, day and temperature with
+    the fitted ones.
 
     Args:
         robot: the arm.
         tables: rows of each station.
         options: how to calibrate.
         fit_others: makes the model; default: a calibration.
-        executor: runs one fit per station; default: one after the other, here.
+        executor: runs one fit per station in parallel; default: sequentially, here.
 
     Raises:
         BadInputError: if there is only one station.
@@ -202,11 +197,7 @@ def leave_out_stations(
 
 
 def require_several(tables: Mapping[str, Measurements]) -> None:
-    """Refuse to leave out the only station.
-
-    Raises:
-        BadInputError: saying what makes several.
-    """
+    """Raise BadInputError if there is only one station, which can't be left out."""
     if len(tables) < 2:
         source = ", ".join(table.source for table in tables.values())
         raise BadInputError(

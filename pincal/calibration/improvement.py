@@ -1,10 +1,9 @@
-r"""How far a calibration improves predictions where nobody measured: standard deviations before and after, by region.
+r"""Improvement of predictions by a calibration: standard deviations of positions before and after, by region.
 
-Before it, a robot is off its description by what the priors of the calibration say, afterwards by what these and its rows
-leave unknown, with covariances P and C. An instrument that sees the end of a path takes up what its own placement explains:
-with J the derivative of the end's positions at many poses [m per parameter] and B that by the placement of an instrument
-and of its target, the positions have the covariances :math:`J_\perp P J_\perp^T` and :math:`J_\perp C J_\perp^T`, with
-:math:`J_\perp = J - B B^+ J`.
+P and C are the prior and posterior covariances of the robot's parameters. The placement of an instrument that sees the end
+of a path, and of its target, takes up part of their effect: with J the derivative of the end's positions at many poses by
+the parameters and B the derivative by the placement, the positions have the covariances :math:`J_\perp P J_\perp^T` and
+:math:`J_\perp C J_\perp^T`, with :math:`J_\perp = J - B B^+ J`.
 """
 
 from __future__ import annotations
@@ -23,27 +22,27 @@ from pincal.identify.station import Station
 from pincal.model.chain import MOUNT_SYMBOLS
 from pincal.validate.outcome import Improvement
 
-# Poses that are drawn within the joints' limits, measured poses at most, and the seed of both.
+# Random poses within the joints' limits, measured poses at most, and the seed of both.
 _DRAWN, _MEASURED, _SEED = 400, 200, 0
 _MEASURED_POSES = "measured poses"
 
 
 def improvements(fit: ModelFit) -> tuple[Improvement, ...]:
-    """Return how far predictions are improved, for each link that a reading begins or ends at, region by region."""
+    """Return the improvement of predictions, for each link at which a reading begins or ends, region by region."""
     stations, robot = fit.problem.stations, fit.problem.chain.robot
     ends = dict.fromkeys(link for s in stations for link in (s.model.chain.path.start, s.model.chain.path.tip))
     return tuple(found for link in ends if link != robot.base for found in _of_link(fit, link))
 
 
 def unseen_directions(fit: ModelFit) -> tuple[np.ndarray, ...]:
-    """Return the directions, each of shape (3,), in the axes of the robot's base link, along which no reading varies."""
+    """Return the directions, each of shape (3,), in the axes of the robot's base link, along which nothing was measured."""
     pairs = zip(fit.problem.stations, fit.problem.places, strict=True)
     squares, axes = np.linalg.eigh(sum(_directions(station, fit.values[places]) for station, places in pairs))
     return tuple(axes[:, squares < CRITERIA.unseen_direction * squares.sum()].T)
 
 
 def _directions(station: Station, values: np.ndarray) -> np.ndarray:
-    """Return the squares and products of the directions in which a station's rows read, summed, shape (3, 3)."""
+    """Return the sum of d d^T over the directions d in which a station's rows measure, shape (3, 3)."""
     of_model, own = station.split(values)
     poses, size = station.model.predict(of_model, station.conditions), station.sensor.twist_rows
     units = np.zeros((3, size, len(station)))
@@ -57,7 +56,7 @@ def _directions(station: Station, values: np.ndarray) -> np.ndarray:
 
 
 def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) -> Iterator[Caveat]:
-    """Yield what readings without an instrument leave unknown, and what they moved though they do not hold it."""
+    """Yield what readings without an instrument leave undetermined, including mounts that they moved."""
     if not improved:
         return
     robot, falls = fit.problem.chain.robot, list[str]()
@@ -83,7 +82,7 @@ def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) 
 
 
 def _within(unseen: tuple[np.ndarray, ...]) -> str:
-    """Return what directions lie in that have no part along one or two given ones."""
+    """Return, in words, the plane or line perpendicular to one or two unmeasured directions."""
 
     def named(axis: np.ndarray) -> str:
         return "({:.2f} {:.2f} {:.2f})".format(*(axis * np.sign(axis[np.abs(axis).argmax()]) + 0.0))
@@ -94,7 +93,7 @@ def _within(unseen: tuple[np.ndarray, ...]) -> str:
 
 
 def _of_link(fit: ModelFit, link: str) -> Iterator[Improvement]:
-    """Yield what is known of a link before and after, region by region."""
+    """Yield the improvement of the predicted positions of a link, region by region."""
     found, robot = CalibratedModel.of(fit, station=fit.problem.stations[0].name), fit.problem.chain.robot
     rng, stations = np.random.default_rng(_SEED), fit.problem.stations
     measured = np.vstack([s.conditions.q for s in stations if link in (s.model.chain.path.start, s.model.chain.path.tip)])
@@ -118,7 +117,7 @@ def _of_link(fit: ModelFit, link: str) -> Iterator[Improvement]:
 
 
 def _unplaced(J: np.ndarray, tips: np.ndarray) -> np.ndarray:
-    """Return derivatives of positions, shape (N, 3, P), without what a placement of instrument and target explains."""
+    """Return derivatives of positions, shape (N, 3, P), with the placement of instrument and target projected out."""
     n, parts = len(J), np.zeros((len(J), 3, 9))
     parts[:, :, :3], parts[:, :, 6:] = np.eye(3), tips[:, :, :3]
     for k, axis in enumerate(np.eye(3)):
@@ -128,7 +127,7 @@ def _unplaced(J: np.ndarray, tips: np.ndarray) -> np.ndarray:
 
 
 def _regions(p: np.ndarray, seen: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the regions of positions, shape (N, 3) in the base link's axes, and which are in each."""
+    """Yield the regions of positions, shape (N, 3) in the base link's axes, and masks of the positions in each."""
     yield _MEASURED_POSES, seen
     far = np.hypot(p[:, 0], p[:, 1])
     is_far, is_high = far > np.median(far[~seen]), p[:, 2] > np.median(p[~seen, 2])

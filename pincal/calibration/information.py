@@ -1,4 +1,4 @@
-"""What readings say of a robot, in a form that adds up: from stations, days and sites that never share their tables."""
+"""Additive information of readings on a robot, from stations, days and sites that do not share their tables."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from pincal.io.strict_json import Fault, FileKind, built, read_json, write_json
 from pincal.parameters import Estimate, Parameter, estimate_of
 from pincal.robot.robot import Robot
 
-# Link frames that count as the same [m or 1]: what files of the same robot differ by.
+# Digits to which link frames [m or 1] of the same robot agree.
 _DIGITS = 9
-# Asymmetry of a matrix, in parts of its largest entry, that rounding explains.
+# Asymmetry of a matrix, relative to its largest entry, that rounding explains.
 _ROUNDING = 1e-9
 _FILE = FileKind("an information file", ModelFileError, whole="what save() of pincal's RobotInformation writes")
 
@@ -34,8 +34,8 @@ class RobotInformation(Record, frozen=True, kw_only=True):
     """Information of readings on the parameters of one robot, a quadratic about its nominal without any prior, and its file.
 
     In units of the noise it is square - 2 g x + x H x over deviations x of the robot's parameters, an information form
-    (Bierman 1977), see :mod:`pincal.identify.quadratic`. Two of them add up: ``a + b`` is what the rows of both say, as a
-    joint fit of them linearised where each was fitted. Base, targets and instrument of each station are eliminated.
+    (Bierman 1977), see :mod:`pincal.identify.quadratic`. ``a + b`` is the information of the rows of both: that of a joint
+    fit, linearised where each was fitted. Base, targets and instrument of each station are eliminated.
 
     Attributes:
         format: what the file is.
@@ -91,9 +91,9 @@ class RobotInformation(Record, frozen=True, kw_only=True):
     def of_form(
         cls, form: Quadratic, robot: str, geometry: int, known: Mapping[str, tuple[Parameter, float]]
     ) -> RobotInformation:
-        """Return information given as a form about the nominal, with each parameter of it and its prior by name."""
-        # Parts that are added and projected are symmetric up to their own rounding, which may be all that is left, and more
-        # than nothing only up to that of frames which parallel axes hardly tell apart.
+        """Return information given as a form about the nominal, with its parameters and their priors by name."""
+        # Sums and projections are symmetric, and positive semidefinite, only up to rounding, which may dominate what is left
+        # of frames that nearly parallel axes hardly distinguish.
         H, scale = 0.5 * (form.H + form.H.T), np.sqrt(np.maximum(form.whole, 1e-300))[:, None]
         if np.any(np.diag(H) < 0.0):
             values, axes = np.linalg.eigh(H / (scale * scale.T))
@@ -117,12 +117,12 @@ class RobotInformation(Record, frozen=True, kw_only=True):
 
     @property
     def form(self) -> Quadratic:
-        """It by the names of the parameters."""
+        """The quadratic by the names of its parameters."""
         names = tuple(parameter.name for parameter in self.parameters)
         return Quadratic(self.H, self.g, self.whole, names=names, square=self.square, degrees=self.degrees)
 
     def __add__(self, other: RobotInformation) -> RobotInformation:
-        """Return what the rows of both say.
+        """Return the information of the rows of both.
 
         Raises:
             BadInputError: if they are of different robots.
@@ -135,7 +135,7 @@ class RobotInformation(Record, frozen=True, kw_only=True):
         return self.of_form(self.form + other.form, self.robot, self.geometry, {**other.known, **self.known})
 
     def estimate(self) -> Estimate:
-        """Return the most probable parameters and their covariance, the priors of the model counted once."""
+        """Return the posterior mode of the parameters and their covariance, the priors of the model counted once."""
         parameters = [p for p, _ in self.known.values()]
         form = self.form + Quadratic.of_prior(self.form.names, np.array([p.size for p in parameters]))
         values, covariance = form.estimate(np.arange(len(form.names)), ROUNDING)
@@ -161,7 +161,7 @@ def geometry_of(robot: Robot) -> int:
 
 
 def information_of(text: str, source: str) -> RobotInformation:
-    """Return the information that a JSON text holds.
+    """Return the information from a JSON text.
 
     Raises:
         ModelFileError: if a value is missing or invalid, naming ``source``.

@@ -1,11 +1,11 @@
-"""Where robots of one cell stand beside each other, as the readings tell, to begin a calibration from.
+"""Initial poses of the robots of a cell relative to each other, found from the readings.
 
 An instrument that sees two robots without being moved has both in its frame. A point of one robot that is held at a point of
 the other, p on its hand (R_i, p_i) and s on the other's hand (S_i, s_i), satisfies
 
     R (R_i p + p_i) + t = S_i s + s_i
 
-for the place (R, t) of the one beside the other: linear in t, p and s, so that only the three angles of R are searched for.
+with (R, t) the pose of the first relative to the second: linear in t, p and s, so that only R has to be searched for.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from pincal.robot.robot import Robot
 from pincal.robot.se3 import transform
 from pincal.robot.urdf_file import parse_urdf
 
-# Contacts that the search for a rotation looks at, and readings that have to be left over beside what is unknown.
+# Contacts used to search for a rotation at most, and the fewest degrees of freedom.
 _MOST, _SPARE = 300, 12
-# Residuals of a place over those of the next best that make it the place, and what is another one [rad].
+# Largest ratio of the best pose's residuals to the next best's to be accepted, and how far apart two poses are [rad].
 _CLEAR, _ELSEWHERE = 0.5, 0.2
 
 
 def located(
     robot: Robot, others: Sequence[Beside], tables: Mapping[str, Measurements], options: Options
 ) -> tuple[Beside, ...]:
-    """Return the other robots of a cell with their places, those that are unknown as far as readings tell them.
+    """Return the other robots of a cell with their poses, unknown ones as far as the readings determine them.
 
     Args:
-        robot: the cell, in which those of unknown place stand where the first one does.
-        others: the robots beside the first one.
+        robot: the cell, in which robots of unknown pose coincide with the first one.
+        others: the robots other than the first one.
         tables: the readings of each station, by its name.
         options: what is known of the stations.
     """
@@ -59,13 +59,13 @@ def located(
 def _seen(
     robot: Robot, of: Beside, tables: Mapping[str, Measurements], options: Options, unknown: Sequence[Beside]
 ) -> np.ndarray | None:
-    """Return where a robot stands, shape (4, 4), if an instrument sees it and another one, or contacts join them."""
+    """Return the pose of a robot, shape (4, 4), if an instrument sees it and another one, or contacts join them."""
     tree = parse_urdf(robot.urdf, source=robot.source)
     holders = {link: {joint.name for joint in tree.above(link)} for link in tree.links}
     nowhere = {one.joint for one in unknown}
 
     def robot_of(link: str) -> bool | None:
-        """Return whether a link is of this robot, None for one of another robot whose place is unknown."""
+        """Return whether a link belongs to this robot, None if to another robot of unknown pose."""
         its = holders[link] & nowhere
         return None if its - {of.joint} else bool(its)
 
@@ -90,7 +90,7 @@ def _seen(
 
 
 def _touched(robot: Robot, station: Station, links: Sequence[str]) -> np.ndarray | None:
-    """Return where a robot stands by contacts of the first link, which is its own, with the second; None if that is open."""
+    """Return the pose of a robot by contacts of its own link, the first, with the second; None if undetermined."""
     rows = np.unique(np.linspace(0, len(station) - 1, _MOST).astype(int))
     few = station.select(rows)
     of_sensor = isinstance(few.sensor, Coincidences) and few.sensor.index

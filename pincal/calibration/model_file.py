@@ -1,4 +1,4 @@
-"""The structure of ``model.json``, of one station or several: all that a prediction needs in numbers, without the URDF."""
+"""The structure of ``model.json``, of one station or several: all numbers that a prediction needs, without the URDF."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from pincal.measure.registry import known_kinds
 from pincal.model.model import Model
 from pincal.parameters import Covariance, Estimate
 
-# Of files with one station, and with several.
+# Versions of files with one station and with several.
 FORMAT_VERSION, STATIONS_VERSION = 1, 2
 # Building the model of a station takes a millisecond, and so do ten effects.
 MOST_STATIONS = 500
 
 
 class MeasuredEntry(Record, frozen=True, kw_only=True):
-    """What a station was measured with and what its rows cover.
+    """The sensor of a station and the coverage of its rows.
 
     Attributes:
         sensor_kind: what was measured: "position", "pose", "distance" and so on.
@@ -44,8 +44,8 @@ class MeasuredEntry(Record, frozen=True, kw_only=True):
         rows: fingerprints of the training rows, by which they are recognised; not in files of version 0.1.0.
         is_noise_declared: whether the noise was declared, not estimated.
         left: effects present in the rows but not in the model; none if not tested.
-        information: what the rows say of the robot, without any prior, by which types of robots are learned; of several
-            stations with the first, and not in files of earlier versions.
+        information: information of the rows on the robot, without any prior, from which types of robots are learned; of
+            several stations with the first, and not in files of earlier versions.
     """
 
     sensor_kind: str
@@ -73,7 +73,7 @@ class MeasuredEntry(Record, frozen=True, kw_only=True):
 
     @classmethod
     def measured(cls, found: StationModel, **others: Any) -> Self:
-        """Return the record of a calibrated model, with what else a subclass has."""
+        """Return the record of a calibrated model, with the other fields of a subclass."""
         module = known_kinds().get(found.sensor_kind, "pincal")
         is_own = module.split(".")[0] == "pincal"
         return cls.like(found, sensor_module=None if is_own else module, setup=SetupEntry.of_setup(found.setup), **others)
@@ -90,7 +90,7 @@ class ModelFile(MeasuredEntry, frozen=True, kw_only=True):
         covariance: shape (P, P), of the values; zero for those that were not fitted.
         model: robot, chain and effects.
         nominal_values: shape (P,), the values with only base and tool fitted; not in files of version 0.1.0.
-        files: the files that were written with it, with their SHA-256; none where it was saved alone.
+        files: the files written with it, with their SHA-256; none where it was saved alone.
     """
 
     format_version: int
@@ -118,11 +118,11 @@ class ModelFile(MeasuredEntry, frozen=True, kw_only=True):
 
 
 class GroupEntry(Record, frozen=True, kw_only=True):
-    """A block of the covariance, and which of the fitted parameters it belongs to.
+    """A block of the covariance of some of the fitted parameters.
 
     Attributes:
         parameters: their indices among the fitted ones, from 0.
-        block: shape (b, b), what adds to their covariance.
+        block: shape (b, b), added to their covariance.
     """
 
     parameters: Annotated[tuple[int, ...], ArrayShape("block")]
@@ -182,7 +182,7 @@ class StationsFile(Record, frozen=True, kw_only=True):
         fitted: shape (P,), which parameters were fitted.
         covariance: of the fitted ones.
         stations: the stations.
-        files: the files that were written with it, with their SHA-256; none where it was saved alone.
+        files: the files written with it, with their SHA-256; none where it was saved alone.
     """
 
     format_version: int
@@ -249,7 +249,7 @@ class StationsFile(Record, frozen=True, kw_only=True):
 
 
 class _Head(msgspec.Struct, frozen=True):
-    """What is read first: whether the rest can be read at all."""
+    """The part that is read first, to decide whether the rest can be read."""
 
     format_version: int
     files: dict[str, str] | None = None
@@ -277,8 +277,8 @@ def read_model(path: str | os.PathLike[str]) -> ModelFile | StationsFile:
         )
     if mixed := not_written_with(Path(path), head.files or {}):
         raise MODEL_FILE.error(
-            f"{file}: {mixed} beside it was not written by the same run: a run was stopped while it wrote this folder, "
-            "or files of two runs were mixed; calibrate again, or move the model to a separate folder"
+            f"{file}: {mixed} in the same folder was not written by the same run: a run was stopped while it wrote this "
+            "folder, or files of two runs were mixed; calibrate again, or move the model to a separate folder"
         )
     if head.format_version == STATIONS_VERSION:
         return built(content, StationsFile, MODEL_FILE, file=file, hook=restoring())

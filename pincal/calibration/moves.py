@@ -1,8 +1,8 @@
-"""What moved on a robot from station to station, told from a fit in which it is the same at all of them.
+"""Parameters of a robot that moved between stations, found from a fit in which all stations share them.
 
-The parameter that explains most is released first, the others are asked for again beside it, until none is more than chance.
-The curve of a drive is one of them. Where the model has no curves and they would explain more than log n for each of their
-values, n readings, or some of them changed, everything is told beside curves that all stations share.
+The parameter that explains most is released first, then the others are tested given it, until none is significant. The curve
+of a drive counts as one. Where the model lacks curves, and these would explain more than log n per coefficient, n readings,
+or some of them changed, everything is tested given curves shared by all stations.
 """
 
 from __future__ import annotations
@@ -34,22 +34,21 @@ from pincal.model.effect import Curve
 from pincal.parameters import Parameter
 from pincal.validate.outcome import MovedParameter
 
-# Stations beyond which nothing is looked for: work and memory grow with their square.
+# Stations at most: work and memory grow with their square.
 _MOST_STATIONS = 100
-# Rows and stations at most by which curves are looked for.
+# Rows and stations at most in a search for curves.
 _ROWS, _STATIONS = 2000, 20
-# Parts of a station's rows by which it is told how much a parameter differs by chance, at most, with so many rows each, and
-# how much a curve does.
+# Parts of a station's rows between which a parameter differs by chance, at most, with the fewest rows of each; for curves.
 _MOST_PARTS, _ROWS_EACH, _PARTS = 8, 12, 2
-# How far what is meant to be a constant may be off it.
+# Tolerance on a constant function.
 _CONSTANT = 1e-6
 
 
 def moves_of(fit: ModelFit) -> tuple[tuple[MovedParameter, ...], ...]:
-    """Return, for each of several stations, those parameters of the robot that are not the same at all of them.
+    """Return, for each of several stations, the parameters of the robot that differ between stations.
 
-    The curve of a drive that the model does not have is one of them, named JOINT.curve: by how much it is another one, its
-    mean apart, in the mean square over the rows of the station.
+    The curve of a drive that the model lacks is one of them, named JOINT.curve; its change is the rms over the station's
+    rows, without its mean.
     """
     n = len(fit.problem.stations)
     own = [list(_of_station(fit, k)) for k in range(n)]
@@ -57,32 +56,32 @@ def moves_of(fit: ModelFit) -> tuple[tuple[MovedParameter, ...], ...]:
         return tuple(map(tuple, own))
     shared = SharedInformation.of(fit)
     if (curves := _with_curves(fit)) is not None:
-        told, apart, chosen = curves.told, curves.apart, curves.moved
+        information, apart, chosen = curves.information, curves.apart, curves.moved
     else:
         same, singles = np.eye(len(shared.parameters)), [(p,) for p in range(len(shared.parameters))]
-        told, apart = shared.together(same), None
-        chosen = told.moved(singles)
+        information, apart = shared.together(same), None
+        chosen = information.moved(singles)
         parts = min(_MOST_PARTS, min(map(len, fit.problem.stations)) // _ROWS_EACH)
         if chosen and parts > 1 and not any(station.sensor.is_whole for station in fit.problem.stations):
             apart = Apart.of(SharedInformation.of(fit, parts, in_order=True), same, parts)
-            chosen = told.moved(singles, apart=apart)
+            chosen = information.moved(singles, apart=apart)
     for group in chosen:
         shape = None if curves is None else curves.shapes.get(group)
         parameter = shared.parameters[group[0]] if shape is None else shape.parameter
         noise = 1.0 if apart is None else apart.noise([other for other in chosen if other != group], group)[0]
-        for k, change, sigma, moved in _course(told, chosen, group, noise, shape):
+        for k, change, sigma, moved in _course(information, chosen, group, noise, shape):
             own[k].append(_entry(parameter, change, sigma, moved))
     return tuple(map(tuple, own))
 
 
 @dataclass(frozen=True)
 class _Shape:
-    """The curve of a drive, its mean apart.
+    """The curve of a drive without its mean.
 
     Attributes:
-        parameter: what it is called.
+        parameter: its name and unit.
         T: shape (size, n), orthonormal; T times n values are the coefficients of the curve.
-        at: shape (n, N_k) for each station, what these values make at its rows.
+        at: shape (n, N_k) for each station, the curves of unit values at its rows.
     """
 
     parameter: Parameter
@@ -91,7 +90,7 @@ class _Shape:
 
     @classmethod
     def of(cls, curve: Curve, fit: ModelFit) -> Self:
-        """Return that of a curve at the rows of a fit."""
+        """Return the shape of a curve at the rows of a fit."""
         chain, joint, span = fit.problem.chain, str(curve.locus.joint), curve.locus.span
         positions = [recorded_variable(chain, station.conditions, joint, span=span) for station in fit.problem.stations]
         bases = [curve.basis(x) for x in positions]
@@ -103,11 +102,11 @@ class _Shape:
         return cls(parameter, T, tuple(T.T @ basis for basis in bases))
 
     def size(self, k: int, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-        """Return a curve at a station, in the mean square over the rows that tell of it, and its standard deviation."""
+        """Return the rms of a curve over the rows of a station that determine it, and its standard deviation."""
         at = self.at[k]
         variance = np.einsum("in,ij,jn->n", at, covariance, at)
-        told = variance < (CHANGES.curve_seen * self.parameter.size) ** 2
-        at, variance = (at[:, told], variance[told]) if told.any() else (at, variance)
+        seen = variance < (CHANGES.curve_seen * self.parameter.size) ** 2
+        at, variance = (at[:, seen], variance[seen]) if seen.any() else (at, variance)
         height = values @ at
         size = np.sqrt(max(float(np.mean(height**2 - variance)), 1e-300))
         slope = at @ height / len(height) / size
@@ -116,17 +115,17 @@ class _Shape:
 
 @dataclass(frozen=True)
 class _WithCurves:
-    """What stations say of the parameters of a model and of curves of drives, which stand behind.
+    """Information of stations on the parameters of a model, followed by curves of drives.
 
     Attributes:
-        told: what they say.
-        apart: what parts of each of them say.
-        without: what they say if there are no curves.
-        shapes: the curves, by the places of their values.
-        price: log of the number of readings: what a parameter has to explain.
+        information: of the stations.
+        apart: the same, and of parts of each of them.
+        without: the same without curves.
+        shapes: the curves, by the indices of their values.
+        price: log of the number of readings, which a parameter has to explain.
     """
 
-    told: StationsInformation
+    information: StationsInformation
     apart: Apart
     without: StationsInformation
     shapes: dict[Together, _Shape]
@@ -134,7 +133,7 @@ class _WithCurves:
 
     @classmethod
     def of(cls, fit: ModelFit, curves: Sequence[Curve], rows: dict[int, np.ndarray], parts: int = 1) -> Self:
-        """Return what some rows, in so many parts of each station, say of some curves."""
+        """Return the information of some rows, in so many parts of each station, with some curves."""
         wide, _ = fit_with(fit, curves, rows)
         shared, shapes = SharedInformation.of(wide, parts), [_Shape.of(curve, wide) for curve in curves]
         place = {parameter.name: i for i, parameter in enumerate(shared.parameters)}
@@ -150,29 +149,30 @@ class _WithCurves:
 
     @cached_property
     def singles(self) -> list[Together]:
-        """The parameters that are of no curve."""
-        return [(p,) for p in range(self.told.G.shape[1] - sum(map(len, self.shapes)))]
+        """The parameters that belong to no curve."""
+        return [(p,) for p in range(self.information.G.shape[1] - sum(map(len, self.shapes)))]
 
     @cached_property
     def moved(self) -> tuple[Together, ...]:
-        """What is not the same at all stations, beside curves that are."""
-        return self.told.moved([*self.singles, *self.shapes], price=self.price, apart=self.apart)
+        """The groups that differ between stations, given shared curves."""
+        return self.information.moved([*self.singles, *self.shapes], price=self.price, apart=self.apart)
 
     @property
     def cost(self) -> float:
-        """What curves cost beyond what they explain: those of all stations, if that is less than nothing, and changes."""
+        """Cost of curves less what they explain: of the shared ones, if negative, and of changes."""
+        found = self.information
         changed = [group for group in self.moved if group in self.shapes]
         others = [group for group in self.moved if group not in self.shapes]
         without = self.without.explained + self.without.gain(self.without.moved(self.singles))
-        shared = self.price * sum(map(len, self.shapes)) - self.told.explained - self.told.gain(others) + without
-        gain = self.told.gain(self.moved) - self.told.gain(others)
-        return min(shared, 0.0) + self.price * sum(map(self.told.degrees, changed)) - gain
+        shared = self.price * sum(map(len, self.shapes)) - found.explained - found.gain(others) + without
+        gain = found.gain(self.moved) - found.gain(others)
+        return min(shared, 0.0) + self.price * sum(map(found.degrees, changed)) - gain
 
 
 def _with_curves(fit: ModelFit) -> _WithCurves | None:
-    """Return what stations say of a model and those curves of drives that it lacks, in the resolution that explains most.
+    """Return the information of stations with the drive curves that a model lacks, in the resolution that explains most.
 
-    None if it lacks none, and where nobody looks: at IMUs, arms in motion, and many stations.
+    None if it lacks none, and of IMUs, arms in motion, and many stations.
     """
     problem, stations = fit.problem, fit.problem.stations
     if not 1 < len(stations) <= _STATIONS or any(
@@ -189,7 +189,7 @@ def _with_curves(fit: ModelFit) -> _WithCurves | None:
             is_new = names.isdisjoint(p.name for p in curve.parameters(problem.chain))
             if is_new and CHANGES.rows_each * curve.resolution <= min(map(len, some)):
                 of_size.setdefault(curve.resolution, []).append(curve)
-    # From coarse to fine, every other one.
+    # Every other resolution, from coarse to fine.
     sizes = sorted(of_size)[::2]
     costs = [_WithCurves.of(fit, of_size[size], rows).cost for size in sizes]
     if not costs or min(costs) >= 0.0:
@@ -199,10 +199,10 @@ def _with_curves(fit: ModelFit) -> _WithCurves | None:
 
 
 def _course(
-    told: StationsInformation, chosen: Sequence[Together], group: Together, noise: float, shape: _Shape | None
+    found: StationsInformation, chosen: Sequence[Together], group: Together, noise: float, shape: _Shape | None
 ) -> Iterator[tuple[int, float, float, bool]]:
-    """Yield station, change since the first, its standard deviation, and whether it came since the station before."""
-    station, values, covariance = told.own_values(chosen, group)
+    """Yield station, change since the first, its standard deviation, and whether it moved since the previous station."""
+    station, values, covariance = found.own_values(chosen, group)
     covariance = noise * covariance
     for k in station[:1]:
         yield int(k), 0.0, 0.0, False
@@ -215,7 +215,7 @@ def _course(
 
 
 def _of_station(fit: ModelFit, k: int) -> Iterator[MovedParameter]:
-    """Yield what the model itself has of a joint at a station alone."""
+    """Yield the model's own effects of joints at a single station."""
     station, places = fit.problem.stations[k], fit.problem.places[k]
     model, sigma = station.model, fit.estimate.fitted_sigma
     for effect, span in zip(model.effects, model.spans, strict=True):

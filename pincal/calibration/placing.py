@@ -1,7 +1,7 @@
-"""A calibrated robot at a new set-up: where instrument and targets stand, found from its rows.
+"""A calibrated robot at a new set-up: instrument and targets located from its rows.
 
-The robot's own parameters stay as they were calibrated; base frame, targets, how the instrument misreads positions and what
-else it has to be asked for are found anew. What belonged to another station (a drift, a scale) does not come along.
+The robot's own parameters are held fixed; base frame, targets, the instrument's systematic errors and other parameters of
+the sensor are estimated. Effects of another station (a drift, a scale) are not transferred.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ from pincal.robot.se3 import rotation_vectors
 from pincal.units import format_readable
 from pincal.validate.misfit import Misfit, misfit_at
 
-# Rows that leave a reading elsewhere open by more than this many times its noise have not told where things stand.
-_UNTOLD = 100.0
-# Poses of the calibrated range in which this is looked at.
-_LOOKED_AT = 64
+# Standard deviation of a prediction, in units of the noise, above which rows do not determine instrument and target.
+_UNDETERMINED = 100.0
+# Poses of the calibrated range at which it is evaluated.
+_EVALUATED = 64
 
 
 @dataclass(frozen=True)
 class FrameShift:
-    """How far things moved from one station to another.
+    """How far instrument and targets moved from one station to another.
 
     Attributes:
-        instrument: how far its origin moved in the robot's base frame [m]; None where readings don't tell.
-        turned: by what angle it turned [rad]; likewise.
-        target: how far the targets that both have moved on the tool, the largest [m]; None if they have none in common.
+        instrument: displacement of its origin in the robot's base frame [m]; None where readings don't determine it.
+        turned: angle by which it turned [rad]; likewise.
+        target: largest displacement of a common target on the tool [m]; None if there is none.
     """
 
     instrument: float | None
@@ -67,8 +67,8 @@ class FrameShift:
             ("it turned by", self.turned, "rad"),
             ("the target moved by", self.target, "m"),
         )
-        told = [f"{words} {format_readable(way, unit, '.4g')}" for words, way, unit in ways if way is not None]
-        return ", ".join(told) or "how far they moved is unknown"
+        known = [f"{words} {format_readable(way, unit, '.4g')}" for words, way, unit in ways if way is not None]
+        return ", ".join(known) or "how far they moved is unknown"
 
 
 @dataclass(frozen=True, repr=False)
@@ -79,8 +79,8 @@ class Placed:
         model: the calibrated model, which predicts in the frame of the new station's instrument.
         station: that model over the station's rows.
         solution: the fit of the station's own parameters.
-        moved: how far instrument and target are from where they were.
-        notes: what of the calibration's day or set-up could not be taken along.
+        moved: displacement of instrument and target.
+        notes: effects of the calibration's day or set-up that could not be transferred.
     """
 
     model: CalibratedModel
@@ -98,19 +98,19 @@ class Placed:
         return self.model.values
 
     def misfit_of(self, rows: np.ndarray) -> Misfit:
-        """Return what is left at some of the rows, a mask of shape (N,)."""
+        """Return the residuals of some of the rows, a mask of shape (N,), against what is allowed."""
         known, found, robust = self.model, self.solution.free, rows.astype(float)
         at = self.station, self.values
         return misfit_at(*at, covariance=known.covariance, sigma=known.sigma, robust=robust, found=found)
 
     @cached_property
     def misfit(self) -> Misfit:
-        """What is left, against what noise and the calibration's uncertainty allow; outliers left out."""
+        """The residuals against what noise and the calibration's uncertainty allow; outliers left out."""
         return self.misfit_of(self.solution.weights > 0.0)
 
 
 def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
-    """Locate instrument and targets of a new station; the robot stays as calibrated.
+    """Locate instrument and targets of a new station; the robot is held as calibrated.
 
     Args:
         calibrated: the calibrated robot; of several stations, displacements refer to the first with such readings.
@@ -133,7 +133,7 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
         (0.866025, True)
     """
     known = calibrated.robot_model(measurements.kind)
-    # Other points, and what was found of them, belong to other stations.
+    # Other named points belong to other stations.
     points = () if measurements.point_names is None else map(str, np.unique(measurements.point_names))
     setup = replace(known.setup, points={name: known.setup.points.get(name) for name in points})
     check_placeable(measurements, setup)
@@ -171,15 +171,15 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
 def _of_another_session(
     known: CalibratedModel, station: Station, rows: Measurements, along: set[Effect]
 ) -> tuple[float, tuple[str, ...]]:
-    """Return what a model does not know of rows of another day or set-up, per axis [m], and that in words.
+    """Return the additional uncertainty of rows of another day or set-up, per axis [m], and notes on it.
 
-    It is as much as effects that are not taken along, and those that follow what the rows lack, did to the target.
+    It is what effects that are not transferred, and effects of columns that the rows lack, did to the target.
     """
     lacking = set(known.unrecorded(rows))
     left = [
         effect
         for effect in known.model.effects
-        # The instrument's own, beside its place, drift and targets, does not come along.
+        # Apart from its pose, drift and targets, effects of the instrument are not transferred.
         if effect in lacking
         or (
             effect.scope == "station"
@@ -195,9 +195,9 @@ def _of_another_session(
 
 
 def expected_noise(known: CalibratedModel, blocks: Sequence[Block], measurements: Measurements) -> np.ndarray:
-    """Return the standard deviation to expect of one component of each block of readings, shape (blocks,).
+    """Return the expected standard deviation per component of each block of readings, shape (blocks,).
 
-    It is that of :func:`noise_like`; rows that declare more have more.
+    See :func:`noise_like`; a larger declared one takes precedence.
     """
     found = noise_like(known, measurements.kind, blocks)
     if measurements.sigma is not None:
@@ -207,10 +207,9 @@ def expected_noise(known: CalibratedModel, blocks: Sequence[Block], measurements
 
 
 def noise_like(known: CalibratedModel, kind: str, blocks: Sequence[Block]) -> np.ndarray:
-    """Return the standard deviation to expect of one component of each block of a sensor's readings, shape (blocks,).
+    """Return the expected standard deviation per component of each block of a sensor's readings, shape (blocks,).
 
-    It is that of the calibration, whose residuals hold what its model leaves, too; of other readings in the same unit that
-    as well, and else what good instruments have.
+    It is the calibration's of blocks in the same unit, which includes unmodelled errors, else that of good instruments.
     """
     if known.sensor_kind == kind:
         return np.array(known.sigma, float)
@@ -219,10 +218,10 @@ def noise_like(known: CalibratedModel, kind: str, blocks: Sequence[Block]) -> np
 
 
 def _estimate(station: Station, solution: Solution, arm: Estimate) -> Estimate:
-    r"""Return the estimate of all parameters if the station's own were found with the arm's held.
+    r"""Return the estimate of all parameters, the station's own conditional on the arm's.
 
-    With K their covariance for a known arm, L how they follow it and C the arm's covariance: :math:`K + L C L^T`, and
-    :math:`-L C` with the arm's.
+    With K their covariance for a known arm, L their derivatives by the arm's parameters and C the covariance of these, they
+    have the covariance :math:`K + L C L^T`, and :math:`-L C` with the arm's.
     """
     own, robots = solution.free, ~station.is_own
     covariance = np.zeros((len(own),) * 2)
@@ -240,16 +239,16 @@ def _estimate(station: Station, solution: Solution, arm: Estimate) -> Estimate:
 
 
 def _refuse_undetermined(model: CalibratedModel, station: Station, solution: Solution, *, source: str) -> None:
-    """Refuse rows that leave open where things stand: in other poses, the readings would be anywhere."""
+    """Refuse rows that do not determine instrument and target: predictions in other poses would be arbitrary."""
     if station.sensor.blocks[0].unit != "m":
         return
     rng, (lower, upper) = np.random.default_rng(0), model.covered.q.T
-    rows = station.select(np.resize(np.arange(len(station)), _LOOKED_AT))
+    rows = station.select(np.resize(np.arange(len(station)), _EVALUATED))
     there = replace(rows.conditions, q=rng.uniform(lower, upper, (len(rows), len(lower))))
     size, K = station.sensor.blocks[0].size, solution.posterior.covariance
     pieces = replace(rows, conditions=there).linearise(solution.values, solution.free)
     worst = max(float(np.einsum("imn,ij,jmn->mn", J[:, :size], K, J[:, :size]).max()) for _, _, J in pieces) ** 0.5
-    if worst > _UNTOLD * solution.sigma[0]:
+    if worst > _UNDETERMINED * solution.sigma[0]:
         raise BadInputError(
             f"{source}: {len(station)} rows do not determine the pose of instrument and target: predictions in other "
             f"poses are uncertain by {1e3 * worst:.3g} mm; add rows in different poses and with the tool turned in "
@@ -258,12 +257,9 @@ def _refuse_undetermined(model: CalibratedModel, station: Station, solution: Sol
 
 
 def without_absent(calibrated: CalibratedModel, rows: Measurements) -> tuple[CalibratedModel, tuple[str, ...]]:
-    """Return the model without what belonged to its station and can't be told of rows, such as a drift without times.
+    """Return the model without effects of its station that rows can't evaluate, such as a drift without times, and notes.
 
-    What followed a column whose mean the model knows stays, and is taken at that mean.
-
-    Returns:
-        The model, and notes on what the rows lack.
+    Effects of a column whose mean the model contains are kept and evaluated at that mean.
     """
     days = set(calibrated.covered.days)
     lacking = calibrated.unrecorded(rows)
@@ -274,12 +270,12 @@ def without_absent(calibrated: CalibratedModel, rows: Measurements) -> tuple[Cal
 
 
 def moved(before: CalibratedModel, after: CalibratedModel) -> FrameShift:
-    """Return how far instrument and targets are from where they were, for the same robot at two stations."""
+    """Return the displacement of instrument and targets between two stations of the same robot."""
     both = set(before.estimate.names) & set(after.estimate.names)
     instrument = turned = target = None
     links = [(model.model.chain.path.start, model.model.chain.path.tip) for model in (before, after)]
     if links[0] != links[1]:
-        # What stands on another link has not moved, and another hand has other targets.
+        # An instrument on another link has not moved, and another hand has other targets.
         return FrameShift(None, None, None)
     T_instrument_base = [frame_at(m.model.chain.base_rotation, m.estimate.frame("base")) for m in (before, after)]
     if {f"base.{symbol}" for symbol in FRAME_SYMBOLS[:3]} <= both:

@@ -1,4 +1,4 @@
-"""The result of a calibration: parameters with uncertainty, status and reason; errors before and after; what it rests on."""
+"""The result of a calibration: parameters with uncertainty, status and reason; errors before and after; reservations."""
 
 from __future__ import annotations
 
@@ -54,43 +54,43 @@ from pincal.validate.outcome import (
     noise_key,
 )
 
-# Absolute correlation from which a pair is listed: two parameters then share four fifths of their variance.
+# Absolute correlation above which a pair is listed: the two parameters share four fifths of their variance.
 _CORRELATED = 0.9
-# Pairs that are listed at most, the strongest first.
+# Pairs listed at most, the strongest first.
 _MOST_CORRELATIONS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result(Outcome):
-    """All that ``result.json`` says, as one object."""
+    """The contents of ``result.json``, as one object."""
 
     parameters: tuple[ParameterRow, ...]
     doubt: str = ""
     """Why the calibration is rejected though the fit converged; empty if it is not."""
     shift: str = ""
-    """Where rows shift from some line on, so that they are of two set-ups and not of one; empty if they do not."""
+    """Where readings shift from some line on, as if of two set-ups; empty if they do not."""
 
     @property
     def doubts(self) -> tuple[Note, ...]:
-        """What makes it doubtful."""
+        """The warnings that keep the verdict from being "adequate"."""
         return doubts_of(self.warnings)
 
     @property
     def beside(self) -> NoiseTest | None:
-        """The residuals beside a noise that is known without the model; None if there is none.
+        """The residuals against a noise that is known without the model; None if there is none.
 
-        Where repeated poses tell the noise it is theirs, which holds what the robot itself does not repeat.
+        Where poses were repeated it is their scatter, which includes the robot's repeatability.
         """
         lacks = [self.lack_of_fit] if self.stations is UNSET else [record.get("lack_of_fit") for record in self.stations]
-        known = [beside for lack in lacks if lack is not None and (beside := lack.beside) is not None]
+        known = [test for lack in lacks if lack is not None and (test := lack.beside) is not None]
         if known and len(known) == len(lacks):
-            return min(known, key=lambda beside: beside.p_value)
+            return min(known, key=lambda test: test.p_value)
         if self.chi2_p_value is None:
             return None
         return NoiseTest("the declared noise of the instrument", self.chi2_reduced**0.5, self.chi2_p_value)
 
     def verdict_of(self, *, left: bool = False) -> Verdict:
-        """Return whether the model explains the data; ``left`` says that a search saw that it does not."""
+        """Return whether the model explains the data; with ``left`` a search has found that it does not."""
         unusable = bool(self.doubt) or not self.converged
         return judge(self.beside, self.doubts, unusable=unusable, left=left, few=not tells(self.degrees))
 
@@ -137,14 +137,14 @@ def result_of(
     notes: Sequence[Note] = (),
     left_out: Sequence[LeftOut] = (),
 ) -> Result:
-    """Put a calibration's result together.
+    """Assemble the result of a calibration.
 
     Args:
         fit: the calibration.
         rows: the rows of each station, fitted and held out.
-        seconds: how long it took.
-        notes: on robot and data, which come before others of their severity.
-        left_out: each station predicted by the model of the others, if that was asked; these are the held-out errors then.
+        seconds: time taken.
+        notes: on robot and data, listed before others of their severity.
+        left_out: each station predicted by the model of the others, which gives the held-out errors; default: none.
     """
     solution = fit.solution
     parameters = parameter_rows(fit)
@@ -152,7 +152,6 @@ def result_of(
     seen = [_Seen.of(fit, k, part) for k, part in enumerate(rows)]
     again = [_replicates(fit, k, part) for k, part in enumerate(seen)]
     iso, lack = again[0] if len(seen) == 1 else (None, None)
-    # Of the only station nothing tells which it is.
     on_replicates = [
         replace(found, station=part.rows.name)
         for part, (_, lack) in zip(seen, again, strict=True)
@@ -176,9 +175,9 @@ def result_of(
         station, effect, chance = misread
         found.append(Caveat(CaveatKind.MISREAD, {"effect": effect, "p_value": chance}, station))
     if len(on_replicates) == len(seen) and all(n.kind is CaveatKind.NOISY_REPLICATES for n in on_replicates):
-        # What exceeds the declared noise is the scatter between replicates, which is told.
+        # The scatter between replicates, already reported, is what exceeds the declared noise.
         found = [n for n in found if n.kind is not CaveatKind.NOISE_EXCEEDED]
-    # A change midway explains the others, so it comes before them, and instead of another robot.
+    # A change midway explains the other findings, so it precedes them and replaces "not this robot".
     stepped = {n.station for n in found if n.kind is CaveatKind.STEP}
     found = [n for n in found if n.kind is not CaveatKind.IMPLAUSIBLE or n.station not in stepped]
     found.sort(key=lambda n: n.kind is not CaveatKind.STEP)
@@ -219,13 +218,13 @@ def result_of(
 
 @dataclass(frozen=True)
 class _Seen:
-    """A station as a calibration sees it.
+    """A station of a calibration.
 
     Attributes:
         rows: its rows.
-        parts: the calibrated model over the fitted ones, "train", and over the held-out ones, "test", if there are any.
-        values: its parameters with base and tool fitted alone ("nominal"), and "calibrated".
-        blocks: where its blocks of readings stand among all.
+        parts: the calibrated model over the fitted rows, "train", and over the held-out ones, "test", if there are any.
+        values: its parameters with only base and tool fitted ("nominal"), and "calibrated".
+        blocks: its blocks of readings among all.
         weights: robust weights of the fitted rows.
         free: shape (P,), which of the station's parameters were fitted.
     """
@@ -252,7 +251,7 @@ class _Seen:
 
     @cached_property
     def poses(self) -> list[np.ndarray]:
-        """Numbers of the poses of the fitted rows as they were measured, and of the held-out ones."""
+        """Pose numbers of the fitted rows as measured, and of the held-out ones."""
         return replicate_groups(self.rows.measured, within=SCATTER)
 
     @property
@@ -262,10 +261,7 @@ class _Seen:
 
 
 def _errors(fit: ModelFit, seen: Sequence[_Seen]) -> Errors:
-    """Return the errors of stations taken together, by model and part.
-
-    Where rows are held out in two ways, the one in which the model predicts worse is the part "test".
-    """
+    """Return the errors of all stations together, by model and part; of two ways of holding out the worse is "test"."""
     rows = [part.rows for part in seen]
     found: Errors = {}
     for model, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
@@ -285,7 +281,7 @@ def _records(
     again: Sequence[tuple[dict[str, Any] | None, LackOfFit | None]],
     moved_there: Sequence[Sequence[MovedParameter]],
 ) -> Iterator[StationRecord]:
-    """Yield what is to be said of each of several stations."""
+    """Yield the records of several stations."""
     first = CalibratedModel.of(fit, station=seen[0].rows.name)
     for k, (station, one, (iso, lack), moves) in enumerate(zip(seen, left_out, again, moved_there, strict=True)):
         record: StationRecord = {
@@ -299,9 +295,9 @@ def _records(
                 for model, values in station.values.items()
             },
         }
-        way = moved(first, CalibratedModel.of(fit, station=station.rows.name)).instrument if k else None
-        if way is not None:
-            record["moved_mm"] = 1e3 * way
+        displacement = moved(first, CalibratedModel.of(fit, station=station.rows.name)).instrument if k else None
+        if displacement is not None:
+            record["moved_mm"] = 1e3 * displacement
         if one.sizes:
             record["left_out"] = error_statistics([one.sizes["calibrated"]])
             record["left_out_geometric"] = error_statistics([one.sizes["geometric"]])
@@ -315,7 +311,7 @@ def _records(
 
 
 def _clocks(fit: ModelFit, rows: Sequence[StationRows]) -> Iterator[ClockRecord]:
-    """Yield the clocks of the stations in motion: what they were aligned by, and what the fit found of them."""
+    """Yield the clocks of the stations in motion: alignment plus fitted correction."""
     values = dict(zip(fit.estimate.names, zip(fit.values, fit.estimate.sigma, strict=True), strict=True))
     for part, station in zip(rows, fit.problem.stations, strict=True):
         if (moving := part.measured[0].moving) is None:
@@ -333,7 +329,7 @@ def _clocks(fit: ModelFit, rows: Sequence[StationRows]) -> Iterator[ClockRecord]
 
 
 def _on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut]) -> Iterator[Caveat]:
-    """Yield what was found of the rows of each station: the fitted ones, then those that judge."""
+    """Yield the findings on the fitted rows of each station, then on the held-out ones."""
     for part in seen:
         train, values, rejected = part.parts["train"], part.values["calibrated"], part.weights == 0.0
         yield from findings_on_outliers(train, values, part.free, table=part.rows.train, rejected=rejected)
@@ -348,7 +344,7 @@ def _on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut]) -> Iterator[Cav
 
 
 def _replicates(fit: ModelFit, k: int, seen: _Seen) -> tuple[dict[str, Any] | None, LackOfFit | None]:
-    """Return accuracy and repeatability by ISO 9283, and the test of lack of fit, where a station measured poses again."""
+    """Return accuracy and repeatability by ISO 9283, and the test of lack of fit; None without repeated poses."""
     (train, test), (train_poses, test_poses) = seen.rows.measured, seen.poses
     if len(np.unique(np.concatenate([train_poses, test_poses]))) == len(train_poses) + len(test_poses):
         return None, None
@@ -364,7 +360,7 @@ def _replicates(fit: ModelFit, k: int, seen: _Seen) -> tuple[dict[str, Any] | No
 
 
 def _noise(fit: ModelFit, blocks: slice = slice(None)) -> NoiseRecord:
-    """Return the noise of some blocks of readings; of several of one unit the root mean square over readings."""
+    """Return the noise of some blocks of readings, the root mean square over the readings of each unit."""
     of_blocks = zip(fit.problem.blocks, fit.solution.sigma, fit.noise.declared, fit.solution.estimated, strict=True)
     rows = np.repeat([len(station) for station in fit.problem.stations], [b.stop - b.start for b in fit.problem.block_spans])
     found: dict[str, list[tuple[float, float]]] = {}
@@ -380,7 +376,7 @@ def _noise(fit: ModelFit, blocks: slice = slice(None)) -> NoiseRecord:
 
 
 def _correlations(fit: ModelFit, rows: tuple[ParameterRow, ...]) -> tuple[Correlation, ...]:
-    """Return the strongest correlations between identified parameters, those of base and tool left out."""
+    """Return the strongest correlations between identified parameters other than those of base and tool."""
     C = fit.solution.known.covariance
     sd = np.sqrt(np.diag(C))
     correlation = C / np.outer(sd, sd)

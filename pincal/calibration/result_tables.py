@@ -18,16 +18,16 @@ from pincal.validate.accuracy import ANGLE_WORDS, ERROR_UNITS, leading_unit
 from pincal.validate.outcome import ClockRecord, Improvement, StationRecord
 
 PARTS = {"train": "fitted", "test": "held out", "regions": "held-out regions", "stretches": "held-out stretches"}
-"""What the two parts of a data set are called."""
+"""Names of the parts of a data set."""
 
 INTERVAL = 1.96
-"""Standard deviations to either side of an interval of 95 %."""
+"""Half-width of a 95 % interval, in standard deviations."""
 
-# More rows of parameters that moved than this are left out where they did not.
+# Rows of parameters beyond which only those that moved are listed.
 _MOST_MOVED = 40
-# Moves that a line names.
+# Moves named in one line.
 _MOST_NAMED = 3
-# More coordinates of named points than this are left out of a table for people: they are in result.json.
+# Coordinates of named points beyond which they are omitted from printed tables; result.json has them.
 _MOST_POINTS = 24
 _STATISTICS = {"mean": "mean", "median": "median", "rms": "rms", "p95": "95 %", "max": "max"}
 _MODELS = {"nominal": "nominal, base and tool fitted", "calibrated": "calibrated"}
@@ -65,11 +65,11 @@ class ParameterRecord:
 
 @dataclass(frozen=True)
 class ParameterRow(ParameterRecord):
-    """One line of the parameter table, as ``result.json`` has it but for these.
+    """One row of the parameter table: :class:`ParameterRecord`, but the reason as data.
 
     Attributes:
         reason: why it is not identified, as data.
-        effect: that owns it; "named_point" for coordinates of sockets, anchors and points of an object.
+        effect: to which it belongs; "named_point" for coordinates of sockets, anchors and points of an object.
     """
 
     reason: Reason  # type: ignore[assignment]
@@ -82,7 +82,7 @@ class ParameterRow(ParameterRecord):
 
 
 def parameter_rows(fit: ModelFit) -> tuple[ParameterRow, ...]:
-    """Return the parameter table of a fit; the angles of base and tool as rotation vectors of their orientation."""
+    """Return the rows of the parameter table; orientations of base and tool as rotation vectors."""
     values = fit.values + np.array([p.nominal for p in fit.problem.parameters])
     for station, local in zip(fit.problem.stations, fit.problem.places, strict=True):
         chain = station.model.chain
@@ -111,18 +111,14 @@ def parameter_rows(fit: ModelFit) -> tuple[ParameterRow, ...]:
 
 
 def error_table(error: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table:
-    """Return the errors before and after, position and orientation in rows of their own.
-
-    Args:
-        error: ``error`` of ``result.json``: model -> part -> statistics by name and unit.
-    """
+    """Return the table of errors before and after, from ``error`` of ``result.json``, with a row per unit."""
     heads = tuple(Column(name, kind=Kind.LABEL) for name in ("model", "poses", "unit"))
     columns = (*heads, *(Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in _STATISTICS.values()))
     rows: tuple[tuple[Cell, ...], ...] = tuple(
         (_MODELS.get(model, model), PARTS.get(part, part), unit, *(values[f"{name}_{unit}"] for name in _STATISTICS))
         for model, by_part in error.items()
         for part, values in by_part.items()
-        # What leads is one of these.
+        # The part "test" repeats one of these.
         if part != "test" or not {"regions", "stretches"} & by_part.keys()
         for unit in ERROR_UNITS
         if f"mean_{unit}" in values
@@ -132,7 +128,7 @@ def error_table(error: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table
 
 
 def station_table(stations: Sequence[StationRecord]) -> Table:
-    """Return the mean error at each of several stations, before and after, and by the model of the others if it is known."""
+    """Return the table of mean errors at each station, before and after, and left out where that was computed."""
     heads = (Column("station", kind=Kind.NAME), Column("measured", kind=Kind.LABEL), Column("poses", kind=Kind.LABEL))
     is_left_out = any("left_out" in station for station in stations)
     names = ["rows", "nominal", *(["left out, geometry alone", "left out"] if is_left_out else []), "calibrated"]
@@ -163,15 +159,9 @@ def clock_words(clock: ClockRecord) -> str:
 
 
 def clock_table(clocks: Sequence[ClockRecord]) -> Table:
-    """Return the clocks of instruments that read a moving arm: what to add to their stamps."""
-    heads = (
-        ("offset", "s", 5),
-        ("+-", "ms", 3),
-        ("drift", "ppm", 1),
-        ("+-", "ppm", 2),
-        ("gyroscope", "ms", 3),
-        ("+-", "ms", 3),
-    )
+    """Return the table of the clocks of instruments that measure in motion: corrections to their time stamps."""
+    offsets, drifts = (("offset", "s", 5), ("+-", "ms", 3)), (("drift", "ppm", 1), ("+-", "ppm", 2))
+    heads = (*offsets, *drifts, ("gyroscope", "ms", 3), ("+-", "ms", 3))
     columns = (Column("station", kind=Kind.NAME), *(Column(name, u, Kind.NUMBER, fixed(n)) for name, u, n in heads))
     rows: list[tuple[Cell, ...]] = []
     for at in clocks:
@@ -180,14 +170,14 @@ def clock_table(clocks: Sequence[ClockRecord]) -> Table:
         sigmas = 1e3 * INTERVAL * at.offset_sigma_s, INTERVAL * at.drift_sigma_ppm
         rows.append((at.station or "instrument", at.offset_s, sigmas[0], at.drift_ppm, sigmas[1], *delay))
     note = (
-        "added to the stamps of a station, in the middle of its session; to those of a gyroscope in addition to its "
+        "correction to the time stamps of a station at the middle of its session; for a gyroscope in addition to its "
         "accelerometer's; +- 95 %"
     )
     return Table("Clocks against that of the joints", columns, tuple(rows), (note,))
 
 
 def improvement_table(regions: Sequence[Improvement]) -> Table:
-    """Return the predicted standard deviation of positions before and after, by link and region."""
+    """Return the table of standard deviations of predicted positions before and after, by link and region."""
     heads = (Column("link", kind=Kind.NAME), Column("region", kind=Kind.LABEL), Column("poses", kind=Kind.NUMBER, show=str))
     sizes = tuple(Column(name, "mm", Kind.NUMBER, fixed(3)) for name in ("before", "after"))
     rows = tuple((of.link, of.region, of.poses, of.before_mm, of.after_mm) for of in regions)
@@ -196,9 +186,9 @@ def improvement_table(regions: Sequence[Improvement]) -> Table:
 
 
 def moved_table(stations: Sequence[StationRecord]) -> Table | None:
-    """Return the parameters of the robot that are not the same at all stations, in the order of these; None if all are.
+    """Return the table of parameters that differ between stations; None if none does.
 
-    Of many stations only those are listed at which a parameter moved.
+    Of very many rows only those where a parameter moved.
     """
     names = dict.fromkeys(entry["name"] for station in stations for entry in station.get("parameters", ()))
     found = [
@@ -223,7 +213,7 @@ def moved_table(stations: Sequence[StationRecord]) -> Table | None:
 
 
 def station_changes(stations: Sequence[StationRecord]) -> str:
-    """Return in words what moved from station to station; empty if nothing did."""
+    """Return the moves between stations, in words; empty without any."""
     moved = [(station["name"], entry) for station in stations for entry in station.get("parameters", ()) if entry["moved"]]
     words = [
         f"{entry['name']} at {name} by {format_readable(entry['change'], entry['unit'])} +- "
@@ -234,7 +224,7 @@ def station_changes(stations: Sequence[StationRecord]) -> str:
 
 
 def repeated_table(stations: Sequence[StationRecord]) -> Table | None:
-    """Return what repeated measurements of poses show at each station; None where none has any."""
+    """Return the table of repeated measurements at each station; None without any."""
     rows = []
     for station in stations:
         iso, lack = station.get("iso9283"), station.get("lack_of_fit")
@@ -258,7 +248,7 @@ def repeated_table(stations: Sequence[StationRecord]) -> Table | None:
 
 
 def shown_parameters(rows: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
-    """Return the parameters that a reader wants to see: without the coordinates of named points, if these are many."""
+    """Return the parameters to print: without the coordinates of named points, if these are many."""
     inner = tuple(row for row in rows if row.effect != "named_point")
     return tuple(rows) if len(rows) - len(inner) <= _MOST_POINTS else inner
 
@@ -273,7 +263,7 @@ _ESTIMATES = (
 
 
 def parameter_table(parameters: Sequence[ParameterRow], title: str = "Parameters") -> Table:
-    """Return nominal value, calibrated value and standard deviation of each parameter, and whether the data identify it."""
+    """Return the table of nominal value, calibrated value, standard deviation and status of each parameter."""
     shown = shown_parameters(parameters)
     hidden = len(parameters) - len(shown)
     return Table(
@@ -286,7 +276,7 @@ def parameter_table(parameters: Sequence[ParameterRow], title: str = "Parameters
 
 
 def estimate_table(estimate: Estimate) -> Table:
-    """Return nominal value, calibrated value and standard deviation of each parameter; a dash for those not fitted."""
+    """Return the table of nominal value, calibrated value and standard deviation of each parameter."""
     numbers = zip(estimate.parameters, estimate.values, estimate.fitted_sigma, strict=True)
     rows = tuple(
         _cells(p, p.nominal, p.nominal + float(value), float(sigma) if np.isfinite(sigma) else None)
@@ -300,7 +290,7 @@ def _cells(of: ParameterRow | Parameter, *numbers: float | None) -> tuple[Cell, 
 
 
 def correlation_table(correlations: Iterable[Mapping[str, Any]]) -> Table:
-    """Return the pairs of strongly correlated parameters."""
+    """Return the table of strongly correlated parameters."""
     names = tuple(Column(name, kind=Kind.NAME) for name in ("parameter", "with"))
     columns = (*names, Column("correlation", kind=Kind.NUMBER, show="{:+.3f}".format))
     rows = tuple((*pair["parameters"], pair["correlation"]) for pair in correlations)
@@ -308,26 +298,14 @@ def correlation_table(correlations: Iterable[Mapping[str, Any]]) -> Table:
 
 
 def iso9283_table(iso: Mapping[str, Any]) -> Table:
-    """Return mean and largest pose accuracy AP and repeatability RP, position and each angle in rows of their own."""
-    heads = tuple(Column(name, kind=Kind.LABEL) for name in ("model", "poses", "unit"))
-    sizes = tuple(
-        Column(f"{name} {size}", kind=Kind.NUMBER, show=fixed(4)) for name in ("AP", "RP") for size in ("mean", "max")
-    )
-    rows = tuple(
-        (
-            model,
-            f"{iso['poses'][part]} {PARTS[part]}",
-            ANGLE_WORDS[key],
-            *_sizes(values[key]),
-            *_sizes(values["R" + key[1:]]),
-        )
-        for model in _MODELS
-        for part, values in iso.get(model, {}).items()
-        for key in values
-        if key.startswith("AP")
-    )
-    return Table("Pose accuracy AP and pose repeatability RP (ISO 9283)", heads + sizes, rows)
-
-
-def _sizes(values: Mapping[str, float]) -> tuple[float, float]:
-    return values["mean"], values["max"]
+    """Return the table of mean and largest pose accuracy AP and repeatability RP, with a row per unit."""
+    heads = [Column(name, kind=Kind.LABEL) for name in ("model", "poses", "unit")]
+    statistics = ("mean", "max")
+    heads += [Column(f"{name} {size}", kind=Kind.NUMBER, show=fixed(4)) for name in ("AP", "RP") for size in statistics]
+    rows = []
+    for model in _MODELS:
+        for part, values in iso.get(model, {}).items():
+            for key in (key for key in values if key.startswith("AP")):
+                numbers = (values[name][size] for name in (key, "R" + key[1:]) for size in statistics)
+                rows.append((model, f"{iso['poses'][part]} {PARTS[part]}", ANGLE_WORDS[key], *numbers))
+    return Table("Pose accuracy AP and pose repeatability RP (ISO 9283)", tuple(heads), tuple(rows))

@@ -1,12 +1,12 @@
-r"""What each of several stations says of the robot, and how far what it wants is from what all of them have.
+r"""Information of each of several stations on the robot, and tests of parameters that differ between stations.
 
-Of station k, with its own parameters eliminated, G_k and g_k are what its rows say of the robot's. If some of these were a
-value of their own at each station, off the common one by d_k, these would have the information and the gradient
+G_k and g_k are the information and the gradient of the rows of station k on the robot's parameters, its own parameters
+eliminated. If some of the robot's differed from the common value by d_k at station k, the d_k would have
 
 .. math:: M_{kl} = \delta_{kl} G_k - G_k C G_l, \qquad b_k = g_k,
 
-in the rows and columns of these parameters, with C the covariance of the fit, and would take :math:`b^T M^{-1} b` off the
-squares: chi-square with one degree of freedom less than there are stations, if nothing moved.
+in the rows and columns of these parameters, with C the covariance of the fit, and would reduce the squares by
+:math:`b^T M^{-1} b`: chi-square, with one degree of freedom less than there are stations, if nothing moved.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ from pincal.identify.selection import Scored, select_stepwise
 from pincal.model.effect import Effect, Family
 from pincal.parameters import Parameter
 
-# Part of a parameter's information that the station's own ones must leave, for the station to tell of it.
+# Fraction of a parameter's information that has to remain, the station's own parameters eliminated, to be observable.
 _SEEN = 1e-4
-# Part of a value's information that is added to it, well above rounding and far below what matters.
+# Fraction of a value's information that is added to it, well above rounding and far below what is relevant.
 _ROUNDING = 1e-8
-# What is well above the error of an eigenvalue that came out negative, over its size.
+# Factor on a negative eigenvalue's size that is well above the rounding errors of all.
 _BEYOND_ROUNDING = 10.0
 # Groups released at most: work and memory grow with their square.
 _MOST = 6
 
 Together = tuple[int, ...]
-"""Places of parameters that move together."""
+"""Indices of parameters that move together."""
 
 
 @dataclass(frozen=True)
 class StationInformation:
-    """What the rows of a station say of the C parameters of the robot that are free, its own ones eliminated.
+    """Information of a station's rows on the C free parameters of the robot that it sees, its own ones eliminated.
 
     Attributes:
         form: their squares, in units of the noise.
-        places: shape (C,), where these stand among all that are shared and free.
-        own_spent: number of parameters that the station spends on its own ones.
+        places: shape (C,), their indices among all shared and free parameters.
+        own_spent: effective number of the station's own parameters.
     """
 
     form: Quadratic
@@ -57,9 +57,9 @@ class StationInformation:
 
     @property
     def noise_squared(self) -> float:
-        """Square of the noise of the station's rows, whatever the robot is there, in units of that of the fit.
+        """Variance of the noise of the station's rows, the robot's parameters free, in units of the fit's variance.
 
-        1 unless it is smaller than chance allows: a fit takes for noise what it can't follow.
+        1 unless it is significantly smaller: the noise of a fit includes what moved.
         """
         gain, rank = self.form.gain(np.arange(len(self.places)), _SEEN)
         square, degrees = self.form.square - gain, self.form.degrees - rank
@@ -68,15 +68,15 @@ class StationInformation:
 
 @dataclass(frozen=True)
 class SharedInformation:
-    """What each of K stations says of the F parameters that they share, its own ones eliminated, in units of the noise.
+    """Information of each of K stations on the F shared parameters, its own ones eliminated, in units of the noise.
 
     Attributes:
         parameters: the F parameters.
         G: shape (K, F, F).
         g: shape (K, F).
         whole: shape (K, F), the diagonal of G before anything was eliminated.
-        sizes, offsets: shape (F,), of their priors, and how far they are off the nominal.
-        usual: shape (F,), whether a parameter is what moves first: the zero of a drive.
+        sizes, offsets: shape (F,), standard deviations of their priors, and deviations from the nominal.
+        usual: shape (F,), whether a parameter is among those that move most often, the offsets of joints.
         lasting: shape (F,), whether it never moves.
     """
 
@@ -91,28 +91,25 @@ class SharedInformation:
 
     @classmethod
     def of(cls, fit: ModelFit, parts: int = 1, *, in_order: bool = False) -> Self:
-        """Return what the stations of a fit say, of each so many parts, one after the other.
-
-        A part is every so-manieth row, or rows in order.
-        """
+        """Return the information of the stations of a fit, each divided into parts, interleaved or of rows in order."""
         problem, solution, shared = fit.problem, fit.solution, shared_places(fit)
         K, F = parts * len(problem.stations), len(shared)
         G, g, whole = np.zeros((K, F, F)), np.zeros((K, F)), np.zeros((K, F))
         for k, station in enumerate(problem.stations):
             rows, blocks = problem.rows[k], problem.block_spans[k]
             if station.serial is not None and station.sensor.reads_place and station.conditions.are_in_motion:
-                # What the model lacks follows the motion, which is another one at each station.
+                # Unmodelled errors follow the motion, which differs between stations.
                 continue
             weights = solution.weights[rows]
-            # So many rows do not contradict the robot by mistake: it is another one there.
+            # So many rejected rows are no outliers: the robot changed there.
             weights = weights if np.mean(weights == 0.0) <= CHANGES.wrong_rows else np.ones_like(weights)
             every = np.arange(len(weights))
             split = np.array_split(every, parts) if in_order else [every[i::parts] for i in range(parts)]
-            said = [information_at(fit, k, weights, rows=None if parts == 1 else some) for some in split]
-            together = replace(said[0], form=sum((one.form for one in said[1:]), start=said[0].form))
+            each = [information_at(fit, k, weights, rows=None if parts == 1 else some) for some in split]
+            together = replace(each[0], form=sum((one.form for one in each[1:]), start=each[0].form))
             declared = fit.noise.declared[blocks.start] or 0.0
             noise = max(together.noise_squared, (declared / solution.sigma[blocks.start]) ** 2)
-            for i, one in enumerate(said, start=parts * k):
+            for i, one in enumerate(each, start=parts * k):
                 at, form = one.places, one.form
                 G[i][np.ix_(at, at)], g[i, at], whole[i, at] = form.H / noise, form.g / noise, form.whole / noise
         model, _ = fit.arm
@@ -124,12 +121,12 @@ class SharedInformation:
         return cls(parameters, G, g, whole, fit.priors.sizes[shared], fit.values[shared], *marked)
 
     def joined(self, parts: int) -> Self:
-        """Return what so many parts of each station say as one."""
+        """Return the information with so many parts of each station joined."""
         G, g, whole = (of.reshape(-1, parts, *of.shape[1:]).sum(axis=1) for of in (self.G, self.g, self.whole))
         return replace(self, G=G, g=g, whole=whole)
 
     def together(self, T: np.ndarray) -> StationsInformation:
-        """Return it about a fit of all stations by n parameters, T times which are these; T of shape (F, n), orthonormal."""
+        """Return it about a joint fit of n parameters x, with T x the F parameters; T of shape (F, n), orthonormal."""
         main = np.abs(T).argmax(axis=0)
         G, g, sizes = T.T @ self.G @ T, self.g @ T, self.sizes[main]
         whole = Form.of(G.sum(axis=0), g.sum(axis=0))
@@ -141,16 +138,16 @@ class SharedInformation:
 
 @dataclass(frozen=True)
 class StationsInformation:
-    """What K stations say of the robot's F parameters.
+    """Information of K stations on the robot's F parameters, about a joint fit.
 
     Attributes:
         G: shape (K, F, F).
-        b: shape (K, F), what is left of the gradients once the fit has moved to where these rows want it.
-        seen: shape (K, F), whether a station tells of a parameter that may move.
-        C: shape (F, F), covariance of a fit of these rows.
-        widths: shape (F,), how far values of stations may be apart.
-        usual: shape (F,), whether a parameter is what moves first: the zero of a drive.
-        explained: what the fit takes off the squares by that.
+        b: shape (K, F), the gradients after a step to the optimum of these rows.
+        seen: shape (K, F), whether a parameter may move and a station observes it.
+        C: shape (F, F), covariance of a joint fit of these rows.
+        widths: shape (F,), standard deviations of the priors of differences between stations.
+        usual: shape (F,), as in :class:`SharedInformation`.
+        explained: reduction of the squares by that step.
     """
 
     G: np.ndarray
@@ -168,32 +165,32 @@ class StationsInformation:
         station, parameter = np.concatenate(own), np.repeat(flat, list(map(len, own)))
         U = self.G[station, parameter]
         M = -U @ self.C @ U.T + np.where(station[:, None] == station, U[:, parameter], 0.0)
-        # What moves at all stations alike is the fit's own: nothing but rounding is left of it here.
+        # A move common to all stations is the fit's own: only rounding remains of it here.
         information = U[np.arange(len(U)), parameter]
         M.flat[:: len(M) + 1] += self.widths[parameter] ** -2.0 + _ROUNDING * information
         covariance = _inverse(M, np.sqrt(information))
         return station, parameter, covariance @ self.b[station, parameter], covariance
 
     def gain(self, chosen: Sequence[Together]) -> float:
-        """Return what values of their own take off the squares."""
+        """Return the reduction of the squares by separate values at each station."""
         if not chosen:
             return 0.0
         station, parameter, values, _ = self.released(chosen)
         return float(values @ self.b[station, parameter])
 
     def degrees(self, group: Together) -> int:
-        """Return how many values of their own a group has beyond those that are common to the stations."""
+        """Return the degrees of freedom of separate values of a group beyond a common one."""
         return int(np.maximum(self.seen[:, list(group)].sum(axis=0) - 1, 0).sum())
 
     def moved(
         self, candidates: Sequence[Together], *, price: float = 0.0, apart: Apart | None = None
     ) -> tuple[Together, ...]:
-        """Return what is not the same at all stations, what explains most first, then what explains most beside it.
+        """Return the groups that differ between stations, by stepwise selection.
 
         Args:
             candidates: groups of parameters that may have moved.
-            price: what each value that is released costs.
-            apart: what parts of each station say; default: what stations say has the noise that it is said to have.
+            price: cost of each released value.
+            apart: information of parts of each station, to estimate the noise; default: the noise is known.
         """
         tried = [group for group in candidates if self.degrees(group)]
 
@@ -209,10 +206,10 @@ class StationsInformation:
         return select_stepwise((), scores, lambda chosen, group: (*chosen, group), most=_MOST)
 
     def own_values(self, chosen: Sequence[Together], group: Together) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the s stations that see all of a group of n parameters, among those chosen, and what these are there.
+        """Return the s stations that observe a chosen group of n parameters, its values there, and their covariance.
 
         Returns:
-            The stations, shape (s,), the values, shape (s, n), and their covariance, shape (s, n, s, n).
+            Shapes (s,), (s, n) and (s, n, s, n).
         """
         station, parameter, values, covariance = self.released(chosen)
         seeing = np.flatnonzero(self.seen[:, list(group)].all(axis=1))
@@ -223,29 +220,24 @@ class StationsInformation:
 
 @dataclass(frozen=True)
 class Apart:
-    """What stations say, and what parts of each of them say.
-
-    Attributes:
-        joined: what stations say.
-        parts: what parts of them say.
-    """
+    """Information of stations, ``joined``, and of ``parts`` of each of them."""
 
     joined: StationsInformation
     parts: StationsInformation
 
     @classmethod
-    def of(cls, said: SharedInformation, T: np.ndarray, parts: int) -> Self:
-        """Return what so many parts of each station say by parameters T times which are those of what is said."""
-        return cls(said.joined(parts).together(T), said.together(T))
+    def of(cls, shared: SharedInformation, T: np.ndarray, parts: int) -> Self:
+        """Return it from the information of so many parts of each station; T as for :meth:`SharedInformation.together`."""
+        return cls(shared.joined(parts).together(T), shared.together(T))
 
     def noise(self, chosen: Sequence[Together], group: Together) -> tuple[float, float]:
-        """Return the square of the noise by which a group differs between parts of one station, and its degrees of freedom.
+        """Return the variance by which a group differs between parts of one station, and its degrees of freedom.
 
-        What a model lacks errs in directions of its own, for many rows in a row, and more so there than residuals do on
-        average. Noise that is no larger than chance allows is 1.
+        Unmodelled errors are correlated over many rows and larger in some directions than residuals are on average. A
+        variance that is not significantly larger than the noise is 1.
 
         Args:
-            chosen: what moved besides.
+            chosen: the other groups that moved.
             group: the group.
         """
         both, degrees = (*chosen, group), self.parts.degrees(group) - self.joined.degrees(group)
@@ -256,17 +248,15 @@ class Apart:
 
 
 def difference(covariance: np.ndarray, i: int, j: int) -> np.ndarray:
-    """Return the covariance of values at one station less those at another, shape (n, n), of theirs, (s, n, s, n)."""
+    """Return the covariance of the difference of values at two stations, shape (n, n), from theirs, (s, n, s, n)."""
     C = covariance[i, :, i] + covariance[j, :, j] - covariance[i, :, j] - covariance[j, :, i]
     return np.asarray(C + 1e-300 * np.eye(len(C)))
 
 
 def _inverse(M: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Return the inverse of a matrix that is positive definite up to rounding, which grows with the parameters of a fit.
+    """Return the inverse of M, shape (n, n), positive definite up to rounding; see :meth:`StationsInformation.released`.
 
-    Args:
-        M: shape (n, n).
-        scale: shape (n,), roots of the diagonal of the terms that M is a small difference of.
+    M is a small difference of terms whose diagonal is the square of ``scale``, shape (n,).
     """
     values, vectors = np.linalg.eigh(M / np.outer(scale, scale))
     values = np.maximum(values, max(_ROUNDING, -_BEYOND_ROUNDING * values[0]))
@@ -277,13 +267,13 @@ def _inverse(M: np.ndarray, scale: np.ndarray) -> np.ndarray:
 def information_at(
     fit: ModelFit, k: int, weights: np.ndarray | None = None, *, rows: np.ndarray | None = None
 ) -> StationInformation:
-    """Return what a station says of the robot.
+    """Return the information of a station on the robot.
 
     Args:
         fit: a fit.
-        k: place of the station.
+        k: index of the station.
         weights: of its rows, shape (N,); default: those of the fit.
-        rows: the rows that are asked; default: all.
+        rows: the rows that are used; default: all.
     """
     problem, solution = fit.problem, fit.solution
     station, places, blocks = problem.stations[k], problem.places[k], problem.block_spans[k]
@@ -306,14 +296,14 @@ def information_at(
 
 
 def fit_with(fit: ModelFit, effects: Sequence[Effect], rows: Mapping[int, np.ndarray]) -> tuple[ModelFit, np.ndarray]:
-    """Return a fit of some rows whose model has further effects, all of them zero, and which of its parameters it had.
+    """Return a fit of some rows with further effects of zero size, and a mask of the parameters that it had before.
 
-    The priors of the further ones are so wide that they don't pull.
+    The priors of the further parameters are too wide to matter.
 
     Args:
         fit: the fit.
-        effects: the effects.
-        rows: those that are kept, by the place of their station; other stations are left out.
+        effects: the further effects.
+        rows: the rows that are kept, by the index of their station; other stations are left out.
     """
     problem, solution = fit.problem, fit.solution
     some = replace(problem, stations=tuple(problem.stations[k].select(kept) for k, kept in rows.items()))
@@ -335,7 +325,7 @@ def fit_with(fit: ModelFit, effects: Sequence[Effect], rows: Mapping[int, np.nda
 
 
 def shared_places(fit: ModelFit) -> np.ndarray:
-    """Return the places of the robot's parameters that are free, shape (F,)."""
+    """Return the indices of the robot's free parameters, shape (F,)."""
     robots = fit.problem.is_shared & fit.solution.free
     for station, places in zip(fit.problem.stations, fit.problem.places, strict=True):
         # A station that is alone shares all.
@@ -344,7 +334,7 @@ def shared_places(fit: ModelFit) -> np.ndarray:
 
 
 def spent_at(fit: ModelFit, k: int) -> float:
-    """Return how many parameters the rows of a station pay for: its own ones, and its part of the robot's."""
-    said = information_at(fit, k)
-    covariance = fit.solution.known.covariance[np.ix_(said.places, said.places)]
-    return said.own_spent + float(np.sum(said.form.H * covariance))
+    """Return the effective number of parameters of a station's rows: its own ones, and its part of the robot's."""
+    here = information_at(fit, k)
+    covariance = fit.solution.known.covariance[np.ix_(here.places, here.places)]
+    return here.own_spent + float(np.sum(here.form.H * covariance))

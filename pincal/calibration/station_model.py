@@ -1,4 +1,4 @@
-"""The model of a robot at the station where it was calibrated, and what it makes of rows."""
+"""The model of a robot at the station where it was calibrated, evaluated at rows."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class StationModel:
         sigma: shape (blocks,), noise of one component of each block of readings that the fit used [m, rad].
         provenance: version of pincal, time, input files with their SHA-256, command and seed.
         setup: named points and the camera that it was calibrated with.
-        nominal_values: shape (P,), the values with only base and tool fitted; None where nobody knows them.
-        rows: fingerprints of the training rows; empty where nobody knows them.
+        nominal_values: shape (P,), the values with only base and tool fitted; None where unknown.
+        rows: fingerprints of the training rows; empty where unknown.
         is_noise_declared: whether the noise was declared, not estimated.
         table_names: names of its parameters among those of all stations, where it shares some besides the robot's.
-        left_by: :attr:`left`, or what returns it: to look for it takes as long as a fit.
-        information_by: :attr:`information`, or what returns it.
+        left_by: :attr:`left`, or a function that returns it, as the search takes as long as a fit.
+        information_by: :attr:`information`, or a function that returns it.
     """
 
     model: Model
@@ -66,12 +66,12 @@ class StationModel:
 
     @property
     def left(self) -> Unmodelled | None:
-        """Effects that the rows showed and the model does not have; None where there were none, or nobody looked."""
+        """Effects present in the rows but not in the model; None without any, or if not searched for."""
         return self.left_by() if callable(self.left_by) else self.left_by
 
     @property
     def information(self) -> RobotInformation | None:
-        """What the rows of all stations say of the robot, without any prior; None where another station has it."""
+        """Information of the rows of all stations on the robot, without priors; None where another station has it."""
         return self.information_by() if callable(self.information_by) else self.information_by
 
     @property
@@ -81,7 +81,7 @@ class StationModel:
 
     @property
     def model_values(self) -> np.ndarray:
-        """Values of the model's parameters; the sensor's own left out."""
+        """Values of the model's parameters, without the sensor's own."""
         return self.model.own(self.values)
 
     @cached_property
@@ -93,7 +93,7 @@ class StationModel:
         """Return the model over measurements.
 
         Raises:
-            MeasurementError: if they are of another kind than those of the calibration, or of points that it did not have.
+            MeasurementError: if they are of another kind than those of the calibration, or of unknown points.
         """
         if not self.reads(measurements):
             raise MeasurementError(
@@ -103,16 +103,16 @@ class StationModel:
         return station_of(self.model, self.of_its_day(measurements), self.payload_centre, self.setup)
 
     def unrecorded(self, rows: Measurements | Conditions) -> list[Effect]:
-        """Return the effects that need a column of the day that rows lack."""
+        """Return the effects that need temperature, time or moves that rows lack."""
         return [e for e in self.model.effects if any(getattr(rows, column) is None for column in of_the_day(e))]
 
     def of_its_day(self, rows: _Rows) -> _Rows:
-        """Return rows with the calibration's mean temperature and time, where effects need them and they lack them."""
+        """Return rows with the calibration's means of temperature, time and moves that effects need and they lack."""
         lacking = {column for effect in self.unrecorded(rows) for column in of_the_day(effect)}
         return self._at_days(rows, [name for name in sorted(lacking) if getattr(rows, name) is None])
 
     def _at_days(self, rows: _Rows, names: list[str], side: float = 0.0) -> _Rows:
-        """Return rows with columns of the day at their means, or by so many standard deviations off, as far as known."""
+        """Return rows with known columns of the day at their means, shifted by so many standard deviations."""
         days = {name: self.covered.days[name] for name in names if name in self.covered.days}
         columns: dict[str, Any] = {
             name: np.full(rows.q.shape if name == "move" else len(rows.q), mean + side * spread)
@@ -121,12 +121,12 @@ class StationModel:
         return replace(rows, **columns) if columns else rows
 
     def varied_by(self, effect: Effect, conditions: Conditions) -> np.ndarray:
-        """Return how far the target moves, shape (N, 3) [m], as an effect goes from its mean to where it typically was.
+        """Return how far the target moves, shape (N, 3) [m], if the variable of an effect changes by a standard deviation.
 
         The conditions have all columns that the model needs.
         """
 
-        def way(at: Conditions) -> np.ndarray:
+        def displacement(at: Conditions) -> np.ndarray:
             without = self.model_values.copy()
             without[self.model.spans[self.model.effects.index(effect)]] = 0.0
             ends = [self.model.predict(values, at)[:, :, 3] for values in (self.model_values, without)]
@@ -134,43 +134,42 @@ class StationModel:
 
         columns = [column for column in of_the_day(effect) if column in self.covered.days]
         if columns:
-            ends = [way(self._at_days(conditions, columns, side)) for side in (1.0, -1.0)]
+            ends = [displacement(self._at_days(conditions, columns, side)) for side in (1.0, -1.0)]
             return np.asarray(0.5 * (ends[0] - ends[1]))
-        found = way(conditions)
-        # A shift that all poses share is the new place of the instrument.
+        found = displacement(conditions)
+        # A displacement common to all poses is taken up by the pose of the instrument.
         return np.asarray(found - found.mean(axis=0))
 
     def note_on(self, effect: Effect, source: str, conditions: Conditions | None) -> tuple[float, str]:
-        """Return how far an effect of the day or the set-up typically moved the target [m], and what is done about it.
+        """Return how far an effect of the day or the set-up typically moved the target [m], and how it is treated.
 
         Args:
             effect: the effect.
-            source: what the rows are called.
-            conditions: of the rows, with all columns that the model needs; None where the model's file does not tell.
+            source: name of the rows.
+            conditions: of the rows, with all columns that the model needs; None where the model's file lacks their means.
         """
         name = " of ".join(filter(None, (effect.name, effect.locus.joint)))
         columns = ", ".join(of_the_day(effect))
-        lacks = f"{source} has no column {columns}" if columns else "it belongs to the instrument as it stood then"
+        lacks = f"{source} has no column {columns}" if columns else "it belongs to the previous set-up of the instrument"
         left_out, at_mean = "of the calibration's station is left out", "is taken at its mean over the calibration's rows"
-        done = f"{name} {left_out if effect.scope == 'station' else at_mean}: {lacks}"
+        treated = f"{name} {left_out if effect.scope == 'station' else at_mean}: {lacks}"
         if conditions is None:
-            return 0.0, done
+            return 0.0, treated
         size = float(np.sqrt(np.mean(np.sum(self.varied_by(effect, conditions) ** 2, axis=1))))
-        uncertain = format_readable(size, "m", ".2g")
-        return size, f"{done}; that leaves {uncertain} of uncertainty, as much as it varied there"
+        return size, f"{treated}; that adds {format_readable(size, 'm', '.2g')} of uncertainty, its variation there"
 
     def notes_on_day(self, rows: Measurements) -> tuple[str, ...]:
-        """Return what is done about effects that follow a temperature or time that rows lack."""
+        """Return how effects of a temperature, time or move that rows lack are treated."""
         full = self.of_its_day(self.conditions(rows))
         return tuple(self.note_on(effect, rows.source, full)[1] for effect in self.unrecorded(rows))
 
     def options(self, **others: Any) -> Options:
-        """Return what is known beforehand of a station like that of the calibration, with other options."""
+        """Return the options of the calibration's station, with others."""
         x, y, z = map(float, self.payload_centre)
         return Options(payload_centre=(x, y, z), **{"setup": self.setup} | others)
 
     def reads(self, measurements: Measurements) -> bool:
-        """Return whether it predicts measurements of this kind: its own, or any if it needs no sensor's parameters."""
+        """Return whether it predicts measurements of this kind: its own, or any if it has no parameters of a sensor."""
         has_own = bool(self.setup.points) or len(self.values) > self.model.n_parameters
         return not has_own or self.sensor_kind == measurements.kind
 
@@ -183,10 +182,10 @@ class StationModel:
         return conditions_of(self.model, measurements, np.array(self.payload_centre))
 
     def between(self, start: str | None = None, tip: str | None = None) -> Self:
-        """Return the model of where a link of the robot is, seen from another: without any instrument or target.
+        """Return the model of the pose of a link of the robot relative to another, without any instrument or target.
 
         Args:
-            start: the link from which it is seen; default: the robot's base.
+            start: the reference link; default: the robot's base.
             tip: the link; default: that of the calibration.
 
         Raises:
@@ -198,9 +197,9 @@ class StationModel:
         return replace(own, model=own.model.with_chain(chain))
 
     def conditions_at(self, q: ArrayLike, *, payload: float = 0.0, target: str | None = None) -> Conditions:
-        """Return the conditions of joint positions that share a payload [kg] and a target.
+        """Return the conditions of reported joint positions with a common payload [kg] and target.
 
-        They are those that the controller reports; joints that follow from others may be left out of ``q``.
+        Joints that follow from others may be left out of ``q``.
 
         Raises:
             BadInputError: if the joint positions have another shape, or there is no such target.
@@ -231,14 +230,11 @@ class StationModel:
         return {**lens, "T_tip_camera": mount.tolist()}
 
     def outside(self, conditions: Conditions) -> list[Outside]:
-        """Return, row by row, what lies beyond the range of the training rows, where nobody has checked the model."""
+        """Return, row by row, values beyond the range of the training rows, where the model is not validated."""
         return self.covered.outside(self.model.chain.robot, conditions)
 
     def outside_curves(self, conditions: Conditions) -> list[OutsideCurve]:
-        """Return the curves that some rows ask for beyond the range in which they were seen.
-
-        A curve found in one range says nothing of another (it may even do harm there), so it keeps its end value.
-        """
+        """Return the curves that some rows need beyond their range; there they keep their end values, not extrapolated."""
         return [
             OutsideCurve(
                 *(curve.effect.name, curve.joint, curve.variable, int(curve.beyond.sum())),
@@ -249,7 +245,7 @@ class StationModel:
         ]
 
     def gaps(self, conditions: Conditions) -> list[CurveGap]:
-        """Return the gaps in the curves of the model that some rows lie in, where these are interpolated."""
+        """Return the gaps in the curves of the model, where they are interpolated, in which some rows lie."""
         return [
             CurveGap(curve.effect.name, curve.joint, curve.variable, int(inside.sum()), *map(float, gap))
             for curve in curves_at(self.model, self.of_its_day(conditions))
@@ -259,22 +255,22 @@ class StationModel:
         ]
 
     def knows(self, conditions: Conditions) -> np.ndarray:
-        """Return the rows at which every curve of the model was told by the training rows, shape (N,)."""
+        """Return the rows at which the training rows determine every curve of the model, shape (N,)."""
         known = np.ones(len(conditions), bool)
         for curve in curves_at(self.model, self.of_its_day(conditions)):
-            known &= curve.told(self.model.chain, self.estimate)
+            known &= curve.determined(self.model.chain, self.estimate)
         return known
 
     def turned_curves(self, conditions: Conditions) -> list[Turned]:
-        """Return the curves that some rows need a revolution away from where they were seen, taken as periodic."""
-        found = []
-        for curve in curves_at(self.model, self.of_its_day(conditions)):
-            if rows := int(np.sum((curve.x != curve.recorded) & ~curve.beyond)):
-                found.append(Turned(curve.effect.name, curve.joint, curve.variable, rows))
-        return found
+        """Return the curves that some rows need a revolution away from their range, taken to be periodic."""
+        return [
+            Turned(curve.effect.name, curve.joint, curve.variable, rows)
+            for curve in curves_at(self.model, self.of_its_day(conditions))
+            if (rows := int(np.sum((curve.x != curve.recorded) & ~curve.beyond)))
+        ]
 
     def with_effects(self, is_kept: Callable[[Effect], bool]) -> Self:
-        """Return the same model without some effects; nothing is fitted again."""
+        """Return the same model without some effects, not refitted."""
         gone = [effect for effect in self.model.effects if not is_kept(effect)]
         names = {p.name for effect in gone for p in effect.parameters(self.model.chain)}
         kept = np.array([name not in names for name in self.estimate.names], bool)

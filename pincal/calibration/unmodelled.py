@@ -1,12 +1,12 @@
-r"""What a model left when it was calibrated: effects of the catalogue that its rows show and that it does not have.
+r"""Unmodelled effects: effects of the catalogue that a calibration's rows show and its model lacks.
 
-A later diagnosis compares new rows with what these effects were then, not with nothing. They are found to first order: with
-R the Jacobian of the fit by all its parameters and G that by an effect,
+A later diagnosis compares new rows with the size of these effects then, not with zero. They are estimated to first order:
+with R the Jacobian of the fit by all its parameters and G the Jacobian by an effect,
 
 .. math:: \hat b = P^{-1} b, \quad P = G^T V^{-1} G, \quad b = G^T V^{-1} r, \quad V^{-1} = 1 - R (R^T R + D^{-2})^{-1} R^T,
 
-the surest effect first, the others asked for again beside it, as long as one is beyond doubt. The parameters of the fit have
-taken up :math:`K R^T G \hat b` of them.
+the most significant effect first, then the others given it, as long as one is significant. The parameters of the fit have
+absorbed :math:`K R^T G \hat b` of them.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from pincal.model.chain import Chain
 from pincal.model.conditions import PoseSet, joined_conditions
 from pincal.model.effect import Curve, Effect
 
-# Effects at most; rows and stations that are looked at, which bound the work on large tables.
+# Effects, rows and stations at most, which bound the work on large tables.
 _MOST, _ROWS, _STATIONS = 8, 2000, 20
-# Part of a parameter's information that must be left for the rows to see it, and to be more than rounding.
+# Fraction of a parameter's information that has to remain for it to be observable, and to exceed rounding.
 _SEEN, _ROUNDING = 1e-4, 1e-8
 
 
 class Unmodelled(Record, frozen=True):
-    """Effects that a model left, as its rows have them; a diagnosis has to know of them.
+    """Effects present in a calibration's rows but not in its model, for a diagnosis.
 
     Attributes:
         effects: the effects.
@@ -59,7 +59,7 @@ class Unmodelled(Record, frozen=True):
 
 
 def unmodelled_by(fit: ModelFit) -> Unmodelled | None:
-    """Return what a fit left; None where nothing is beyond doubt."""
+    """Return the unmodelled effects of a fit; None where none is significant."""
     rows = _sample(fit)
     effects = _effects(fit, rows)
     if not effects:
@@ -67,12 +67,12 @@ def unmodelled_by(fit: ModelFit) -> Unmodelled | None:
     names = [tuple(p.name for p in effect.parameters(fit.problem.chain)) for effect in effects]
     ends = np.cumsum([0, *map(len, names)])
     places = [np.arange(*ends[i : i + 2]) for i in range(len(effects))]
-    said, robot, carried = _information(fit, effects, rows)
+    information, robot, carried = _information(fit, effects, rows)
 
     def chances(chosen: tuple[int, ...]) -> Iterator[Scored[int]]:
-        # What was released says nothing any more, and another form of it has the same parameters.
+        # Other forms of a released effect have the same parameters.
         known = {name for i in chosen for name in names[i]}
-        rest = said.released(_joined(places, chosen), _ROUNDING)
+        rest = information.released(_joined(places, chosen), _ROUNDING)
         for i in range(len(effects)):
             if known.isdisjoint(names[i]):
                 chance = rest.chance(places[i], _SEEN)
@@ -82,15 +82,15 @@ def unmodelled_by(fit: ModelFit) -> Unmodelled | None:
     if not chosen:
         return None
     at = _joined(places, chosen)
-    values, covariance = said.estimate(at, _ROUNDING)
-    found = tuple(said.names[i] for i in at)
+    values, covariance = information.estimate(at, _ROUNDING)
+    found = tuple(information.names[i] for i in at)
     return Unmodelled(tuple(effects[i] for i in chosen), found, values, covariance, robot, carried[:, at])
 
 
 def instruments_error(fit: ModelFit) -> tuple[str, str, float] | None:
-    """Return station, effect and chance of what an instrument misreads beyond doubt and by what matters; None if none does.
+    """Return station, effect and p-value of the most significant systematic error of an instrument; None without any.
 
-    Each effect is asked alone, beside all that the fit has; of a bent circle or a tilt the robot may be the cause as well.
+    It has to be relevant, too. Each effect is tested alone; of a bent circle or a tilt the robot may be the cause as well.
     """
     rows, chain = _sample(fit), fit.problem.chain
     of_each = [list(_misreadings(fit.problem.stations[k], chain, kept)) for k, kept in rows.items()]
@@ -103,19 +103,19 @@ def instruments_error(fit: ModelFit) -> tuple[str, str, float] | None:
         wide.problem.stations, wide.problem.places, wide.problem.block_spans, wide.problem.rows, strict=True
     ):
         free, values, solution = wide.solution.free[places], wide.solution.values[places], wide.solution
-        said = accumulate(station, values, free, solution.weights[of_rows]).at(solution.sigma[blocks])
-        left, _ = eliminate(said, known[places][free], wide.priors.sizes[places][free], values[free])
+        form = accumulate(station, values, free, solution.weights[of_rows]).at(solution.sigma[blocks])
+        rest, _ = eliminate(form, known[places][free], wide.priors.sizes[places][free], values[free])
         names = [wide.problem.parameters[place].local_name for place in places[free & ~known[places]]]
-        for form in forms:
-            at = np.array([names.index(p.local_name) for p in form.parameters(chain)])
-            if left.gain(at, _SEEN)[0] > CHANGES.matters * len(station) * station.reading_size:
-                found.append((station.name, form.name, left.chance(at, _SEEN) * len(forms) * len(rows)))
+        for effect in forms:
+            at = np.array([names.index(p.local_name) for p in effect.parameters(chain)])
+            if rest.gain(at, _SEEN)[0] > CHANGES.matters * len(station) * station.reading_size:
+                found.append((station.name, effect.name, rest.chance(at, _SEEN) * len(forms) * len(rows)))
     surest = min(found, key=lambda one: one[2], default=None)
     return surest if surest is not None and surest[2] < CHANGES.unmodelled else None
 
 
 def _misreadings(station: Station, chain: Chain, rows: np.ndarray) -> Iterator[Effect]:
-    """Yield what an instrument may misread of some rows, and the model does not have."""
+    """Yield systematic errors of an instrument that some rows can show and the model lacks."""
     names = set(station.model.names)
     for candidate in testable(PoseSet(chain, station.conditions.select(rows))):
         for form in candidate.forms:
@@ -130,7 +130,7 @@ def _joined(places: Sequence[np.ndarray], chosen: Iterable[int]) -> np.ndarray:
 
 
 def _sample(fit: ModelFit) -> dict[int, np.ndarray]:
-    """Return which rows are looked at, by the place of their station: some of some stations, evenly spread."""
+    """Return a sample of rows by the index of their station: some of some stations, evenly spread."""
     stations = fit.problem.stations
     chosen = np.unique(np.linspace(0, len(stations) - 1, min(len(stations), _STATIONS)).astype(int))
     most = _ROWS // len(chosen)
@@ -157,21 +157,19 @@ def _effects(fit: ModelFit, rows: Mapping[int, np.ndarray]) -> list[Effect]:
 def _information(
     fit: ModelFit, effects: list[Effect], sample: Mapping[int, np.ndarray]
 ) -> tuple[Quadratic, tuple[str, ...], np.ndarray]:
-    """Return what rows of stations say of some effects, the stations' own parameters and the robot's projected out.
+    """Return the information of rows on the E parameters of effects, the parameters of stations and robot eliminated.
 
-    Returns:
-        That of the effects' E parameters, names of the K parameters of the robot that were fitted, and what these take up of
-        a unit of each, shape (K, E).
+    Also the names of the K fitted parameters of the robot, and what they absorb of a unit of each effect's, shape (K, E).
     """
     wide, known = fit_with(fit, effects, sample)
     shared = shared_places(wide)
     n = len(shared)
     H, g, whole = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     for k in range(len(sample)):
-        said = information_at(wide, k)
-        H[np.ix_(said.places, said.places)] += said.form.H
-        g[said.places] += said.form.g
-        whole[said.places] += said.form.whole
+        here = information_at(wide, k)
+        H[np.ix_(here.places, here.places)] += here.form.H
+        g[here.places] += here.form.g
+        whole[here.places] += here.form.whole
     robot = known[shared]
     rest, taken = eliminate(Form(H, g, whole), robot, wide.priors.sizes[shared], wide.values[shared])
     names = tuple(wide.problem.parameters[place].name for place in shared)

@@ -1,4 +1,4 @@
-"""A calibrated robot judged by rows that its calibration did not use: where they were measured, whether they fit it."""
+"""Validation of a calibrated robot on rows that its calibration did not use."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from pincal.validate.misfit import Misfit, NoiseTest, Verdict, has_moved, judge,
 from pincal.validate.path_accuracy import path_accuracy
 
 Placement = Literal["as calibrated", "refitted"]
-# Residuals over what is expected of them from which on that is worth a note; UR10 tables of one series have up to 1.1.
+# Ratio of residuals to their expected size above which a note is given; UR10 tables of one series reach 1.1.
 _NOTED = 1.3
-# Where nobody saw a drive's curve, a robot may be off by so many times as much and still be the same.
+# Where drive curves were not determined, the same robot may have residuals that many times as large.
 _UNSEEN = 4.0
 
 
@@ -38,17 +38,17 @@ class Validation:
 
     Attributes:
         name: of the rows' station.
-        placed: whether its instrument and targets stand as they were calibrated, or their place was found from the rows.
+        placed: whether instrument and targets are where they were calibrated, or were located from the rows.
         table: the rows that can be judged.
         model: the calibrated model that predicts them.
         station: that model over them.
-        found: shape (P,), parameters that were found from the rows.
-        moved: how far instrument and targets are from the calibrated ones.
-        misfit: what is left, against what noise and the calibration's uncertainty allow.
+        found: shape (P,), parameters that were fitted to the rows.
+        moved: displacement of instrument and targets from the calibrated ones.
+        misfit: the residuals against what noise and the calibration's uncertainty allow.
         doubt: why these rows can't be of the robot as it was calibrated; empty if they can.
-        note: what else the user should know of the place; empty for nothing.
+        note: a further note on the pose of the instrument; may be empty.
         fitted: fingerprints of the rows that the model was fitted to, at all stations.
-        of_day: what of the calibration's day or set-up could not be taken along.
+        of_day: effects of the calibration's day or set-up that could not be transferred.
     """
 
     name: str
@@ -66,46 +66,48 @@ class Validation:
 
     @property
     def notes(self) -> tuple[Note, ...]:
-        """What the user should know beside the errors; doubts are why such rows do not speak for the model."""
-        rest = (
-            f"{self.table.source}: off by {self.misfit.ratio:.3g} times what noise and the uncertainty of the calibration "
-        )
-        why = "arms may be beyond the loads of their calibration" if self.misfit.is_far() else "arms may be on another day"
-        rest += f"allow, as {why}; run pincal diagnose to test whether something has changed"
-        is_noted = self.misfit.is_significant and self.misfit.ratio > _NOTED and not self.doubt
-        fitted = (
-            f"{self.table.source}: the model was fitted to {self.fitted_rows} of these {len(self.table)} rows, so they show "
-            "how well it was fitted, not how well it predicts; validate on independent rows"
-        )
-        told = (self.doubt, self.note, rest if is_noted else "", fitted if self.fitted_rows else "")
+        """Reservations about the errors; doubts are why the rows do not support the model."""
+        doubts, source = [self.doubt, self.note], self.table.source
+        if self.misfit.is_significant and self.misfit.ratio > _NOTED and not self.doubt:
+            why = "beyond the loads of the calibration" if self.misfit.is_far() else "on another day"
+            doubts.append(
+                f"{source}: residuals are {self.misfit.ratio:.3g} times what noise and the uncertainty of the calibration "
+                f"allow, as happens {why}; run pincal diagnose to test whether something has changed"
+            )
+        if self.fitted_rows:
+            doubts.append(
+                f"{source}: the model was fitted to {self.fitted_rows} of these {len(self.table)} rows, so they show "
+                "how well it was fitted, not how well it predicts; validate on independent rows"
+            )
         far = (found.note for found in findings_on_held_out(self.station, self.values, self.table))
-        return (*(Note(Severity.DOUBT, text) for text in told if text), *far, *(Note(Severity.NOTE, t) for t in self.of_day))
+        of_day = (Note(Severity.NOTE, text) for text in self.of_day)
+        return (*(Note(Severity.DOUBT, text) for text in doubts if text), *far, *of_day)
 
     @property
     def verdict(self) -> Verdict:
         """Whether the model explains these rows down to their noise."""
         _, lack = self.replicate_statistics()
-        beside = None if lack is None else lack.beside
-        if beside is None and (self.model.is_noise_declared or self.table.sigma is not None):
-            beside = NoiseTest("the declared noise of the instrument", self.misfit.ratio, self.misfit.p_value)
+        against = None if lack is None else lack.beside
+        if against is None and (self.model.is_noise_declared or self.table.sigma is not None):
+            against = NoiseTest("the declared noise of the instrument", self.misfit.ratio, self.misfit.p_value)
         distinct = len(np.unique(replicate_groups([self.table], within=SCATTER)[0])) / len(self.table)
         few = not tells(distinct * self.misfit.degrees - self.misfit.found)
-        return judge(beside, doubts_of(self.notes), unusable=bool(self.doubt), few=few)
+        return judge(against, doubts_of(self.notes), unusable=bool(self.doubt), few=few)
 
     @cached_property
     def fitted_rows(self) -> int:
-        """Number of the rows that the model was fitted to; one may be so by chance and counts for none."""
+        """Number of rows that the model was fitted to; a single one may match by chance and does not count."""
         found = int(np.sum(known_rows(self.fitted, self.station)))
         return found if found > 1 else 0
 
     @cached_property
     def error(self) -> dict[str, float]:
-        """Errors of all rows: their statistics."""
+        """Statistics of the errors of all rows."""
         return error_summary(self.station, self.values)
 
     @cached_property
     def by_coverage(self) -> dict[str, Any] | None:
-        """Mean errors where the calibration had determined every curve of the model, and elsewhere; None if all are so."""
+        """Mean errors where the calibration had determined every curve of the model, and elsewhere; None without both."""
         known = self.model.knows(self.station.conditions)
         if known.all() or not known.any():
             return None
@@ -135,35 +137,33 @@ class Validation:
 def validate_rows(
     models: Sequence[CalibratedModel], measurements: Measurements, *, name: str = "", refit: bool = True
 ) -> Validation:
-    """Judge a calibrated robot by rows of one station, that of the calibration or another.
+    """Judge a calibrated robot by rows of one station, of the calibration or new.
 
-    Instrument and targets stand as they were calibrated unless the rows call for another place more loudly than noise and
-    the calibration's uncertainty explain.
+    Instrument and targets are held where they were calibrated unless noise and the calibration's uncertainty do not explain
+    their displacement.
 
     Args:
-        models: the calibrated robot at each station that it was calibrated at.
+        models: the calibrated robot at each station of its calibration.
         measurements: the rows.
         name: of their station.
-        refit: whether another place may be found; else they are judged at the nearest calibrated station.
+        refit: whether instrument and targets may be located anew; else the nearest calibrated station is taken.
 
     Returns:
-        The judgement; look at ``doubt``.
+        The judgement; check ``doubt``.
 
     Raises:
-        BadInputError: if the rows are not of a calibrated station, and too few to find another from.
+        BadInputError: if the rows are not of a calibrated station, and too few to locate another.
     """
     found = _judged(models, measurements, name=name, refit=refit)
     return replace(found, fitted=together(*(model.rows for model in models)))
 
 
 def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, name: str, refit: bool) -> Validation:
-    """Return the judgement; arguments as in :func:`validate_rows`."""
-
     def refitted(model: CalibratedModel) -> Validation:
         rows = usable_rows(measurements, model.setup.over(measurements))
         return _refitted(name, rows, place_station(model, rows))
 
-    # Clocks of another session are others, too.
+    # Another session has other clock parameters.
     stands = list(_stands(models, measurements)) if measurements.moving is None else []
     if not stands:
         if not refit:
@@ -177,32 +177,32 @@ def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, na
     def misfit(sigma: np.ndarray, robust: np.ndarray) -> Misfit:
         return misfit_at(station, model.values, covariance=model.covariance, sigma=sigma, robust=robust)
 
-    def as_calibrated(left: Misfit, **told: Any) -> Validation:
+    def as_calibrated(left: Misfit, **reservations: Any) -> Validation:
         still, none = FrameShift(0.0, 0.0, 0.0), np.zeros(len(model.values), bool)
-        return Validation(name, "as calibrated", table, model, station, none, still, left, **told)
+        return Validation(name, "as calibrated", table, model, station, none, still, left, **reservations)
 
     try:
         placed = place_station(model, table)
     except BadInputError as error:
-        # These rows can't tell another place than the calibrated one.
+        # These rows do not determine another pose.
         before = misfit(sigma, np.ones(len(table)))
         if refit and before.is_far():
             unit, errors = next(iter(pose_error_sizes(station, model.values).items()))
-            raise BadInputError(f"{error}; as calibrated, they are off by {errors.mean():.4g} {unit}") from None
+            raise BadInputError(f"{error}; as calibrated, their mean error is {errors.mean():.4g} {unit}") from None
         return as_calibrated(before)
     before = misfit(placed.model.sigma, (placed.solution.weights > 0.0).astype(float))
     is_moved = has_moved(before, placed.misfit)
     if is_moved and refit:
         return refitted(model) if len(table) < len(measurements) else _refitted(name, table, placed)
     if len(table) < len(measurements):
-        # Once more, for the warning of what is left out.
+        # Called for its warning about rows left out.
         scorable_rows(measurements, model.setup)
     note = f"{name or table.source}: these rows fit another pose of instrument and target: {placed.moved}"
     return as_calibrated(before, doubt=doubt_of(table, placed), note=note if is_moved else "", of_day=placed.notes)
 
 
 def _anywhere(models: Sequence[CalibratedModel]) -> CalibratedModel:
-    """Return the robot for rows of no station that it was calibrated at: where it has several arms, by what all covered."""
+    """Return the robot for rows of a new station; of several arms with the coverage of all stations."""
     first, *others = models
     if not first.model.chain.robot.links:
         return first
@@ -214,8 +214,8 @@ def _stands(
 ) -> Iterator[tuple[float, CalibratedModel, Measurements, Station, np.ndarray]]:
     """Yield the stations that rows may be of: same sensor, targets and points, and the columns that their effects need.
 
-    With each how far typical rows are off, in units of the noise; then the rows that can be judged, under the calibrated
-    model, and their noise.
+    Each with the median residual in units of the noise, its model, the rows that can be judged, these under the model, and
+    their noise.
     """
     for model in models:
         chain = model.model.chain
@@ -246,10 +246,10 @@ def _refitted(name: str, table: Measurements, placed: Placed) -> Validation:
 
 
 def doubt_of(table: Measurements, placed: Placed) -> str:
-    """Return why rows can't be of the robot as it was calibrated, wherever the instrument stands; empty if they can.
+    """Return why rows can't be of the robot as it was calibrated, wherever the instrument is; empty if they can.
 
-    Drives where nobody saw their curves prove little, and loads that it never carried only whether the calibration is
-    better than none.
+    Where drive curves were not determined the limit is wider, and beyond the calibrated loads rows only show whether the
+    calibration is better than none.
     """
     known, station, values = placed.model, placed.station, placed.values
     used, inside = placed.solution.weights > 0.0, known.knows(station.conditions)
@@ -259,7 +259,7 @@ def doubt_of(table: Measurements, placed: Placed) -> str:
         if not left.is_significant:
             continue
         unit, errors = next(iter(pose_error_sizes(station.select(rows), values).items()))
-        off = f"{table.source}: off by {errors.mean():.3g} {unit} wherever instrument and target stand"
+        off = f"{table.source}: mean error {errors.mean():.3g} {unit} wherever instrument and target stand"
         if left.is_far(factor):
             mixed = mix_up(table, station, values, options=known.options(effects=()))
             beyond = f"{off}, {left.ratio:.3g} times what noise and the uncertainty of the calibration allow"
