@@ -171,7 +171,7 @@ def test_joints_that_were_commanded_are_doubted_by_an_imu(day: Path, fit: pincal
     moved = replace(session, tracker=None, joints=replace(session.joints, readings={"q": ahead}))
     (found,) = findings_on_scatter(pincal.calibrate(ROBOT, pincal.session_tables(ROBOT, [moved]), GEOMETRY))
 
-    assert re.search(r"angular rate are off by \d+ times .* commanded and not measured", str(found))
+    assert re.search(r"angular rate are \d+ times .* commanded instead of measured", str(found))
     assert not list(findings_on_scatter(fit))
 
 

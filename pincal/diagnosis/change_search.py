@@ -1,4 +1,4 @@
-"""Which changes explain new rows: one after the other, each by what it takes off the squares for what it costs."""
+"""Stepwise search for the changes of a robot that explain new rows, by the reduction of the squares less its cost."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from pincal.diagnosis.row_evidence import RowEvidence
 from pincal.identify.criteria import CHANGES
 from pincal.identify.selection import Scored, select_stepwise
 
-# Changes that are tried by a fit, where squares to first order are not enough.
+# Changes that are fitted, where first-order tests are not accurate enough.
 _MOST_TRIED = 16
-# Shift of the target from which on a first-order test is not enough [m].
+# Displacement of the target above which first-order tests are not accurate enough [m].
 _LINEAR = 1e-3
-# Changes and wrong rows that are looked for at most, one after the other; beside them each curve of a drive.
+# Changes and wrong rows at most, in addition to each curve of a drive.
 _MOST = 6
 
 
 @dataclass(frozen=True)
 class ChangeScore:
-    """What one change explains.
+    """The test of one change.
 
     Attributes:
-        change: its place in the lineup.
-        gain: what it takes off the square.
-        rank: number of its directions that the rows see.
+        change: its index in the lineup.
+        gain: reduction of the squares.
+        rank: number of its directions that the rows observe.
         p_value: of the F test, for this change alone.
-        cost: minus the gain, and what its parameters cost (Schwarz's criterion); negative is better than nothing.
+        cost: penalty of its parameters (Schwarz's criterion) less the gain; negative is better than no change.
     """
 
     change: int
@@ -47,8 +47,8 @@ class NamedChange:
 
     Attributes:
         score: of the change.
-        p_value: chance of any such alarm on a robot that has not changed further.
-        equivalent: scores of changes that these rows can't tell from it.
+        p_value: probability of any such alarm on a robot that has not changed further.
+        equivalent: scores of changes that these rows can't distinguish from it.
     """
 
     score: ChangeScore
@@ -57,22 +57,22 @@ class NamedChange:
 
 
 def limit_for(alpha: float, n_tested: int) -> float:
-    """Return the p-value below which one of so many changes is an alarm."""
+    """Return the p-value below which one of ``n_tested`` changes raises an alarm."""
     return alpha * CHANGES.for_changes / max(n_tested, 1)
 
 
 def search(lineup: ChangeHypotheses, *, alpha: float, degrees: float, apart: np.ndarray | None = None) -> ChangeVerdict:
-    """Find what has happened to a robot.
+    """Find the changes of a robot.
 
     Args:
-        lineup: the rows and what may have happened.
-        alpha: chance of an alarm on a robot that has not changed.
-        degrees: degrees of freedom by which the calibration knows its noise.
-        apart: places of rows that stand apart from all others wherever instrument and target are; default: none do.
+        lineup: the rows and the possible changes.
+        alpha: probability of an alarm on a robot that has not changed.
+        degrees: degrees of freedom of the calibration's noise estimate.
+        apart: indices of rows that contradict all others wherever instrument and target are; default: none.
     """
     state = _begun(lineup, alpha, degrees)
     if apart is not None and len(apart) > 1:
-        # Wrong readings of some rows may explain more for what they cost than a change, or than nothing.
+        # Wrong readings of some rows may explain more at their cost than a change, or than nothing.
         best, rest = state.best(), state.without(apart)
         readings = lineup.station.reading_size
         cost = len(apart) * readings * state.price - (state.evidence.form.square - rest.evidence.form.square)
@@ -85,7 +85,7 @@ def search(lineup: ChangeHypotheses, *, alpha: float, degrees: float, apart: np.
 
 
 def raises_alarm(lineup: ChangeHypotheses, *, alpha: float, degrees: float) -> bool:
-    """Return whether rows raise an alarm, without looking for what happened; arguments as in :func:`search`."""
+    """Return whether rows raise an alarm, without a search for changes; arguments as in :func:`search`."""
     return _begun(lineup, alpha, degrees).p_value < alpha
 
 
@@ -95,19 +95,19 @@ def _begun(lineup: ChangeHypotheses, alpha: float, degrees: float) -> ChangeVerd
 
 @dataclass(frozen=True)
 class ChangeVerdict:
-    """What a search has come to.
+    """State of a search for changes.
 
     Attributes:
         lineup: the rows that count.
-        values: shape (P,), with all changes that were found released.
-        alpha: chance of a false alarm.
-        degrees: degrees of freedom by which the calibration knows its noise.
-        rows: places of the rows that count in the table.
-        steps: changes of the robot, the first one the surest.
-        beside: effects that were there before and that the model left.
-        wrong_rows: rows that contradict all others, by their place in the table.
-        p_first: chance of an alarm before the first change was found; None before.
-        is_undecided: whether the rows can't tell of the robot, as where too many contradict the others.
+        values: shape (P,), with all changes found so far released.
+        alpha: probability of a false alarm.
+        degrees: degrees of freedom of the calibration's noise estimate.
+        rows: indices in the table of the rows that count.
+        steps: changes of the robot, the most significant first.
+        beside: unmodelled effects that were present at the calibration.
+        wrong_rows: indices in the table of rows that contradict all others.
+        p_first: probability of the first alarm; None before.
+        is_undecided: whether the rows can't decide, as where too many contradict the others.
     """
 
     lineup: ChangeHypotheses
@@ -123,7 +123,7 @@ class ChangeVerdict:
 
     @property
     def happened(self) -> list[int]:
-        """Places of the changes of the robot."""
+        """Indices of the changes of the robot."""
         return [step.score.change for step in self.steps]
 
     @property
@@ -133,12 +133,12 @@ class ChangeVerdict:
 
     @property
     def p_value(self) -> float:
-        """Chance of an alarm like the first on a robot that has not changed."""
+        """Probability of an alarm like the first on a robot that has not changed."""
         return self.p_further if self.p_first is None else self.p_first
 
     @property
     def is_unexplained(self) -> bool:
-        """Whether the rest is more than noise."""
+        """Whether the remaining residuals exceed the noise."""
         return not self.is_undecided and self.misfit_p_value < self.alpha * CHANGES.for_misfit
 
     @property
@@ -147,7 +147,7 @@ class ChangeVerdict:
         return limit_for(self.alpha, len(self.scores))
 
     def none(self) -> ChangeVerdict:
-        """Return the verdict that nothing can be said: the rows can't tell."""
+        """Return the verdict that the rows can't decide."""
         start = self.lineup.start
         return replace(self, values=start, steps=(), beside=(), p_first=self.p_value, is_undecided=True)
 
@@ -157,11 +157,11 @@ class ChangeVerdict:
 
     @cached_property
     def evidence(self) -> RowEvidence:
-        """What the rows say of everything else."""
+        """Evidence of the rows on everything not yet released."""
         return self.lineup.weigh(self.values, self._released)
 
     def offers(self) -> Iterator[Scored[NamedChange | int]]:
-        """Yield the best change, and the row that is wrong if one is."""
+        """Yield the best change, and the row that is most likely wrong, if any."""
         if (best := self.best()) is not None:
             yield Scored(best, best.score.cost)
         rows = self.evidence.rows
@@ -173,7 +173,7 @@ class ChangeVerdict:
 
     @cached_property
     def scores(self) -> list[ChangeScore]:
-        """All changes that the rows see something of, the best explanation first."""
+        """All changes that the rows observe, the best explanation first."""
         released = set(self._released)
         gains = [
             (i, *self.evidence.gain(self.lineup.places[i], change.belief))
@@ -193,24 +193,24 @@ class ChangeVerdict:
 
     @cached_property
     def price(self) -> float:
-        """What a parameter costs (Schwarz's criterion)."""
+        """Cost of a parameter (Schwarz's criterion)."""
         return float(np.log(len(self.lineup.station) * self.lineup.station.reading_size))
 
     @cached_property
     def misfit_p_value(self) -> float:
-        """Chance of as large a square on a robot that has not changed further."""
+        """Probability of as large a square on a robot that has not changed further."""
         found = self.evidence.form
         F = (found.square / max(found.degrees, 1)) if found.degrees > 0 else 0.0
         return float(fdtrc(max(found.degrees, 1), self.degrees, F))
 
     @cached_property
     def p_further(self) -> float:
-        """Chance of any alarm as strong on a robot that has not changed further."""
+        """Probability of any alarm as strong on a robot that has not changed further."""
         least = min((score.p_value for score in self.scores), default=1.0) * len(self.scores)
         return min(1.0, least / CHANGES.for_changes, self.misfit_p_value / CHANGES.for_misfit)
 
     def best(self) -> NamedChange | None:
-        """Return the change that explains most for what it costs, if it is more than chance; equivalents with it."""
+        """Return the change of least cost, if it is significant, with its equivalents."""
         limit = self.limit
         if not any(score.p_value < limit for score in self.scores):
             return None
@@ -219,7 +219,7 @@ class ChangeVerdict:
         step = self.evidence.estimate(places, self.lineup.changes[near[0].change].belief)
         shift = self.lineup.motion(self.values)[:, :, places] @ step
         if np.linalg.norm(shift, axis=1).max() > _LINEAR:
-            # So far that squares to first order are not enough.
+            # Too far for first-order tests.
             near = sorted((self._tried(score) for score in near[:_MOST_TRIED]), key=lambda score: score.cost)
         chosen = next((score for score in near if score.p_value < limit), None)
         if chosen is None:
@@ -236,7 +236,7 @@ class ChangeVerdict:
         return self._score(score.change, here.square - square, int(here.degrees - degrees))
 
     def after(self, step: NamedChange | int) -> ChangeVerdict:
-        """Return the search with a change released, or with what was there before; or without a wrong row."""
+        """Return the state with a change, or an unmodelled effect, released; or without a wrong row."""
         if not isinstance(step, NamedChange):
             return self.without(step)
         k = step.score.change
@@ -247,10 +247,10 @@ class ChangeVerdict:
         return replace(found, beside=(*self.beside, k))
 
     def _was_there_before(self, score: ChangeScore) -> bool:
-        """Return whether an effect rather was there when the robot was calibrated, and the model left it.
+        """Return whether an effect was rather present at the calibration, but not modelled.
 
-        Then it was part of the residuals whose size the calibration took for noise, and what is left without it is smaller
-        than this noise: the likelihood of noise without it is compared with that of noise as it was.
+        Then it was part of what the calibration estimated as noise, and the residuals without it are smaller than that: the
+        likelihood with the noise reduced by it is compared with the likelihood with the noise unchanged.
         """
         n = max(self.evidence.form.degrees - score.rank, 1)
         left, part = self.evidence.form.square - score.gain, (score.gain - score.rank) / n
@@ -259,7 +259,7 @@ class ChangeVerdict:
         return bool(left / (1.0 - part) + n * np.log(1.0 - part) < left)
 
     def without(self, row: int | np.ndarray) -> ChangeVerdict:
-        """Return the search without a row, or without some."""
+        """Return the state without one or some rows."""
         lineup, wrong = self.lineup.without(row), (*self.wrong_rows, *np.atleast_1d(self.rows[row]).tolist())
         values = lineup.release(self._released, self.values)
         return replace(self, lineup=lineup, values=values, rows=np.delete(self.rows, row), wrong_rows=wrong)

@@ -1,4 +1,4 @@
-"""How large a change has to be to be noticed, and which poses would tell two changes apart."""
+"""Smallest detectable changes, and further poses that would distinguish two changes."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from pincal.identify.criteria import CHANGES
 from pincal.identify.station import Station
 from pincal.io.diagnosis_file import ExcludedEntry
 
-# Chance with which a change of the size that is given would have been noticed.
+# Probability of detecting a change of the reported size.
 DETECTED = CHANGES.detected
-# Numbers of further poses that may tell changes apart, random poses among which they are chosen, and those shown.
+# Numbers of further poses to distinguish changes, random poses among which they are chosen, and those shown.
 _MORE, _TRIED, _SHOWN = (3, 6, 12, 25, 50), 200, 2
-# Changes that are named beside one.
+# Equivalent changes listed at most.
 _NAMED = 8
-# Poses whose targets are closer than this [m] are one to any instrument: the best laser trackers resolve a tenth of it, and
-# repeat what they read of a target at rest to no less than it.
-_TELLABLE = 1e-6
-# A direction in which an effect shows less than this part of what it shows in the best is not seen.
+# Displacement [m] that no instrument resolves: the best laser trackers have a tenth of it as resolution, and no less as
+# repeatability on a target at rest.
+_RESOLVABLE = 1e-6
+# Fraction of an effect's strength in its best direction below which a direction is not observable.
 _SEEN = 1e-6
 
 
 def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[ExcludedEntry]:
-    """Yield what would have been noticed beside what was found: each parameter, each effect, from which size on.
+    """Yield the smallest detectable size of each parameter and each effect that was not found.
 
-    What was found may be nothing, as the rows can't tell.
+    ``verdict`` has no changes where the rows can't decide, unlike ``searched``.
     """
     lineup, found = verdict.lineup, searched.evidence.form
     taken = {lineup.changes[i].heading for i in verdict.happened}
@@ -42,7 +42,7 @@ def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[Exclud
         key = (*change.heading, change.parameters if change.effect is None else None)
         if change.parts or change.heading in taken or len(units) > 1 or key in listed:
             continue
-        # The direction in which a change shows least.
+        # The direction in which a change is least visible.
         rank = found.gain(places)[1]
         strengths, directions = np.linalg.eigh(found.H[np.ix_(places, places)])
         if rank < len(places) or strengths[0] <= _SEEN * strengths[-1]:
@@ -64,7 +64,7 @@ def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[Exclud
 
 @lru_cache(maxsize=256)
 def detected_noncentrality(rank: int, degrees: float, limit: float, power: float = DETECTED) -> float:
-    """Return the non-centrality at which a change of some rank is noticed with the chance ``power``."""
+    """Return the non-centrality at which a change of some rank is detected with probability ``power``."""
     from scipy.optimize import brentq
 
     rest = max(degrees - rank, 1.0)
@@ -76,27 +76,27 @@ def detected_noncentrality(rank: int, degrees: float, limit: float, power: float
 
 
 def tell_apart(verdict: ChangeVerdict, step: NamedChange) -> str:
-    """Return, in words, which further poses would tell a change from the likeliest of the others, and how many."""
+    """Return, in words, which further poses would distinguish a change from its best rival, and how many."""
     rival = next((score.change for score in step.equivalent), None)
     if rival is None:
         return ""
     change = step.score.change
     there, apart = most_different_poses(verdict, change, rival)
     most = f"{1e3 * apart[0]:.2g} mm"
-    for n in _MORE if apart[0] > _TELLABLE else ():
+    for n in _MORE if apart[0] > _RESOLVABLE else ():
         if separation(verdict, there.select(np.arange(n)), change, rival) > CHANGES.told_apart:
             shown = ", then ".join(_pose_words(verdict, there, i) for i in range(min(n, _SHOWN)))
             like = " and poses like these" if n > _SHOWN else ""
             return f"measure {n} more poses in which the two differ most, by {most} at the target: {shown}{like}"
-    few = f"{_MORE[-1]} more poses" if apart[0] > _TELLABLE else "any instrument"
+    few = f"{_MORE[-1]} more poses" if apart[0] > _RESOLVABLE else "any instrument"
     return f"the two differ by at most {most}, too little for {few}; re-identify either, or inspect the joints themselves"
 
 
 def most_different_poses(verdict: ChangeVerdict, change: int, rival: int) -> tuple[Station, np.ndarray]:
-    """Return a station with random poses, those first in which two changes differ most, and by how much [m].
+    """Return a station with random poses, those first in which two changes differ most, and the differences [m].
 
-    Each is taken with the size that explains the rows best, instrument and target placed again: what differs is what new
-    rows would see of it.
+    Each change has the size that explains the rows best, with instrument and target relocated, so the difference is what
+    new rows would show.
     """
     lineup, rng = verdict.lineup, np.random.default_rng(0)
     others = [i for i in verdict.happened if i != change]
@@ -112,7 +112,7 @@ def most_different_poses(verdict: ChangeVerdict, change: int, rival: int) -> tup
 
 
 def separation(verdict: ChangeVerdict, more: Station, change: int, rival: int) -> float:
-    """Return the signal of a change that another can't take over if rows are added, squared, in units of the noise."""
+    """Return the squared signal of a change that another can't absorb if rows are added, in units of the noise."""
     lineup = verdict.lineup
     n = len(lineup.station)
     wider = lineup.station.select(np.resize(np.arange(n), n + len(more)))
@@ -120,17 +120,16 @@ def separation(verdict: ChangeVerdict, more: Station, change: int, rival: int) -
     both = replace(wider.conditions, q=np.concatenate([old.q, new.q]), payload=np.concatenate([old.payload, new.payload]))
     others = [i for i in verdict.happened if i != change]
     found = replace(lineup, station=replace(wider, conditions=both)).weigh(verdict.values, others)
-    c, g = lineup.places[change], lineup.places[rival]
-    g = np.setdiff1d(g, c)
+    c = lineup.places[change]
+    g = np.setdiff1d(lineup.places[rival], c)
     size = (verdict.values - lineup.start)[c]
     if not len(g):
         return 0.0
-    left = found.form.released(g).H[np.ix_(c, c)]
-    return float(max(size @ left @ size, 0.0))
+    return float(max(size @ found.form.released(g).H[np.ix_(c, c)] @ size, 0.0))
 
 
 def _pose_words(verdict: ChangeVerdict, there: Station, i: int) -> str:
-    """Return a pose in words: joint positions, and the load if there is any."""
+    """Return joint positions, and the load if there is any, in words."""
     robot, q = there.model.chain.robot, there.conditions.q[i]
     kinds = zip(robot.joint_types, q, strict=True)
     numbers = " ".join(f"{1e3 * x:.0f}mm" if kind == "prismatic" else f"{np.degrees(x):.0f}" for kind, x in kinds)
@@ -139,7 +138,7 @@ def _pose_words(verdict: ChangeVerdict, there: Station, i: int) -> str:
 
 
 def rival_names(changes: tuple[PossibleChange, ...], step: NamedChange) -> list[PossibleChange]:
-    """Return the changes that a step can't tell from its own, each heading once."""
+    """Return the changes equivalent to a step's own, each heading once."""
     found = {changes[score.change].heading: changes[score.change] for score in reversed(step.equivalent)}
     found.pop(changes[step.score.change].heading, None)
     return list(reversed(found.values()))[:_NAMED]

@@ -1,4 +1,4 @@
-"""What may have happened to a calibrated robot, and all of it side by side: the rows of a station under one wide model.
+"""Possible changes of a calibrated robot, all in one wide model over the rows of a station.
 
 Parameters may have moved, alone or together, and effects may be new.
 """
@@ -28,18 +28,18 @@ from pincal.parameters import Parameter, estimate_of
 
 @dataclass(frozen=True)
 class PossibleChange:
-    """One thing that may have happened.
+    """A possible change of the robot.
 
     Attributes:
         name: of the effect.
         joint: on which it acts; None for the whole arm.
         parameters: names of the parameters that it moves.
-        effect: the effect that the robot would have now; None where parameters of the model moved.
+        effect: the new effect; None where parameters of the model moved.
         source: the joint that drives this one, where an effect has one.
-        is_usual: whether it is what happens first: a drive that lost its zero.
-        parts: whether other changes together are the same one, so that it is not counted among what is excluded.
-        belief: shape (K, K), information about how far its K parameters change, where they are known to hang together, as
-            the pieces of a smooth curve do; None where each changes by itself.
+        is_usual: whether it is the most common change, of a joint offset.
+        parts: whether it is composed of other changes, so that it is not listed among what is excluded.
+        belief: shape (K, K), prior information on the change of its K parameters where these are correlated, as those of a
+            smooth curve are; else None.
     """
 
     name: str
@@ -53,20 +53,20 @@ class PossibleChange:
 
     @property
     def heading(self) -> tuple[str, str | None, str | None]:
-        """What a report calls it."""
+        """Its name in reports."""
         return self.name, self.joint, self.source
 
     def describe(self) -> dict[str, str | None]:
-        """Return what tells it from its likes in the terms of ``diagnosis.json``."""
+        """Return its name in the terms of ``diagnosis.json``."""
         return {"effect": self.name, "joint": self.joint} | ({} if self.source is None else {"source": self.source})
 
 
 def changes_of(model: Model, situation: PoseSet) -> tuple[tuple[PossibleChange, ...], tuple[Effect, ...]]:
-    """Return all that may have happened to a calibrated robot, as far as these poses could show it; the usual first.
+    """Return the possible changes of a calibrated robot that these poses can show, those of its parameters first.
 
     Returns:
-        The changes, and what new rows may show without any: effects of the station, and those that the whole arm has at its
-        temperature or as it warms up.
+        The changes, and effects that new rows may show without any change: of the station, and of the whole arm with
+        temperature or time.
     """
     changes, beside = list(_of_parameters(model)), []
     for effect in _catalogue(model, situation):
@@ -80,7 +80,7 @@ def changes_of(model: Model, situation: PoseSet) -> tuple[tuple[PossibleChange, 
 
 
 def _catalogue(model: Model, situation: PoseSet) -> Iterator[Effect]:
-    """Yield the effects that these poses could show, and the compliances of single joints that the model does not have."""
+    """Yield the compliances of single joints, and other effects that these poses can show, which the model lacks."""
     known, present = {parameter.name for parameter in model.parameters}, {effect.identity for effect in model.effects}
     kinds = [type(effect) for effect in elasticity(situation) if isinstance(effect, Compliance)]
     for kind in kinds:
@@ -96,7 +96,7 @@ def _catalogue(model: Model, situation: PoseSet) -> Iterator[Effect]:
 
 
 def _of_parameters(model: Model) -> Iterator[PossibleChange]:
-    """Yield each parameter of the robot alone, and those that change together: an effect's on a joint, a bent link's."""
+    """Yield each parameter of the robot alone, and groups: an effect's parameters of a joint, a bent link's."""
     for effect in model.effects:
         if effect.scope == "station" or effect.stays:
             continue
@@ -118,7 +118,7 @@ def _of_parameters(model: Model) -> Iterator[PossibleChange]:
 
 
 def _bent_links(model: Model) -> Iterator[PossibleChange]:
-    """Yield, for each link between two joints, all constants of the geometry between the motion of the one and the other."""
+    """Yield, for each link, all constants of the geometry between its joint and the next."""
     chain, geometry = model.chain, [e for e in model.effects if e.family is Family.GEOMETRY]
     if not geometry:
         return
@@ -132,28 +132,28 @@ def _bent_links(model: Model) -> Iterator[PossibleChange]:
     for i, joint in enumerate(chain.robot.joint_names):
         if (following := chain.robot.next_joint(i)) is None:
             continue
-        # What turns about or slides along the axis of a joint may stand before or behind its own motion.
+        # Rotations about and displacements along the axis of a joint commute with its motion.
         here = {chain.joint(i, symbol) for symbol in ("theta", "d", "a", "alpha")}
         there = {chain.joint(following, symbol) for symbol in ("s_x", "s_y", "theta", "d")}
         members = tuple(name for name, coordinate in places if coordinate in here | there)
         yield PossibleChange(name, joint, members, parts=True)
 
 
-# Gauss-Newton steps at most, and halvings of one that made things worse.
+# Gauss-Newton steps at most, and halvings of a step that increased the cost.
 _MOST_STEPS, _HALVINGS = 30, 6
-# A step of this square, in units of the noise, is the last.
+# Square of the last step, in units of the noise.
 _SHORT = 1e-6
 
 
 @dataclass(frozen=True)
 class Refitted:
-    """Values of a robot that has changed: what changed is found anew, the rest moves as far as its uncertainty lets it.
+    """Values of a robot that has changed: the changes re-estimated, the rest within its uncertainty.
 
     Attributes:
-        values: shape (P,), most probable ones.
-        places: shape (p,), places of parameters that may have moved.
+        values: shape (P,), most probable values.
+        places: shape (p,), indices of parameters that may have moved.
         covariance: shape (p, p), of these.
-        changes: shape (F,), of the parameters that are anything.
+        changes: shape (F,), of the unconstrained parameters.
         sigma: shape (F,), standard deviations of the changes.
     """
 
@@ -166,20 +166,19 @@ class Refitted:
 
 @dataclass(frozen=True)
 class ChangeHypotheses:
-    """The rows of a new station, what is known of the robot, and what may have happened to it.
+    """The rows of a new station, what is known of the robot, and its possible changes.
 
-    Values here are those of the wide model: the calibrated robot's, masses and all effects that are asked for, and the
-    sensor's own.
+    Values are those of the wide model: of the calibrated robot, masses, all tested effects, and the sensor.
 
     Attributes:
-        robot: as it was, at the new station.
-        known: what its calibration knows of it.
+        robot: as calibrated, at the new station.
+        known: what is known of it from its calibration.
         station: the rows that count, under the wide model.
-        changes: what may have happened.
-        places: for each change, where its parameters stand.
-        own: where the station's own parameters stand.
-        beside: where parameters stand of what follows instrument and weather, known to about their size.
-        start: shape (P,), the robot as it was.
+        changes: the possible changes.
+        places: for each change, the indices of its parameters.
+        own: indices of the station's own parameters.
+        beside: indices of parameters of effects of the instrument and the environment, with a prior of their size.
+        start: shape (P,), the robot as calibrated.
     """
 
     robot: CalibratedModel
@@ -193,13 +192,13 @@ class ChangeHypotheses:
 
     @classmethod
     def of(cls, robot: CalibratedModel, station: Station, known: Known) -> ChangeHypotheses:
-        """Line up all that may have happened to a robot that was placed at the station of new rows."""
+        """Return the hypotheses for a robot that was located at the station of new rows."""
         model = station.model
         of_model, of_sensor = station.split(robot.values)
         compliances = tuple(compliances_of(model, of_model).tolist())
         conditions = station.conditions
         if conditions.payload.any() and not varies(conditions.payload):
-            # The load varies if there is any: the calibration knows the robot without it.
+            # A single load counts as varying: the calibration includes the unloaded robot.
             twice = conditions.select(np.repeat(np.arange(len(conditions)), 2))
             conditions = replace(twice, payload=np.where(np.arange(len(twice)) % 2, twice.payload, 0.0))
         situation = PoseSet(model.chain, conditions, compliances)
@@ -223,20 +222,20 @@ class ChangeHypotheses:
         return cls(robot, known, station.with_model(wide), changes, tuple(places), own, beside, start)
 
     def without(self, row: int | np.ndarray) -> ChangeHypotheses:
-        """Return the same without a row, or without some."""
+        """Return the hypotheses without one or some rows."""
         kept = ~np.isin(np.arange(len(self.station)), row)
         return replace(self, station=self.station.select(kept))
 
     def free(self, happened: Sequence[int]) -> np.ndarray:
-        """Return the places of what is anything once some changes have happened."""
+        """Return the indices of the unconstrained parameters, given some changes."""
         return np.unique(np.concatenate([self.own, *(self.places[i] for i in happened)])).astype(int)
 
     def release(self, happened: Sequence[int], start: np.ndarray) -> np.ndarray:
-        """Return the values with some changes found and everything else of the robot as it was, shape (P,)."""
+        """Return the values with some changes estimated and the rest of the robot held as calibrated, shape (P,)."""
         return self.reidentify(happened, start, is_certain=True).values
 
     def reidentified(self, happened: Sequence[int], found: Refitted) -> CalibratedModel:
-        """Return the robot that was found at the new station, with what changed and nothing else of the wide model."""
+        """Return the re-identified robot at the new station, with the changes and nothing else of the wide model."""
         model, n = self.robot.model, len(self.robot.model.effects) + (self.known.masses is not None)
         spans = self.station.model.spans[n : n + len(self.known.left)]
         added = [(effect, _span(span)) for effect, span in zip(self.known.left, spans, strict=True)]
@@ -250,16 +249,15 @@ class ChangeHypotheses:
         return replace(self.robot, model=station.model, estimate=estimate, left_by=None)
 
     def reidentify(self, happened: Sequence[int], start: np.ndarray, *, is_certain: bool = False) -> Refitted:
-        """Return the most probable values: what changed anywhere, and unless it is certain the rest as far as it is unsure.
+        """Return the most probable values: the changes unconstrained, the rest within its uncertainty, or held if certain.
 
-        A parameter that is known and free is the sum of what it was and a change. The noise is taken as it is: what is far
-        off pulls as strongly as it does.
+        A parameter that is known and free is the sum of its calibrated value and a change. There is no robust weighting.
         """
         root, names = (np.zeros((0, 0)), ()) if is_certain else (self.known.root, self.known.names)
         free, n = self.free(happened), root.shape[1]
         known = np.array([self.station.model.index(name) for name in names], int)
         places = np.union1d(known, free).astype(int)
-        # From one vector of uncorrelated unknowns to the parameters.
+        # Maps a vector of uncorrelated unknowns to the parameters.
         W = np.zeros((len(places), n + len(free)))
         W[np.searchsorted(places, known), :n] = root
         W[np.searchsorted(places, free), np.arange(n, W.shape[1])] = 1.0
@@ -294,11 +292,11 @@ class ChangeHypotheses:
         return Refitted(values, places, spread @ spread.T, unknown[n:], np.linalg.norm(uncertain[n:], axis=1))
 
     def weigh(self, values: np.ndarray, happened: Sequence[int]) -> RowEvidence:
-        """Return what the rows say of everything else, once some changes have happened.
+        """Return the evidence of the rows on everything else, given some changes.
 
         Args:
-            values: shape (P,), where it is linearised: the robot's parameters as they are known, but for what happened.
-            happened: the changes, whose parameters are anything, or uncertain where something is believed of them.
+            values: shape (P,), about which it is linearised: the robot's parameters as calibrated, except for the changes.
+            happened: the changes, whose parameters are unconstrained, or have their joint prior if there is one.
         """
         A, r, G, S, rank = self._projected(values, happened, np.arange(len(values)))
         g = A @ r
@@ -314,7 +312,7 @@ class ChangeHypotheses:
         return RowEvidence(form, len(self.station), A, S, r - (along @ S) @ A)
 
     def left(self, values: np.ndarray, happened: Sequence[int]) -> tuple[float, int]:
-        """Return what :meth:`weigh` finds of the square and of its degrees of freedom, in a fraction of the time."""
+        """Return the square and the degrees of freedom of :meth:`weigh`, in a fraction of the time."""
         known = np.flatnonzero(prior_root(self.station, self.known, self.beside).any(axis=0))
         A, r, _, S, rank = self._projected(values, happened, np.union1d(known, self.free(happened)))
         return float(r @ r - np.sum((S @ (A @ r)) ** 2)), len(r) - rank
@@ -322,9 +320,9 @@ class ChangeHypotheses:
     def _projected(
         self, values: np.ndarray, happened: Sequence[int], places: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
-        """Return Jacobian A by p parameters, shape (p, R), residuals, shape (R,), A A^T, what is projected out, its rank.
+        """Return Jacobian A by p parameters, shape (p, R), residuals, shape (R,), A A^T, S, shape (q, p), and a rank.
 
-        That is Q = S A, S of shape (q, p), so that V^-1 = 1 - Q^T Q; parameters at other places are known.
+        Q = S A is projected out: V^-1 = 1 - Q^T Q. The rank is of the unconstrained parameters; other parameters are known.
         """
         A, r = rows_in_noise(self.station, values, self.robot.sigma, places)
         free = np.searchsorted(places, self.free([i for i in happened if self.changes[i].belief is None]))
@@ -334,7 +332,7 @@ class ChangeHypotheses:
             uncertain.append(np.zeros((root.shape[1], len(places))))
             uncertain[-1][:, at] = root.T
             r = r + (values - self.start)[of_change] @ A[at]
-        # Of what is anything, and what is unsure by a unit each; by the parameters, then what they do in the rows.
+        # Uncertain directions of unit variance, then the unconstrained ones.
         nuisance, G = np.vstack([*uncertain, np.eye(len(places))[free]]), A @ A.T
         H = nuisance @ G @ nuisance.T
         H.flat[: (len(H) + 1) * (len(H) - len(free)) : len(H) + 1] += 1.0
@@ -342,7 +340,7 @@ class ChangeHypotheses:
         return A, r, G, S, root_of_inverse(G[np.ix_(free, free)], np.diag(G)[free], ROUNDING).shape[1]
 
     def _redrawn(self, happened: Sequence[int]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield the places of parameters that changed together, and what is believed of them."""
+        """Yield the indices of parameters that changed together, and their joint prior."""
         for i in happened:
             if (belief := self.changes[i].belief) is not None:
                 yield self.places[i], belief
@@ -354,7 +352,7 @@ class ChangeHypotheses:
 
     @cached_property
     def sizes(self) -> np.ndarray:
-        """How large a change is that the rows do not tell, shape (P,): as errors of such robots are."""
+        """Standard deviations of the priors of changes, shape (P,): typical errors of such robots."""
         largest = np.ones(len(self.start))
         self.station.split(largest)[0][:] = largest_basis(self.station.model, self.station.conditions)[0]
         return np.array([parameter.size for parameter in self.station.parameters]) / largest

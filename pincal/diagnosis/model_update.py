@@ -1,4 +1,4 @@
-"""A calibration kept up: new rows added permanently, if the robot is still the same."""
+"""Update of a calibration: new rows added permanently, if the robot has not changed."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ def update(
     Args:
         calibrated: the robot as it was calibrated.
         measurements: new rows, with any instrument in any set-up.
-        alpha: chance that the rows of a robot that has not changed are refused.
+        alpha: probability that the rows of a robot that has not changed are refused.
         sigma: noise of the new rows [m]; default: that of the calibration if it was declared, else estimated.
         anew: effects of the model, as ``EFFECT`` or ``EFFECT:JOINT``, that are re-estimated from their priors, as named by
             a diagnosis. Whether the robot has changed is then not tested.
 
     Returns:
-        The robot at the new station, with all that is known of it now.
+        The robot at the new station, with the information of old and new rows.
 
     Raises:
-        ChangedRobotError: if the robot has changed since: old and new rows don't belong together.
+        ChangedRobotError: if the robot has changed since, so that old and new rows can't be combined.
         IdentificationError: if the rows can't be judged: too many contradict the others, or the instrument was touched.
         BadInputError: as :func:`diagnose`, or for an effect that the model does not have.
     """
@@ -82,7 +82,7 @@ def _named(text: str, model: CalibratedModel) -> list[Effect]:
 
 
 def _released(model: CalibratedModel, placed: Placed, effects: Sequence[Effect]) -> Estimate:
-    """Return what is known of a robot once some effects may be others, as large and as rough as such effects are."""
+    """Return the estimate of a robot, its covariance widened by the priors of effects that may have changed."""
     earlier, station = model.robot_estimate, placed.station
     largest = dict(zip(station.model.names, largest_basis(station.model, station.conditions)[0], strict=True))
     C = earlier.dense_covariance()
@@ -104,9 +104,9 @@ def _taken_in(
     earlier: Estimate,
     before: RobotInformation | None = None,
 ) -> CalibratedModel:
-    """Return the robot at the station of new rows, found from them and from what is known of it as it was.
+    """Return the robot at the station of new rows, fitted to them with its earlier estimate as prior.
 
-    Without the information of the rows ``before``, as of a robot that has changed, its own is that of the new rows.
+    Without the information ``before`` of the earlier rows, as for a robot that has changed, its own is of the new rows.
     """
     arm = model.model
     gx, gy, gz = map(float, arm.chain.gravity)

@@ -1,7 +1,7 @@
-"""What the curve of each drive has to do with the error on another day: each taken anew, alone, with blocks left out.
+"""Contribution of each drive curve to the error on another day: each is re-estimated alone, with cross-validation.
 
-A curve that is taken anew is as rough as it was believed to be, and everything else stays as it was calibrated, but for the
-places of instrument and target.
+A curve is re-estimated with its prior on roughness; everything else is held as calibrated, except for the poses of
+instrument and target.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from pincal.model.effect import Curve
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows of a station, block by block, by the parameters that may be found anew.
+    """Rows of a station, in blocks, linearised in the parameters that may be re-estimated.
 
     Attributes:
-        blocks: what each of B blocks says of these parameters.
+        blocks: information of each of B blocks on these parameters.
         A: shape (P, N, m), the Jacobian of the first readings in metres.
-        off: shape (N, m), what is left of them as calibrated [m].
+        off: shape (N, m), their residuals as calibrated [m].
         block: shape (N,), of each row that counts, -1 for others.
     """
 
@@ -41,18 +41,19 @@ class _Rows:
     block: np.ndarray
 
     def found(self, free: np.ndarray, belief: np.ndarray, *, without: int | None = None) -> np.ndarray:
-        """Return how far some parameters move, shape (F,), a block left out."""
+        """Return the step of some parameters, shape (F,), perhaps without a block."""
         H, g = self.whole.H, self.whole.g
-        H, g = (H, g) if without is None else (H - self.blocks.H[without], g - self.blocks.g[without])
+        if without is not None:
+            H, g = H - self.blocks.H[without], g - self.blocks.g[without]
         return Factor.of(H[np.ix_(free, free)] + belief).solve(g[free])
 
     @cached_property
     def whole(self) -> Form:
-        """What all blocks say together."""
+        """Information of all blocks."""
         return self.blocks.sum()
 
     def error(self, free: np.ndarray, belief: np.ndarray) -> float:
-        """Return the mean error of rows by what the other blocks make of some parameters [m]."""
+        """Return the cross-validated mean error with some parameters re-estimated [m]."""
         errors = []
         for k in range(len(self.blocks.g)):
             here, step = np.flatnonzero(self.block == k), self.found(free, belief, without=k)
@@ -62,7 +63,7 @@ class _Rows:
 
 
 def redrawn_curves(placed: Placed, table: Measurements, *, kept: np.ndarray, session: str) -> CurvesEntry | None:
-    """Return what each curve of a model contributes to the error on another day; None if it has none, or rows are few."""
+    """Return the contribution of each curve to the error on another day; None without curves, or with too few rows."""
     model = placed.station.model
     curves = [
         (effect, span, belief)
@@ -112,7 +113,7 @@ def _rows(placed: Placed, free: np.ndarray, *, block: np.ndarray, kept: np.ndarr
 
 
 def _entry(placed: Placed, effect: Curve, seen: SeenCurve, change: np.ndarray, *, error: float) -> CurveEntry:
-    """Return what one curve contributes."""
+    """Return the contribution of one curve."""
     model, chain = placed.station.model, placed.station.model.chain
     basis = effect.basis(seen.x)
     basis = basis - basis.mean(axis=1, keepdims=True)
@@ -125,5 +126,5 @@ def _entry(placed: Placed, effect: Curve, seen: SeenCurve, change: np.ndarray, *
         correlation=float(old @ new) / both if both else None,
         rms=float(np.sqrt(np.mean(difference**2))),
         unit=chain.robot.joint_units[chain.robot.joint_names.index(seen.joint)],
-        seen=float(np.mean(seen.told(chain, placed.model.estimate))),
+        seen=float(np.mean(seen.determined(chain, placed.model.estimate))),
     )

@@ -1,4 +1,4 @@
-"""Has a calibrated robot changed, and what? From a model and a few new rows to a diagnosis and a re-identified model."""
+"""Diagnosis of changes of a calibrated robot from a few new rows, and a re-identified model."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ from pincal.model.effect import Curve
 from pincal.notes import Note, Severity, doubts_first
 from pincal.validate.accuracy import error_summary, pose_error_sizes
 
-# Chance of a false alarm.
+# Probability of a false alarm.
 FALSE_ALARM = CHANGES.false_alarm
-# Rows by which changes are looked for: all are held in memory under all that may have happened.
+# Rows used to search for changes at most: all are held in memory with all possible changes.
 _MOST_ROWS = 6_000
 
 
@@ -54,7 +54,7 @@ class Diagnosis:
 
     Attributes:
         found: the contents of ``diagnosis.json``.
-        model: the re-identified model, at the new station; the robot as it was where it has not changed.
+        model: the re-identified model, at the new station; as calibrated if it has not changed.
     """
 
     found: DiagnosisFile
@@ -72,7 +72,7 @@ class Diagnosis:
 
     @property
     def changes(self) -> tuple[ChangeEntry, ...]:
-        """What changed, the surest first."""
+        """The changes, the most significant first."""
         return self.found.changes
 
     @property
@@ -98,16 +98,16 @@ def diagnose(
     Args:
         calibrated: the robot as it was calibrated.
         measurements: new rows, with any instrument in any set-up.
-        alpha: chance of an alarm on a robot that has not changed.
-        sigma: noise of one component of the new readings [m]; default: the column ``sigma``. It is never taken to be less
-            than what the calibration left, which holds what its model does not describe.
+        alpha: probability of an alarm on a robot that has not changed.
+        sigma: noise of one component of the new readings [m]; default: the column ``sigma``. The residuals of the
+            calibration, which include unmodelled errors, are a lower bound.
 
     Returns:
-        What has changed, with what it could be as well; what has not; and the re-identified model.
+        The changes with their equivalents, changes that are excluded, and the re-identified model.
 
     Raises:
-        BadInputError: if the rows are too few to locate instrument and target, or those that the model was fitted
-            to, or not of this robot.
+        BadInputError: if the rows are too few to locate instrument and target, or the model was fitted to them, or
+            they are not of this robot.
 
     Example:
         >>> from pincal import Options, Robot, calibrate, measurements_from_arrays
@@ -138,7 +138,6 @@ def diagnose(
     posterior = lineup.reidentify(happened, lineup.release(happened, verdict.values))
     reidentified = lineup.robot
     if happened:
-        # With what changed found and nothing else released.
         rows = together(model.rows, fingerprints(lineup.station))
         reidentified = replace(lineup.reidentified(happened, posterior), rows=rows)
     station = reidentified.readings(measurements)
@@ -149,13 +148,17 @@ def diagnose(
     curves = redrawn_curves(placed, measurements, kept=kept, session=session)
     changes = list(_entries(verdict, posterior, session))
     if curves is not None:
-        # Those of curves among themselves in the order of what they bring on the new rows.
+        # Changed curves are listed by how much each reduces the error.
         order = [entry.joint for entry in curves.joints]
         ranked = iter(sorted((c for c in changes if c.curve_rms is not None), key=lambda c: order.index(str(c.joint))))
         changes = [change if change.curve_rms is None else next(ranked) for change in changes]
-    # Of several stations the nearest.
-    ways = [moved(before, reidentified) for before in calibrated.models.values()]
-    way = min(ways, key=lambda way: np.inf if way.instrument is None else way.instrument)
+    shifts = [moved(before, reidentified) for before in calibrated.models.values()]
+    nearest = min(shifts, key=lambda shift: np.inf if shift.instrument is None else shift.instrument)
+    notes: list[Note | str] = [*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, placed, measurements)]
+    if len(measurements) < all_rows:
+        notes.append(
+            f"changes were searched for in {len(measurements)} of the {all_rows} rows, sampled from the whole table"
+        )
     found = DiagnosisFile(
         changed=verdict.changed,
         p_value=verdict.p_value,
@@ -163,17 +166,9 @@ def diagnose(
         changes=tuple(changes),
         excluded=tuple(excluded(verdict, searched)),
         gap={"before": error_summary(placed.station, placed.values), "after": after},
-        station=MovedEntry(**way.to_dict()),
+        station=MovedEntry(**nearest.to_dict()),
         rows=len(measurements),
-        warnings=doubts_first(
-            [
-                *doubts,
-                *placed.notes,
-                *_unseen(curves),
-                *_notes(verdict, placed, measurements),
-                *_some_of(len(measurements), all_rows),
-            ]
-        ),
+        warnings=doubts_first(notes),
         curves=curves,
         is_judged=not doubts,
     )
@@ -181,21 +176,20 @@ def diagnose(
 
 
 def looked_at(measurements: Measurements) -> np.ndarray:
-    """Return the rows of a table by which changes are looked for, shape (n,): some of very many, of all targets."""
+    """Return the rows of a table used to search for changes, shape (n,): a sample of very many, of all targets."""
     return sample_rows(len(measurements), _MOST_ROWS, np.unique(measurements.target, return_inverse=True)[1])
 
 
 def changes_since(model: CalibratedModel, placed: Placed, alpha: float) -> ChangeVerdict:
-    """Return what has happened to a calibrated robot that was placed at a new station."""
+    """Return the changes of a calibrated robot that was located at a new station."""
     lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model, placed.station.conditions))
     return search(lineup, alpha=alpha, degrees=known_degrees(model, placed.station), apart=row_anomalies(placed))
 
 
 def row_anomalies(placed: Placed) -> np.ndarray:
-    """Return the places of rows that stand apart from all others wherever instrument and target are.
+    """Return the indices of rows that contradict all others wherever instrument and target are.
 
-    The size of the others' residuals is theirs, not that of the noise: rows of a robot that has changed are all off, and
-    none of them stands apart.
+    They are outliers among the residuals, not relative to the noise: of a robot that has changed all rows have errors.
     """
     station, start = placed.station, placed.values
     problem, free = Problem((station,)), placed.solution.free
@@ -206,18 +200,18 @@ def row_anomalies(placed: Placed) -> np.ndarray:
 
 
 def doubts_about(verdict: ChangeVerdict, placed: Placed, measurements: Measurements) -> tuple[Note, ...]:
-    """Return why rows can't tell whether a robot has changed, as a calibration of them would; none if they can."""
+    """Return why rows can't decide whether a robot has changed, as a calibration of them would; none if they can."""
     rejected = np.isin(np.arange(len(measurements)), verdict.wrong_rows)
     at = placed.station, placed.values, placed.solution.free
     found = findings_on_outliers(*at, table=measurements, rejected=rejected & verdict.is_undecided)
-    # One change that leaves nothing explains rows that happen to be in order.
+    # A single change that explains all rows may look like a step in rows that happen to be ordered.
     explained = len(verdict.steps) == 1 and not verdict.is_unexplained
     wanted = (CaveatKind.MANY_OUTLIERS,) if explained else (CaveatKind.MANY_OUTLIERS, CaveatKind.STEP)
     return tuple(one.note for one in found if one.kind in wanted)
 
 
 def known_degrees(model: CalibratedModel, station: Station) -> float:
-    """Return the degrees of freedom by which a calibration knows the noise of readings like a station's."""
+    """Return the degrees of freedom of a calibration's noise estimate, for readings like a station's."""
     rows = count(model.rows)
     return max(rows * station.reading_size - float(model.estimate.free.sum()), 1.0) if rows else CHANGES.degrees
 
@@ -226,13 +220,13 @@ def relocated(model: CalibratedModel, measurements: Measurements, *, sigma: floa
     """Return a calibrated robot at the station of new rows, whose noise may be declared [m].
 
     Raises:
-        BadInputError: if the noise is not a length, or the rows are too few to tell where instrument and target stand, or
-            of an IMU, which tells no place, or those that the model was fitted to: it obeys them, whatever happened since.
+        BadInputError: if the noise is not a length; if the rows are too few to locate instrument and target, or of an IMU,
+            which measures no position; or if the model was fitted to them, so that they agree whatever happened since.
     """
     if measurements.sensor is not None and not measurements.sensor.reads_place:
         raise MeasurementError(
-            f"{measurements.source}: readings of an {measurements.sensor.kind} alone do not tell where the tool is; "
-            "expected rows of an instrument that reads places, such as a session with tracker.csv"
+            f"{measurements.source}: readings of an {measurements.sensor.kind} alone do not determine positions of the "
+            "tool; expected rows of an instrument that measures positions, such as a session with tracker.csv"
         )
     check_table(model.model.chain.robot, measurements, minimum=1)
     if sigma is not None:
@@ -251,7 +245,7 @@ def relocated(model: CalibratedModel, measurements: Measurements, *, sigma: floa
 
 
 def _refuse_strange(model: CalibratedModel, measurements: Measurements, median_mm: float, limit: float) -> None:
-    """Refuse rows of which typical ones are farther from the robot than this part of its reach."""
+    """Refuse rows whose median error exceeds this fraction of the robot's reach."""
     if median_mm > 1e3 * limit * model.model.chain.robot.reach:
         raise MeasurementError(
             f"{measurements.source}: no change in the catalogue brings the model closer than {median_mm:.3g} mm to these "
@@ -260,7 +254,7 @@ def _refuse_strange(model: CalibratedModel, measurements: Measurements, median_m
 
 
 def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
-    """Yield what is to be said where most of the error goes with a curve that the calibration had not seen everywhere."""
+    """Yield a note if most of the error is due to a curve that the calibration had not determined everywhere."""
     if curves is None:
         return
     best = curves.joints[0]
@@ -270,12 +264,6 @@ def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
             f"curve of {best.joint}, which the calibration had determined in {100 * best.seen:.0f} % of these rows: "
             "elsewhere this is not a change; pincal update --anew adds the rows"
         )
-
-
-def _some_of(some: int, rows: int) -> Iterator[str]:
-    """Yield what is to be said if some of the rows were looked at."""
-    if some < rows:
-        yield f"changes were looked for by {some} of the {rows} rows, drawn from all of the table"
 
 
 def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Iterator[ChangeEntry]:
@@ -290,7 +278,7 @@ def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Itera
             parameters[parameter.name] = ChangedParameter(before, before + float(moved_by), float(sigma), parameter.unit)
         curve = next((e for e, span in zip(model.effects, model.spans, strict=True) if span.start == places[0]), None)
         if change.belief is not None and isinstance(curve, Curve):
-            # By how much it is another one over the rows, its mean apart.
+            # The rms of its change over the rows, without its mean.
             q = recorded_variable(model.chain, lineup.station.conditions, str(curve.locus.joint), span=curve.locus.span)
             curve_rms = float(np.std(posterior.changes[at] @ curve.basis(q)))
         likes = (ChangeName(effect=c.name, joint=c.joint, source=c.source) for c in rival_names(changes, step))
@@ -321,8 +309,8 @@ def _notes(verdict: ChangeVerdict, placed: Placed, measurements: Measurements) -
         change = verdict.lineup.changes[i]
         where = "" if change.joint is None else f" of {change.joint}"
         yield (
-            f"{change.name}{where} is in these rows, but by its size it was present at the calibration and is not modelled, "
-            "so it is not a change; discover identifies missing effects"
+            f"{change.name}{where} is present in these rows, but judging by its size it was already present at the "
+            "calibration and is not modelled, so it is not a change; discover identifies missing effects"
         )
     if len(verdict.steps) >= CHANGES.many:
         yield Note(
@@ -336,6 +324,6 @@ def _notes(verdict: ChangeVerdict, placed: Placed, measurements: Measurements) -
         others = np.delete(errors, verdict.wrong_rows)
         yield Note(
             Severity.DOUBT,
-            f"{len(verdict.wrong_rows)} of {len(measurements)} rows are excluded because they contradict all others, which "
-            f"are off by {others.mean():.4f} {unit} on average; wrong readings or joints: lines {lines}",
+            f"{len(verdict.wrong_rows)} of {len(measurements)} rows are excluded because they contradict all others, whose "
+            f"mean error is {others.mean():.4f} {unit}; wrong readings or joints: lines {lines}",
         )

@@ -1,19 +1,19 @@
-r"""What new readings say of a calibrated robot, its calibration's own uncertainty allowed for.
+r"""Evidence of new readings on changes of a calibrated robot, with the uncertainty of its calibration.
 
 With r the residuals of the new rows in units of their noise, R the Jacobian by the robot's parameters, known with covariance
-C, M by masses that a URDF knows to some per cent, F by what the new station alone has (base, targets, instrument) and by
-changes that are found already, and G by changes that are asked for,
+C, M by the masses, which a URDF gives to some per cent, F by the parameters of the new station (base, targets, instrument)
+and of changes found already, and G by the changes to be tested,
 
 .. math:: r = R d + M m + F f + G g + e, \qquad d \sim N(0, C), \quad m \sim N(0, S), \quad e \sim N(0, 1),
 
-d and m are uncertain and f is anything. With all three projected out the gain of a change is
+d and m are uncertain and f is unconstrained. With all three projected out the gain of a change is
 
 .. math:: T_g = b_g^T P_{gg}^{-1} b_g, \quad P = G^T V^{-1} G, \quad b = G^T V^{-1} r,
 
-what it takes off the squares: chi-square with as many degrees of freedom as the data see of it, if it has not happened.
+its reduction of the squares: chi-square with as many degrees of freedom as the data observe of it, if it has not happened.
 
-Masses that are off have bent the calibration, too: what is left is M m less what the parameters took up of it. The rows of
-the calibration are gone, so that part is computed in poses spread over the range that they covered.
+Errors of masses have biased the calibration, too: M m is reduced by what its parameters absorbed. As its rows are not
+available, that part is computed at random poses within the range that they covered.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ from pincal.model.sizes import largest_basis
 from pincal.parameters import root_of
 from pincal.recorded import RECORDABLE
 
-# Poses over which masses are taken to have bent a calibration.
+# Random poses at which the calibration's bias by masses is computed.
 _POSES = 200
 
 
 @dataclass(frozen=True)
 class Known:
-    """What a calibration knows of a robot's parameters, and what it can't.
+    """What is known of a robot's parameters from its calibration.
 
     Attributes:
         names: the parameters.
         values: shape (K,).
-        root: shape (K, n), of their covariance.
-        masses: masses as an effect; None for a rigid model.
-        taken_up: shape (K, m), what the calibration made of a unit of each mass parameter.
-        left: effects that the model left; their parameters are the last ones of the K.
+        root: shape (K, n), root of their covariance.
+        masses: errors of masses as an effect; None for a rigid model.
+        taken_up: shape (K, m), what the calibration's parameters absorb of a unit of each mass parameter.
+        left: unmodelled effects; their parameters are the last of the K.
     """
 
     names: tuple[str, ...]
@@ -60,7 +60,7 @@ class Known:
 
     @classmethod
     def of(cls, calibrated: CalibratedModel, conditions: Conditions) -> Known:
-        """Return what a calibrated model knows of its robot, and of effects that it left and new rows can show."""
+        """Return what is known from a calibrated model, with unmodelled effects that new rows can show."""
         chain = calibrated.model.chain
         effects = (effect for effect in calibrated.model.effects if effect.scope == "robot")
         names = tuple(parameter.name for effect in effects for parameter in effect.parameters(chain))
@@ -70,7 +70,7 @@ class Known:
         known = cls(names, estimate.values, root_of(estimate.dense_covariance()), masses, taken_up)
         if (left := calibrated.left) is None:
             return known
-        # The parameters have taken up as much of it as they could, which stays where rows lack a column that it needs.
+        # The part that the parameters absorbed remains in them where rows lack a column that the effect needs.
         taken, root = np.zeros((len(names), len(left.values))), root_of(left.covariance)
         taken[[names.index(name) for name in left.names]] = left.taken_up
         shown = [effect for effect in left.effects if all(conditions.column(name) is not None for name in effect.needs)]
@@ -87,7 +87,7 @@ class Known:
 
 
 def _taken_up(calibrated: CalibratedModel, names: tuple[str, ...], masses: MassError) -> np.ndarray:
-    """Return how far a calibration's parameters move if masses are off by a unit each, shape (K, m)."""
+    """Return the change of a calibration's parameters per unit of each mass parameter, shape (K, m)."""
     model, rng = calibrated.model, np.random.default_rng(0)
     lower, upper = calibrated.covered.q.T
     q = model.chain.robot.following(rng.uniform(lower, upper, (_POSES, len(lower))))
@@ -116,7 +116,7 @@ def _taken_up(calibrated: CalibratedModel, names: tuple[str, ...], masses: MassE
 
 @dataclass(frozen=True)
 class RowEvidence:
-    """What new rows say beyond what is known, by the F parameters of the model that they were seen under.
+    """Evidence of new rows on the F parameters of a wide model, beyond what is known.
 
     Attributes:
         form: P as its information, b as its gradient, r^T V^-1 r as its square.
@@ -134,7 +134,7 @@ class RowEvidence:
 
     @cached_property
     def rows(self) -> np.ndarray:
-        """What a row alone takes off the square if its reading is wrong, and the rank of that, shape (N, 2)."""
+        """Gain and rank of each row if its reading alone is wrong, shape (N, 2)."""
         m = len(self.left) // self.n
         Q = (self.projected @ self.jacobian[:, : self.n * m]).reshape(-1, self.n, m).transpose(1, 0, 2)
         seen, axes = np.linalg.eigh(np.eye(m) - Q.transpose(0, 2, 1) @ Q)
@@ -143,30 +143,30 @@ class RowEvidence:
         return np.stack([gains.sum(axis=1), np.sum(seen > SEEN, axis=1)], axis=1)
 
     def gain(self, j: np.ndarray, belief: np.ndarray | None = None) -> tuple[float, int]:
-        """Return T and rank of parameters, by their places, that change together.
+        """Return T and rank of parameters, by index, that change together.
 
-        Of parameters that are believed to hang together, with information of shape (K, K), these are of the directions in
-        which the rows tell more than the belief: chosen without the readings, so that T keeps its distribution.
+        With a joint prior on them, of information ``belief``, shape (K, K), these are of the directions in which the rows
+        have more information than the prior: chosen without the readings, so T keeps its distribution.
         """
         if belief is None:
             return self.form.gain(j)
-        told, along = self._beside(j, belief)
-        seen = told > 1.0
-        return float(np.sum(along[seen] ** 2 / told[seen])), int(seen.sum())
+        information, along = self._relative_to(belief, j)
+        seen = information > 1.0
+        return float(np.sum(along[seen] ** 2 / information[seen])), int(seen.sum())
 
     def odds(self, j: np.ndarray, belief: np.ndarray) -> float:
-        """Return -2 log odds of a change of parameters of which something is believed, against none."""
-        told, along = self._beside(j, belief)
-        return float(np.sum(np.log1p(told) - along**2 / (1.0 + told)))
+        """Return -2 log odds of a change of parameters with a joint prior, against none."""
+        information, along = self._relative_to(belief, j)
+        return float(np.sum(np.log1p(information) - along**2 / (1.0 + information)))
 
-    def _beside(self, j: np.ndarray, belief: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the information of the rows in units of that believed, and the gradient, in directions told apart, (K,)."""
+    def _relative_to(self, belief: np.ndarray, j: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return information and gradient of the rows along their principal directions in units of the prior, shape (K,)."""
         root = root_of_inverse(belief, np.diag(belief), ROUNDING)
-        told, axes = np.linalg.eigh(root.T @ self.form.H[np.ix_(j, j)] @ root)
-        return np.maximum(told, 0.0), axes.T @ (root.T @ self.form.g[j])
+        information, axes = np.linalg.eigh(root.T @ self.form.H[np.ix_(j, j)] @ root)
+        return np.maximum(information, 0.0), axes.T @ (root.T @ self.form.g[j])
 
     def estimate(self, j: np.ndarray, belief: np.ndarray | None = None) -> np.ndarray:
-        """Return the most probable change of parameters to first order, zero for what is not seen."""
+        """Return the most probable change of parameters to first order, zero in unobservable directions."""
         if belief is None:
             return self.form.estimate(j)[0]
         H = self.form.H[np.ix_(j, j)] + belief
@@ -175,14 +175,14 @@ class RowEvidence:
 
 
 def prior_root(station: Station, known: Known, beside: np.ndarray) -> np.ndarray:
-    """Return how uncertain the parameters of a station are before its rows, shape (n, P): the root of their covariance.
+    """Return the root of the prior covariance of the parameters of a station, shape (n, P).
 
     Args:
-        station: the rows under a model of the robot with masses and all effects that are asked for.
+        station: the rows under the wide model.
         known: what is known of the robot.
-        beside: places of parameters that are known to about their size.
+        beside: indices of further parameters with a prior of their size.
     """
-    # Effects that are asked for may share names; those of the model and of masses come first.
+    # Tested effects may share names; the parameters of the model and of masses come first.
     index = {parameter.name: i for i, parameter in reversed(list(enumerate(station.parameters)))}
     robot = [index[name] for name in known.names]
     masses = () if known.masses is None else known.masses.parameters(station.model.chain)
@@ -201,8 +201,7 @@ def rows_in_noise(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return Jacobian, shape (P, R), and residuals, shape (R,), in units of the noise, row by row.
 
-    What the sensor knows beside its readings stands at the end. With places, shape (p,), the Jacobian is by these parameters
-    alone, shape (p, R).
+    Prior information of the sensor comes last. With places, shape (p,), the Jacobian is by these parameters only, (p, R).
     """
     free = np.ones(len(values), bool) if places is None else np.isin(np.arange(len(values)), places)
     columns, readings = [], []
