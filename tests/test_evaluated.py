@@ -7,7 +7,7 @@ import pytest
 
 from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Model, Options, calibrate, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
-from pincal.discover.locate import _taking
+from pincal.discover.locate import _given
 from pincal.discover.score_tests import score_test
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import without
@@ -210,7 +210,7 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
     n, m = cross.shape
     for i in (1, 6):
         j, others = tests.columns[i], [k for k in range(len(candidates)) if k != i]
-        taking, left = _taking(tests, i), tests.places(others)
+        taking, left = _given(tests, i), tests.places(others)
         expected, size = np.vstack([cross, tests.inner[j]])[:, left], np.append(scale[:n], scale[n + j])
         np.testing.assert_allclose(
             taking.cross / np.outer(size, scale[n + left]), expected / np.outer(size, scale[n + left]), atol=1e-12

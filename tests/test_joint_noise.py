@@ -140,7 +140,7 @@ def test_stations_have_the_joints_in_common(kuka: Robot) -> None:
 def test_a_discovery_weighs_its_last_fit_and_says_so(scatter: float, kuka: Robot) -> None:
     """By how much each joint is unsteady, in a note; none where noise is even."""
     found = run_discovery(kuka, measured(kuka, scatter, seed=2, poses=120))
-    notes = [str(note) for note in found.calibration.notes if "like joint noise" in str(note)]
+    notes = [str(note) for note in found.calibration.notes if "consistent with joint noise" in str(note)]
 
     assert len(notes) == (scatter > 0.0) and all("joint_3 4" in note or "joint_3 5" in note for note in notes)
     assert (found.trail.final.station.whitening is not None) == (scatter > 0.0)

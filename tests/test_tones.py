@@ -11,8 +11,8 @@ from pincal import GEOMETRIC, Options, Robot, measurements_from_arrays, run_disc
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.discover import levers
-from pincal.discover.backward import _is_close
 from pincal.discover.candidate_tests import Search, hidden_wave
+from pincal.discover.decisions import is_near
 from pincal.discover.first_order import ScoreResult
 from pincal.discover.levers import situation_of
 from pincal.discover.policy import POLICY
@@ -214,8 +214,8 @@ def test_a_wave_found_again_close_by_came_in_so(machine: sim.TrueMachine) -> Non
     step = SearchStep((first,), ScoreResult(90.0, 2, 1e-9, -50.0), (), before, after, first, np.zeros(2))
     state = SearchState(before).with_step(step).tuned(step, replace(step, effects=(again,), after=last))
 
-    assert _is_close(first, again) and not _is_close(first, GearRipple("joint_2", 165.0))
-    assert not _is_close(first, EncoderSubdivision("joint_2", 161.34))
+    assert is_near(first, again, 1.0) and not is_near(first, GearRipple("joint_2", 165.0), 1.0)
+    assert not is_near(first, EncoderSubdivision("joint_2", 161.34), 1.0)
     assert [(c.fit, c.entered, c.left) for c in state.changes] == [(last, (again,), ())] and state.fit is last
     (told,) = state.steps
     assert (told.effect, told.before, told.after) == (again, before, last)

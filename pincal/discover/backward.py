@@ -1,7 +1,7 @@
-"""Names judged again: beside the others, by what the model loses without them, and by what they leave where they act.
+"""Backward passes: accepted names are tested again given all others, and for what they leave unexplained.
 
-What a fit leaves without one of its effects follows from its own Gram matrices: taking the effect out only adds its columns,
-times their values, to the residuals. So all are named from the same tests of all that could take the place of any.
+The residuals of a fit without one of its effects follow from its own Gram matrices: removing the effect adds its columns,
+times their values, to them. So the same tests of all candidates serve every effect.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from pincal.discover.decisions import (
     accepted,
     each_heading_once,
     enough_errors,
+    is_near,
     is_own_curve,
     standard_errors,
 )
@@ -52,56 +53,49 @@ _Pass = tuple[bool, dict[object, int], ScoreTests]
 
 
 def name_again(state: SearchState, search: Search) -> SearchState:
-    """Name each effect once more beside all the others, which were not there when it was named."""
+    """Name each effect again given all others, some of which were not in the model when it was named."""
     places = [k for k, step in enumerate(state.steps) if not step.is_elastic]
-    beside: Iterator[tuple[ModelFit, Decision | None]] | None = None
+    decisions: Iterator[tuple[ModelFit, Decision | None]] | None = None
     for i, k in enumerate(places if len(places) > 1 else []):
         step = state.steps[k]
         (effect,) = step.effects
-        if beside is None:
-            beside = named_given(state.fit, [state.steps[later].effect for later in places[i:]], search)
-        rest, decision = next(beside)
+        if decisions is None:
+            decisions = named_given(state.fit, [state.steps[later].effect for later in places[i:]], search)
+        rest, decision = next(decisions)
         if decision is None:
             continue
         if decision.effect.identity == effect.identity:
-            # A rival that has come in since may go again.
+            # A rival that has entered since may be removed again.
             rivals = [*decision.equivalent, *(other for other in step.equivalent if not missing_from(state.fit, [other]))]
-            told = each_heading_once(rivals, effect, search.policy)
-            state = state.with_replaced(step, replace(step, equivalent=told, together=decision.together))
+            equivalent = each_heading_once(rivals, effect, search.policy)
+            state = state.with_replaced(step, replace(step, equivalent=equivalent, together=decision.together))
             continue
         new = decided(rest, decision, search)
         tests = score_test_given_nuisances(rest, [effect, new.effect], search.groups)
         if standard_errors(tests.gains_by_block([0]) - tests.gains_by_block([1])) > TESTING.predicts:
             continue
-        if _is_close(effect, new.effect):
-            state, beside = state.tuned(step, new), None
+        decisions = None
+        if is_near(effect, new.effect, WAVES.close):
+            state = state.tuned(step, new)
             continue
         log.info("%s is %s given what was found later", worded([effect]), worded([decision.effect]))
         steps = state.with_replaced(step, replace(new, before=step.before, after=step.after)).steps
-        state, beside = state.changed(new.after, steps, (decision.effect,), (effect,)), None
+        state = state.changed(new.after, steps, (decision.effect,), (effect,))
     return state
 
 
-def _is_close(effect: Effect, other: Effect) -> bool:
-    """Return whether two effects are waves of nearly one order, of one name on one joint."""
-    if not (isinstance(effect, Harmonic) and isinstance(other, Harmonic)) or effect.heading != other.heading:
-        return False
-    return abs((effect.locus.order or 0.0) - (other.locus.order or 0.0)) < WAVES.close
-
-
 def drop_needless(state: SearchState, search: Search) -> SearchState:
-    """Take out again, one by one, what does not predict blocks of poses left out better beside all the others.
+    """Remove, one by one, steps that do not improve the prediction of held-out blocks given all others.
 
-    What the whole model loses without a step has to be more than its standard error over the blocks, as it had to be when
-    the step entered; and chance must not explain it. Elasticity, which every arm has, need only lose something, and of
-    several that fail it goes last, the others the least missed first. What is needed only once another has left could as
-    well be that other.
+    The loss of the whole model without a step has to exceed its standard error over the blocks, as when the step entered,
+    and has to be significant. Elasticity, which every arm has, only needs a positive loss; of several steps that fail it is
+    removed last, the others by increasing loss. A step that is needed only after another was removed may be that other.
     """
-    gone, failed = tuple[Effect, ...](), list[SearchStep]()
+    removed, failed = tuple[Effect, ...](), list[SearchStep]()
     while state.steps:
         worth = _worths(state, search)
         for step in [step for step in failed if worth[step] > TESTING.predicts]:
-            by = replace(step, equivalent=each_heading_once([*gone[:1], *step.equivalent], step.effect, search.policy))
+            by = replace(step, equivalent=each_heading_once([*removed[:1], *step.equivalent], step.effect, search.policy))
             state, worth[by] = state.with_replaced(step, by), worth[step]
         without_it = cache(partial(_refitted_without, state.fit))
         failed = [step for step in state.steps if _fails(state, step, worth[step], search, without_it)]
@@ -110,7 +104,7 @@ def drop_needless(state: SearchState, search: Search) -> SearchState:
         least = min(failed, key=lambda step: (step.is_elastic, worth[step]))
         log.info("dropped %s: the others predict held-out blocks as well without it", worded(least.effects))
         state = state.changed(without_it(least), state.without_step(least).steps, (), least.effects)
-        gone, failed = least.effects, [step for step in failed if step is not least]
+        removed, failed = least.effects, [step for step in failed if step is not least]
     steps = (replace(step, equivalent=tuple(missing_from(state.fit, step.equivalent))) for step in state.steps)
     return replace(state, steps=tuple(steps))
 
@@ -122,16 +116,16 @@ def _refitted_without(fit: ModelFit, step: SearchStep) -> ModelFit:
 def _fails(
     state: SearchState, step: SearchStep, worth: float, search: Search, without_it: Callable[[SearchStep], ModelFit]
 ) -> bool:
-    """Return whether a step would not enter again: suspected to first order, judged on the others fitted again.
+    """Return whether a step would not enter again: judged on a refit of the others if first-order tests suspect it.
 
-    The others may lean on it, so that what they leave without it is not what they must; and where it can't be told from
-    products of theirs, as of a compliance with the place of its bearing, they seem to take more over than they do.
+    First-order tests may be wrong where the others depend on the step, or where products of theirs resemble it, such as a
+    compliance times the place of its bearing.
     """
     fit, policy, own = state.fit, search.policy, with_features(state.fit, step.effects)
     least = 0.0 if step.is_elastic else max(map(enough_errors, step.effects))
-    is_one_of_many, is_rest = len(state.steps) > 1, _may_be_left_over(state, step)
+    is_one_of_many, is_rest = len(state.steps) > 1, _may_be_remainder(state, step)
     if worth > least and not is_rest:
-        # Wald's test of a step that predicts: far from zero it is not asked further.
+        # A step that predicts and is far from zero (Wald's test) is not tested further.
         found = fit.estimate.take(fit.names_of(step.effects))
         values = found.values[found.free]
         wald = values @ np.linalg.pinv(found.covariance.dense(), hermitian=True) @ values
@@ -141,15 +135,15 @@ def _fails(
     question: Question = "elastic" if step.is_elastic else "stay"
     tests = score_test_given_nuisances(rest, own, search.groups, wider=1.0 if step.is_elastic else TESTING.wider)
     every = range(len(own))
-    said = Unfitted(standard_errors(tests.gains_by_block(every)))
+    held_out = Unfitted(standard_errors(tests.gains_by_block(every)))
     score = replace(tests.score(every, 1), p_value=tests.p_value_of_any(every) if is_one_of_many else 0.0)
-    looks = len({effect.identity for effect in addable(fit, search)}) if is_rest else 1
-    row = Row(step.effect, score, score.ebic, every, question, looks, left_out=lambda: said, enough=least)
+    trials = len({effect.identity for effect in addable(fit, search)}) if is_rest else 1
+    row = Row(step.effect, score, score.ebic, every, question, trials, left_out=lambda: held_out, enough=least)
     return not accepted(row, policy)
 
 
-def _may_be_left_over(state: SearchState, step: SearchStep) -> bool:
-    """Return whether a name may be what something stronger without one leaves, which is known in outline only."""
+def _may_be_remainder(state: SearchState, step: SearchStep) -> bool:
+    """Return whether a name may be the remainder of a stronger unnamed term, whose form is only approximate."""
     if step.is_elastic or step.effect.is_nameless:
         return False
     others = (other for other in state.steps if other.score.gain > step.score.gain and not other.is_elastic)
@@ -157,14 +151,14 @@ def _may_be_left_over(state: SearchState, step: SearchStep) -> bool:
 
 
 def _worths(state: SearchState, search: Search) -> dict[SearchStep, float]:
-    """Return what the model loses on blocks of poses left out without each step, in standard errors of it."""
-    # The model is what predicts, with the priors that it was fitted with.
+    """Return the loss of the model on held-out blocks without each step, in its standard errors."""
+    # The priors are those of the fit, as the model itself is judged.
     tests, found = score_test_given_nuisances(state.fit, (), search.groups, wider=1.0), {}
-    # Masses bend the arm only by way of its compliances, and can't take their place.
+    # Masses bend the arm only through its compliances, and can't replace them.
     heavy = [effect for effect in state.fit.problem.effects if effect.bodies(state.fit.problem.chain)]
     for step in state.steps:
         own = with_features(state.fit, step.effects)
-        # Nor does the place of a bearing that is not compliant matter.
+        # The place of a bearing without compliance has no effect either.
         places = [e for e in own if e.locus.acts_on == "place"]
         still = state.fit.names_of([*heavy, *places]) if step.is_elastic else ()
         losses = losses_by_block(tests, set(state.fit.names_of(own)) - set(still), still)
@@ -173,38 +167,32 @@ def _worths(state: SearchState, search: Search) -> dict[SearchStep, float]:
 
 
 def losses_by_block(tests: ScoreTests, names: Collection[str], still: Collection[str] = ()) -> np.ndarray:
-    """Return by how much the squared error on each block left out grows without some of the model, shape (B,).
+    """Return the increase of the squared error on each held-out block without some parameters, shape (B,).
 
-    Their values are held at zero and all others refitted, to first order, without each block.
+    They are set to zero and all others refitted, to first order, without each block.
 
     Args:
-        tests: those against the model.
+        tests: tests against the model.
         names: parameters of the model.
-        still: others that stay as they are, as what they do is done by way of those that go.
+        still: others that are held fixed, as they act only through those.
     """
     j = np.array([i for i, name in enumerate(tests.names) if name in names or name in still], int)
-    goes = np.array([tests.names[i] in names for i in j], bool)
+    is_removed = np.array([tests.names[i] in names for i in j], bool)
     units, losses = np.eye(tests.n_model)[:, j], np.zeros(len(tests.model.blocks.H))
     for k, (factor, step) in enumerate(tests.model.without_block if len(j) else ()):
         columns = factor.solve(units)
-        held = step - columns @ np.linalg.solve(columns[j], step[j] + goes * tests.values[j])
+        held = step - columns @ np.linalg.solve(columns[j], step[j] + is_removed * tests.values[j])
         H, g = tests.model.blocks.H[k], tests.model.blocks.g[k]
         losses[k] = held @ H @ held - step @ H @ step - 2.0 * g @ (held - step)
     return losses
 
 
 def named_given(fit: ModelFit, effects: Sequence[Effect], search: Search) -> Iterator[tuple[ModelFit, Decision | None]]:
-    """Yield, for each of some effects of a fit, the fit without it and the best explanation of what this leaves.
-
-    Args:
-        fit: the fit.
-        effects: those of its effects that are to be named.
-        search: what is looked for.
-    """
+    """Yield, for each of some effects of a fit, the fit without it and the best explanation of its residuals."""
     shared = _Shared(BesideNuisances(fit))
     rests = [without(fit, effect) for effect in effects]
     tests = [partial(shared.without, effect) for effect in effects]
-    # Others have the time constants of the catalogue, this one its own.
+    # The effect keeps its own time constant; others have those of the catalogue.
     own = ([effect] if isinstance(effect, ExponentialDrift) else [] for effect in effects)
     tried = [[*addable(rest, search), *mine] for rest, mine in zip(rests, own, strict=True)]
     pairs = zip(rests, tried, strict=True)
@@ -212,7 +200,7 @@ def named_given(fit: ModelFit, effects: Sequence[Effect], search: Search) -> Ite
     shared.test([*(effect for some in tried for effect in some), *spare])
     tables, others = list[CandidateTable](), list[Effect]()
     for effect, rest, test, some in zip(effects, rests, tests, tried, strict=True):
-        # Whether an effect predicts is asked before it goes, not when it is named.
+        # Prediction of held-out blocks is tested when an effect may be removed, not when it is named.
         names = table_of(rest, search, test, some, predicting=effect)
         tables.append(names)
         close = [names.rows[i].effect for i in names.cheapest()[: search.policy.close]]
@@ -224,18 +212,18 @@ def named_given(fit: ModelFit, effects: Sequence[Effect], search: Search) -> Ite
 
 @dataclass
 class _Shared:
-    """Tests against a fit, for tests against the fit without one of its effects.
+    """Tests against a fit, from which tests against the fit without one of its effects follow.
 
     Attributes:
         beside: tests against the fit.
-        passes: what was tested at once, with blocks of rows or without, each candidate with its number.
+        passes: candidates tested together: whether by blocks, the index of each candidate, and the tests.
     """
 
     beside: BesideNuisances
     passes: list[_Pass] = field(default_factory=list)
 
     def test(self, effects: Iterable[Effect], groups: np.ndarray | None = None) -> _Pass:
-        """Test candidates at once, equal ones once."""
+        """Test candidates together, equal ones once."""
         once = {key_of(effect): effect for effect in effects}
         number = {key: i for i, key in enumerate(once)}
         self.passes.append((groups is not None, number, self.beside(tuple(once.values()), groups)))
@@ -250,12 +238,11 @@ class _Shared:
 
 
 def judge_remainders(state: SearchState, search: Search) -> SearchState:
-    """Ask of each name that follows a joint's position what it leaves of this position where it acts.
+    """Test each name that depends on a joint's position for a remaining dependence on it where it acts.
 
-    That is one of a few smooth functions, so that far less of it is more than chance than in a search among all dependences.
-    It has to predict blocks left out, too. The whole curve of a joint's drive takes the place of a simple one that leaves
-    some of it; what acts beside a name is added. Where there is but a hint of either, or where two simple curves of one
-    joint may be one irregular one, it is told as what the name may be part of.
+    The remainder is one of a few smooth functions, so less of it is significant than in a search among all dependences; it
+    has to predict held-out blocks, too. A whole drive curve replaces a simple curve that leaves part of it; other remainders
+    are added. A mere hint of either, or a curve of which two simple ones of a joint may be parts, is listed as equivalent.
     """
     simple = [step.effect.locus.joint for step in state.steps if is_own_curve(step.effect)]
     for step in [step for step in state.steps if len(step.effects) == 1]:
@@ -276,13 +263,13 @@ def judge_remainders(state: SearchState, search: Search) -> SearchState:
                 state = state.with_step(decided(state.fit, rest, search))
         else:
             several = curves[:1] if simple.count(step.effect.locus.joint) > 1 else []
-            told = each_heading_once([*several, *step.equivalent, *hinted], step.effect, search.policy)
-            state = state.with_replaced(step, replace(step, equivalent=told))
+            equivalent = each_heading_once([*several, *step.equivalent, *hinted], step.effect, search.policy)
+            state = state.with_replaced(step, replace(step, equivalent=equivalent))
     return state
 
 
 def _with_whole(state: SearchState, step: SearchStep, whole: Decision, search: Search) -> SearchState:
-    """Return the state with the whole curve of a drive in the place of a simple one."""
+    """Return the state with a simple curve replaced by the whole curve of the drive."""
     rest = without(state.fit, step.effect)
     score = score_test_given_nuisances(rest, [whole.effect]).score([0], int(whole.row.among))
     new = decided(rest, replace(whole, row=replace(whole.row, score=score)), search)
@@ -293,13 +280,13 @@ def _with_whole(state: SearchState, step: SearchStep, whole: Decision, search: S
 
 
 def _whole_curves(effect: Effect, fit: ModelFit) -> list[Effect]:
-    """Return the curves of a joint's drive, the coarsest first, of which a simple one may be a part."""
+    """Return the curves of a joint's drive, the coarsest first, of which a simple curve may be part."""
     own = variants(fit, ("drive",)) if is_own_curve(effect) else ()
     return missing_from(fit, (e for e in own if isinstance(e, Curve) and e.locus.joint == effect.locus.joint))
 
 
 def _most_left(smooth: Sequence[Effect], fit: ModelFit, search: Search) -> Decision | None:
-    """Return what explains most of what a fit leaves, chance or not, and what explains as much; None of nothing."""
+    """Return the function of smallest p-value, significant or not, and its equivalents; None of none."""
     if not smooth:
         return None
 
@@ -318,7 +305,7 @@ def _most_left(smooth: Sequence[Effect], fit: ModelFit, search: Search) -> Decis
 
 
 def _smooth_beside(effect: Effect, fit: ModelFit, search: Search) -> Sequence[Effect]:
-    """Return waves and curves without a name of the position that an effect follows, on its joint or on that joint."""
+    """Return unnamed waves and curves of the position on which an effect depends, on its joint or that position's joint."""
     at, chain = effect.locus, fit.problem.chain
     if not _follows_a_position(effect, fit) or isinstance(effect, Harmonic):
         return ()
@@ -328,15 +315,15 @@ def _smooth_beside(effect: Effect, fit: ModelFit, search: Search) -> Sequence[Ef
 
 
 def _follows_a_position(effect: Effect, fit: ModelFit) -> bool:
-    """Return whether an effect with a name acts on one joint by the position of a joint."""
+    """Return whether a named effect acts on one joint and depends on a joint's position."""
     at = effect.locus
     return effect.family is Family.CAUSE and at.joint is not None and at.follows in fit.problem.chain.robot.joint_names
 
 
 def merge_parts(state: SearchState, search: Search) -> SearchState:
-    """Take a name and a term without one that follow the same variable in the same place as one effect without a name.
+    """Merge a name and an unnamed term of the same variable in the same place into one unnamed effect.
 
-    A name that leaves something of its own variable unexplained where it acts is only the nearest that the catalogue has.
+    A name that leaves part of its own variable unexplained where it acts is only the nearest one in the catalogue.
     """
     for rest in [step for step in state.steps if step.effect.is_nameless]:
         part = next((s for s in state.steps if s is not rest and _is_part(s.effect, rest.effect, state.fit)), None)
@@ -355,12 +342,12 @@ def merge_parts(state: SearchState, search: Search) -> SearchState:
 
 
 def _is_part(effect: Effect, nameless: Effect, fit: ModelFit) -> bool:
-    """Return whether a name follows the same variable, on the same joint or a neighbour, as a term without a name."""
+    """Return whether a name depends on the same variable, on the same or a neighbouring joint, as an unnamed term."""
     at, term, names = effect.locus, nameless.locus, fit.problem.chain.robot.joint_names
     if not _follows_a_position(effect, fit) or isinstance(effect, Harmonic) or at.joint is None or term.joint is None:
-        return False  # Waves many a turn are no part of a smooth function.
+        return False  # Waves of high order are not part of a smooth function.
     if isinstance(nameless, Resolvable) and nameless.resolutions(situation_of(fit)):
-        # A map is a function of its own joint's position as well.
+        # A map is also a function of its own joint's position.
         return {term.joint, term.follows} >= {at.joint, at.follows}
     apart = abs(names.index(term.joint) - names.index(at.joint))
     return apart <= 1 and term.follows == at.follows

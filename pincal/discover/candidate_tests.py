@@ -1,4 +1,4 @@
-"""From a fit to a table of candidates: what may be added, tested against what the model leaves."""
+"""Tables of candidates: effects that may be added to a fit, tested against its residuals."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ from pincal.model.effect import Candidate, Effect, ExponentialDrift, Family, Har
 from pincal.model.effects import Compliance
 
 Tester = Callable[..., ScoreTests]
-"""Tests candidates against a fit, masses projected out, perhaps by blocks: takes effects, and the block of each row."""
+"""Tests candidates against a fit with nuisances projected out, from effects and, optionally, the block of each row."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """What a discovery looks for, the same from its beginning to its end.
+    """Settings of a search.
 
     Attributes:
-        policy: what to go by.
-        extra: effects of the user's own, which take part like those of the catalogue.
-        first: the fit to start from, all rows of it.
-        groups: shape (N,), those of the rows from which effects are chosen.
-        frames: conventions of where moments bend the arm to choose from.
-        nameless: identities of the dependences without a name that take part; default: all.
+        policy: thresholds and limits.
+        extra: effects of the user, candidates like those of the catalogue.
+        first: the fit to start from, with all rows.
+        groups: shape (N,), blocks of the rows from which effects are selected.
+        frames: moment frames to choose from.
+        nameless: identities of the unnamed dependences that are candidates; default: all.
     """
 
     policy: Policy
@@ -60,12 +60,12 @@ class Search:
     nameless: Collection[object] | None = None
 
     def taking_part(self, nameless: Iterable[Effect]) -> list[Effect]:
-        """Return those of some dependences without a name that take part."""
+        """Return the unnamed dependences that are candidates."""
         return [effect for effect in nameless if self.nameless is None or effect.identity in self.nameless]
 
 
 def choose(fit: ModelFit, search: Search) -> Decision | None:
-    """Return the best explanation of what a fit leaves, if it is more than chance."""
+    """Return the best explanation of the residuals of a fit, if it is accepted."""
     test, every = BesideNuisances(fit), addable(fit, search)
     names = table_of(fit, search, test, every)
     best = next((names.rows[i].effect for i in names.passed(search.policy)), None)
@@ -75,9 +75,9 @@ def choose(fit: ModelFit, search: Search) -> Decision | None:
 
 
 def _about_itself(effect: ExponentialDrift, test: Tester) -> ExponentialDrift:
-    """Return an effect with a time constant linearised about what it is estimated to be.
+    """Return an effect with a time constant linearised about its estimate.
 
-    About another constant it leaves what a curve of the time describes, which would pass for better where many rows tell.
+    Linearised about another constant it leaves a remainder that a curve of time describes better, on many rows.
     """
     for _ in range(TESTING.expansions):
         about = effect.about(test([effect]).estimate([0]))
@@ -90,7 +90,7 @@ def _about_itself(effect: ExponentialDrift, test: Tester) -> ExponentialDrift:
 def explanation(
     fit: ModelFit, search: Search, test: Tester, names: CandidateTable, *, predicting: Effect | None = None
 ) -> Decision | None:
-    """Return the same, given the table of all that may be added by name, and what is known to predict."""
+    """Return the best explanation, given the table of named candidates, and an effect taken to predict held-out rows."""
 
     def contest_of(close: Sequence[Row]) -> CandidateTable:
         nameless = unnamed_given(fit, [row.effect for row in close], search)
@@ -105,9 +105,9 @@ def explanation(
 
 
 def hidden_wave(fit: ModelFit, search: Search) -> Decision | None:
-    """Return the wave that chance does not explain among all names, judged as in any other step.
+    """Return the wave that is accepted among all names, as in any other step.
 
-    Coarser curves leave more than noise, which hides waves that blocks left out tell only by little.
+    Before, residuals of coarser curves may have hidden it.
     """
     every = addable(fit, search)
     waves, among = [effect for effect in every if isinstance(effect, Harmonic)], len({effect.identity for effect in every})
@@ -118,18 +118,18 @@ def hidden_wave(fit: ModelFit, search: Search) -> Decision | None:
 
 
 def _with_neighbours(decision: Decision, fit: ModelFit, search: Search, test: Tester) -> Decision:
-    """Return a decision for what has no name with its likes on the joints beside it, which may not have taken part.
+    """Return a decision for an unnamed term with equivalents on neighbouring joints, perhaps no candidates before.
 
-    A joint that turns is nearly one whose neighbour tilts, if that follows the same variable.
+    A rotation of a joint resembles a tilt of its neighbour that depends on the same variable.
     """
     effect, chain = decision.effect, fit.problem.chain
     at, names = effect.locus, list(chain.robot.joint_names)
     if at.joint not in names:
         return decision
     i = names.index(at.joint)
-    beside = nameless_candidates(chain, fit.problem.conditions, names[max(i - 1, 0) : i] + names[i + 1 : i + 2])
-    alike = [e for e in beside if (e.locus.follows, e.locus.shape, e.locus.order) == (at.follows, at.shape, at.order)]
-    every = [effect, *missing_from(fit, alike)]
+    near = nameless_candidates(chain, fit.problem.conditions, names[max(i - 1, 0) : i] + names[i + 1 : i + 2])
+    similar = [e for e in near if (e.locus.follows, e.locus.shape, e.locus.order) == (at.follows, at.shape, at.order)]
+    every = [effect, *missing_from(fit, similar)]
     rivals = table_of(fit, search, test, every, {id(effect): decision.row.cost}).rivals(0, search.policy)
     return replace(decision, equivalent=each_heading_once([*decision.equivalent, *rivals], effect, search.policy))
 
@@ -144,21 +144,21 @@ def table_of(
     predicting: Effect | None = None,
     among: int | None = None,
 ) -> CandidateTable:
-    """Return the table of candidates, named and nameless ones; each kind shares the chance of a false name.
+    """Return the table of named and unnamed candidates; each kind shares the probability of a false name.
 
     Args:
         fit: the fit.
-        search: what is looked for.
+        search: settings of the search.
         test: tests candidates against the fit.
         effects: the candidates.
-        costs: of candidates, by their identity, that are known already.
-        predicting: what is taken to predict rows left out, without being asked.
-        among: of how many they were chosen; default: as many as there are of a kind.
+        costs: known costs of candidates, by ``id``.
+        predicting: an effect that is taken to predict held-out rows, untested.
+        among: number of candidates that share it; default: the number of the kind.
     """
     policy, costs = search.policy, costs or {}
 
     def left_out(effect: Effect) -> Unfitted:
-        # Blocks of rows would take as many times the memory, so they wait for the few of which it is asked.
+        # Blocks of rows take a multiple of the memory, so only the few candidates that need them are tested by blocks.
         tests = test([effect], search.groups)
         return Unfitted(standard_errors(tests.gains_by_block([0])), partial(p_value_of_uneven_noise, fit, tests))
 
@@ -171,7 +171,6 @@ def table_of(
         n = among or count[effect.is_nameless]
         given = range(len(effects), len(effects) + len(spare)) if effect.is_of_loads else range(0)
         score = tests.score_given([i], given, n) if given else tests.score([i], n)
-        # By how much an effect without a name has to be better than one of the catalogue.
         across = 0.0 if effect.locus.acts_on == "drive" else policy.across
         surcharge = policy.without_name + across if effect.is_nameless else 0.0
         row = Row(
@@ -184,7 +183,7 @@ def table_of(
             left_out=None if effect.identity in known else partial(left_out, effect),
             enough=enough_errors(effect),
         )
-        # Asked only where chance does not explain the candidate anyway.
+        # Only needed for significant candidates.
         if is_small and is_more_than_chance(row, policy):
             evidence = tests.log_evidence([i, *given]) - tests.log_evidence(given) if given else tests.log_evidence([i])
             row = replace(row, evidence=evidence)
@@ -193,9 +192,9 @@ def table_of(
 
 
 def spare_compliances(fit: ModelFit, effects: Sequence[Effect], policy: Policy) -> list[Effect]:
-    """Return what else may be compliant, drives and bearings in all directions, beside which candidates are tested.
+    """Return further compliances, of drives and bearings in all directions, given which candidates are tested.
 
-    Few rows do not bring in all that is compliant, and what loads do beside it would stand for the rest.
+    On few rows the model may lack compliances, for which other effects of loads would substitute.
     """
     if not is_small_table(fit, policy) or not any(effect.is_of_loads for effect in effects):
         return []
@@ -205,17 +204,17 @@ def spare_compliances(fit: ModelFit, effects: Sequence[Effect], policy: Policy) 
 
 
 def is_small_table(fit: ModelFit, policy: Policy) -> bool:
-    """Return whether a table has so few rows for the parameters that they determine that priors decide."""
+    """Return whether a table has so few rows per parameter that priors decide."""
     return len(fit.problem) < policy.rows_each * fit.solution.effective
 
 
 def addable(fit: ModelFit, search: Search) -> list[Effect]:
-    """Return what may be added by name: what the data can test and the model does not have yet."""
+    """Return the named effects that the data can test and the model lacks."""
     return _addable(fit, search.extra, search.policy)
 
 
 def named_tests(fit: ModelFit, extra: Sequence[Effect], policy: Policy, others: Sequence[Effect] = ()) -> ScoreTests:
-    """Test all that may be added by name, and others if they are not among them, on the rows that effects are chosen by."""
+    """Test all addable named effects, and others, on the rows from which effects are selected."""
     few, _ = sampled(fit, policy)
     every = _addable(fit, extra, policy)
     return score_test_given_nuisances(few, [*every, *(effect for effect in others if effect not in every)])
@@ -230,13 +229,13 @@ def _addable(fit: ModelFit, extra: Sequence[Effect], policy: Policy) -> list[Eff
 
 
 def _of_stations(fit: ModelFit) -> Iterator[Effect]:
-    """Yield what single stations of several may have by themselves; what changed, from the second one on."""
+    """Yield effects of single stations, if there are several; from the second on also changes since the first."""
     stations = fit.problem.stations
     if len(stations) == 1:
         return
     situations = [PoseSet(station.model.chain, station.conditions) for station in stations]
     tested = [testable(situation) for situation in situations]
-    # The instrument may be one and the same at all of them, and errs at each by itself where it is not.
+    # The instrument may be the same at all stations, or each have its own errors.
     of_each = [[form for of in candidates for form in of.forms if form.is_sighted] for candidates in tested]
     everywhere = [form for form in of_each[0] if all(form in forms for forms in of_each[1:])]
     yield from everywhere
@@ -251,21 +250,21 @@ def has_compliance(effects: Sequence[Effect]) -> bool:
 
 
 def variants(fit: ModelFit, acts_on: Collection[str] | None = None) -> Iterator[Effect]:
-    """Yield what the data can test, or what of it acts in some places, each in the forms that are worth telling apart."""
+    """Yield the effects that the data can test, perhaps only those acting in some places, each in its distinct forms."""
     return _forms(fit, testable(situation_of(fit), acts_on))
 
 
 def _forms(fit: ModelFit, tested: Sequence[Candidate]) -> Iterator[Effect]:
     is_alone = len(fit.problem.stations) == 1
     for candidate in tested:
-        # What belongs to a station is looked for at each by itself.
+        # Effects of stations are tested at each separately.
         yield from (form for form in candidate.forms if is_alone or form.scope == "robot")
 
 
 def unnamed_given(fit: ModelFit, names: Sequence[Effect], search: Search) -> list[Effect]:
-    """Return dependences without a name that take part beside some names, the likeliest first; everywhere beside none.
+    """Return the unnamed candidates that compete with some names, the best first; all without any.
 
-    On the joint of the likeliest and its neighbours all do; beside any other name what follows the same variable there.
+    These are all on the best name's joint and its neighbours, and those of the same variable in the place of any other name.
     """
     if search.nameless is not None and not search.nameless:
         return []
@@ -281,13 +280,13 @@ def unnamed_given(fit: ModelFit, names: Sequence[Effect], search: Search) -> lis
 
 
 def _place(effect: Effect) -> tuple[str | None, str | None, bool]:
-    """Return the joint, the variable, and whether an effect acts about the axis."""
+    """Return joint, variable, and whether an effect acts about the joint's axis."""
     at = effect.locus
     return at.joint, at.follows, at.acts_on in ("drive", "gamma_z")
 
 
 def sampled(fit: ModelFit, policy: Policy) -> tuple[ModelFit, np.ndarray]:
-    """Return a fit on as many of its rows, evenly spread, as are enough to choose what comes next, and these rows."""
+    """Return a fit on a sample of its rows, evenly spread, that is enough to select effects, and their indices."""
     sizes = [station.reading_size for station in fit.problem.stations]
     n, most = len(fit.problem), policy.enough_readings // max(sizes)
     if n <= most:
@@ -295,16 +294,16 @@ def sampled(fit: ModelFit, policy: Policy) -> tuple[ModelFit, np.ndarray]:
     rows, few = np.linspace(0, n - 1, most).astype(int), list[Station]()
     for whole, span in zip(fit.problem.stations, fit.problem.rows, strict=True):
         own = rows[(rows >= span.start) & (rows < span.stop)] - span.start
-        # The same objects whenever they are asked for again: what was evaluated at these poses is then known.
+        # The same objects on each call, so that evaluations at these poses are cached.
         few.append(replace(whole.select(own), conditions=part_of(whole.conditions, own, (n, most, span.start))))
     return fit.over(few, fit.solution.weights[rows]), rows
 
 
 def over_rows_of(fit: ModelFit, whole: ModelFit) -> ModelFit:
-    """Return a fit of some rows as it is, over all the rows of another one, with their weights."""
+    """Return a fit of some rows, not refitted, over all rows of another fit, with their weights."""
     stations = []
     for of, part in zip(whole.problem.stations, fit.problem.stations, strict=True):
-        # What is known of noise along the rows is that of the part.
+        # The parameters of correlated noise are those of the part.
         serial, known = of.serial, part.serial
         serial = None if serial is None or known is None else replace(serial, phi=known.phi, share=known.share)
         stations.append(replace(of, model=part.model, serial=serial))

@@ -1,7 +1,7 @@
-"""Which effect explains what a model leaves, and whether a name is accepted: no fit and no data in here.
+"""Decisions: which effect explains the residuals of a model, and whether a name is accepted. Neither fits nor data here.
 
-Every pass of a search asks :func:`accepted`. The numbers stand in ``policy.py``; the tests behind them are those of
-``first_order.py``. docs/criteria.md derives them.
+Every pass of a search calls :func:`accepted`. The thresholds are in ``policy.py``, the tests in ``first_order.py``;
+docs/criteria.md derives them.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from pincal.discover.policy import TESTING, Policy
 from pincal.model.effect import Curve, Effect, Harmonic
 
 Question = Literal["enter", "elastic", "stay", "rest"]
-"""What is asked of a name: whether it enters, an arm is compliant, it stays, or is the rest of another where that acts."""
+"""What is tested: whether a name enters, an arm is compliant, a name stays, or is the remainder of another."""
 
 
 class Unfitted(NamedTuple):
-    """What blocks of poses left out say of a candidate.
+    """Evidence of held-out blocks of poses on a candidate.
 
     Attributes:
-        errors: standard errors that they gain by it.
-        p_value: of its test whatever the noise is at each visit of a pose; default: not asked.
+        errors: improvement of their prediction, in standard errors.
+        p_value: of the test for noise that differs between visits of poses; default: not tested.
     """
 
     errors: float
@@ -34,20 +34,19 @@ class Unfitted(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """One candidate, its test, and what else it is judged by.
+    """One candidate, its test, and further evidence.
 
     Attributes:
         effect: the candidate.
         score: its test.
-        cost: what it costs to believe it: the extended Bayesian information criterion, and a surcharge without a name;
-            negative is better than nothing.
-        which: the effects that it is made of, by their places among those that were tested.
-        question: what is asked of it.
-        among: of how many candidates it was chosen, which share the chance of a false name.
-        least: what it has to take off the squares to matter to anybody.
-        evidence: log of how much likelier the data are with it, whatever its parameters; inf where rows are many.
-        left_out: tells what blocks left out say of it; default: nobody asks them.
-        enough: standard errors that they have to gain.
+        cost: extended Bayesian information criterion, plus a surcharge if unnamed; negative is better than nothing.
+        which: the effects that it consists of, by index among the tested ones.
+        question: what is tested.
+        among: number of candidates that share the probability of a false name.
+        least: smallest relevant reduction of the squares.
+        evidence: log Bayes factor in favour of it; inf where rows are many.
+        left_out: returns the evidence of held-out blocks; default: not required.
+        enough: required improvement of these, in standard errors.
     """
 
     effect: Effect
@@ -63,7 +62,7 @@ class Row:
 
 
 def allowed_chance(question: Question, among: float, policy: Policy) -> float:
-    """Return what the p-value of one of several candidates has to stay below."""
+    """Return the limit on the p-value of one of several candidates."""
     chances = {
         "enter": policy.false_name,
         "elastic": policy.elastic,
@@ -74,7 +73,7 @@ def allowed_chance(question: Question, among: float, policy: Policy) -> float:
 
 
 def is_more_than_chance(row: Row, policy: Policy) -> bool:
-    """Return whether neither chance nor priors speak against a candidate, and it matters, on the rows that were fitted."""
+    """Return whether a candidate is significant, relevant, and not contradicted by priors, on the fitted rows."""
     limit = allowed_chance(row.question, row.among, policy)
     return row.score.p_value < limit and row.score.gain >= row.least and row.evidence >= -np.log(limit)
 
@@ -82,40 +81,38 @@ def is_more_than_chance(row: Row, policy: Policy) -> bool:
 def accepted(row: Row, policy: Policy) -> bool:
     """Return whether a name is accepted.
 
-    It is if it is more than chance (F test) and matters, if what is known of its size beforehand does not speak against it
-    (Bayes factor, on few rows), and if by it blocks of poses that are left out are predicted better, by more than chance
-    (cross-validation), whatever the noise is at each pose.
+    It has to be significant (F test) and relevant, not contradicted by the prior on its size (Bayes factor, on few rows),
+    and to significantly improve the prediction of held-out blocks (cross-validation), also with uneven noise.
     """
     if not is_more_than_chance(row, policy):
         return False
     if row.left_out is None:
         return True
-    said, limit = row.left_out(), allowed_chance(row.question, row.among, policy)
-    return said.errors > row.enough and (said.p_value is None or said.p_value() < limit)
+    held_out, limit = row.left_out(), allowed_chance(row.question, row.among, policy)
+    return held_out.errors > row.enough and (held_out.p_value is None or held_out.p_value() < limit)
 
 
 @dataclass(frozen=True)
 class CandidateTable:
-    """Candidates against one fit, and their tests."""
+    """Candidates tested against one fit."""
 
     rows: Sequence[Row]
     tests: ScoreTests
 
     def left(self, rows: Sequence[int], given: Sequence[int]) -> float:
-        """Return the p-value of what some candidates taken as one still explain once others are in the model."""
-        which, beside = ([k for i in of for k in self.rows[i].which] for of in (rows, given))
-        return self.tests.score_given(which, beside).p_value
+        """Return the p-value of some candidates together, given others in the model."""
+        return self.tests.score_given(*([k for i in of for k in self.rows[i].which] for of in (rows, given))).p_value
 
     def cheapest(self) -> list[int]:
-        """Return all candidates, the cheapest first."""
+        """Return the indices of all candidates, the cheapest first."""
         return [int(i) for i in np.argsort([row.cost for row in self.rows])]
 
     def passed(self, policy: Policy) -> list[int]:
-        """Return the candidates that are more than chance, the cheapest first."""
+        """Return the indices of significant candidates, the cheapest first."""
         return [i for i in self.cheapest() if is_more_than_chance(self.rows[i], policy)]
 
     def rivals(self, best: int, policy: Policy) -> list[Effect]:
-        """Return the candidates that explain the data as well: little is left for the best once one of them is in."""
+        """Return the candidates that explain the data as well: the best adds little to one of them."""
         found = []
         for i in self.cheapest():
             row, worse = self.rows[i], self.rows[i].cost - self.rows[best].cost
@@ -126,9 +123,9 @@ class CandidateTable:
         return found
 
     def parts(self, whole: int, policy: Policy) -> list[int]:
-        """Return the plainer simple curves of the joint's position that together do what a simple curve does; else none.
+        """Return the lower-rank simple curves of a joint's position that together are equivalent to one; else none.
 
-        A name for what several plainer ones of the same joint do together is none that the data have told.
+        A name that is equivalent to several simpler ones of the same joint together is not determined by the data.
         """
         effect, rank = self.rows[whole].effect, self.rows[whole].score.rank
         if not is_own_curve(effect):
@@ -143,13 +140,13 @@ class CandidateTable:
 
 @dataclass(frozen=True)
 class Decision:
-    """What explains most for what it costs, and effects that the data can't distinguish from it.
+    """The best candidate, and effects that the data can't distinguish from it.
 
     Attributes:
-        row: the candidate; of several effects as one, the first of them.
-        equivalent: the effects, one of which it could also be.
-        together: effects that together explain the data as well, and are among them.
-        effects: what enters; default: the candidate.
+        row: the candidate; of several effects together, the first of them.
+        equivalent: effects that it could also be.
+        together: some of these that only together explain the data as well.
+        effects: the effects that enter; default: the candidate.
     """
 
     row: Row
@@ -172,13 +169,12 @@ class Decision:
 
 
 def decide(names: CandidateTable, contest_of: Callable[[Sequence[Row]], CandidateTable], policy: Policy) -> Decision | None:
-    """Return the best explanation of what a fit leaves; None if there is nothing but chance.
+    """Return the best explanation of the residuals of a fit; None if nothing is significant.
 
     Args:
-        names: all candidates with a name.
-        contest_of: the table of some of them, the best first and as costly as among all, and of the dependences without a
-            name.
-        policy: what to go by.
+        names: all named candidates.
+        contest_of: returns the table of some of them, the best first and at the same costs, and of unnamed dependences.
+        policy: thresholds and limits.
     """
     best = next((i for i in names.cheapest() if accepted(names.rows[i], policy)), None)
     best = best if best is None else _without_equivalents(names, best, policy)
@@ -199,7 +195,7 @@ def decide(names: CandidateTable, contest_of: Callable[[Sequence[Row]], Candidat
 
 
 def _without_equivalents(names: CandidateTable, best: int, policy: Policy) -> int:
-    """Return the likeliest of plainer effects that together explain more than the best does; the best if they don't."""
+    """Return the best of simpler effects that together explain more than the best candidate; this if they don't."""
     parts = names.parts(best, policy)
     if not parts or names.left(parts, [best]) > policy.adds_nothing:
         return best
@@ -207,7 +203,7 @@ def _without_equivalents(names: CandidateTable, best: int, policy: Policy) -> in
 
 
 def _better_without_name(contest: CandidateTable, best: Effect | None, policy: Policy) -> int | None:
-    """Return the dependence without a name that beats the best name, if one does and predicts rows left out."""
+    """Return the unnamed dependence that is accepted at lower cost than the best name, if any."""
     rows = contest.rows
     nameless = next((i for i in contest.passed(policy) if rows[i].effect.is_nameless), None)
     if nameless is None:
@@ -223,10 +219,7 @@ def _decision(table: CandidateTable, best: int, others: Iterable[Effect], policy
 
 
 def each_heading_once(effects: Iterable[Effect], best: Effect, policy: Policy) -> tuple[Effect, ...]:
-    """Return effects without those that a report would call the same as an earlier one or as the best.
-
-    Waves of different orders are different ones: they are what positions on a grid can't tell apart.
-    """
+    """Return effects, each heading once and without the best one's; waves of different orders are different."""
     found: dict[object, Effect] = {}
     for effect in effects:
         found.setdefault(_title(effect), effect)
@@ -238,6 +231,13 @@ def _title(effect: Effect) -> object:
     return (effect.heading, effect.locus.order) if isinstance(effect, Harmonic) else effect.heading
 
 
+def is_near(effect: Effect, other: Effect, near: float) -> bool:
+    """Return whether two effects are waves of one name on one joint, of orders less than ``near`` apart."""
+    if not (isinstance(effect, Harmonic) and isinstance(other, Harmonic)) or effect.heading != other.heading:
+        return False
+    return abs((effect.locus.order or 0.0) - (other.locus.order or 0.0)) < near
+
+
 def is_own_curve(effect: Effect) -> bool:
     """Return whether an effect is a simple curve of the joint's own position, about its own axis."""
     at = effect.locus
@@ -246,11 +246,11 @@ def is_own_curve(effect: Effect) -> bool:
 
 
 def standard_errors(gains: np.ndarray) -> float:
-    """Return the sum of what blocks of poses left out gain, in its standard errors as the blocks differ.
+    """Return the sum of the gains of held-out blocks over its standard error, from the differences between blocks.
 
-    More than one is what it takes, here and everywhere in a discovery, to call a prediction better. One block alone, such as
-    a region that the others don't reach, can't veto what they agree in: if they do by ``TESTING.veto`` standard errors, the
-    blocks that gain least and most count as those next to them (Winsor's mean).
+    A prediction is called better above 1. A single block, such as a region that the others don't reach, can't veto the
+    others: above ``TESTING.veto`` standard errors with the extreme blocks replaced by their neighbours (Winsor's mean), the
+    larger value counts.
     """
     if len(gains) < 2:
         return 0.0
@@ -263,8 +263,5 @@ def _in_errors(gains: np.ndarray) -> float:
 
 
 def enough_errors(effect: Effect) -> float:
-    """Return how many standard errors blocks left out have to gain by an effect.
-
-    More by an effect that is the best of many that were looked at on all blocks.
-    """
+    """Return the required gain of held-out blocks, in standard errors; more if an effect was selected among many on them."""
     return TESTING.searched if effect.looks > 1.0 else TESTING.predicts

@@ -1,13 +1,13 @@
-r"""How fine and how rough drive curves are: what rows and distinct positions carry.
+r"""Resolution and roughness of drive curves.
 
-How rough is what makes the data likeliest whatever the heights (empirical Bayes). With G, g the normal equations of
-everything, the curves as fine as the poses carry them, L the information of all priors and :math:`R_j / w_j^2` that of the
-roughness of curve j, the heights x and their covariance C are those of
-:math:`C = (G + L + \sum_j R_j / w_j^2)^{-1}`, and the likelihood integrated over x is largest where
+The roughness maximises the marginal likelihood (empirical Bayes). With G, g the normal equations of all parameters, the
+curves as fine as the poses allow, L the information of all priors and :math:`R_j / w_j^2` that of the roughness of curve j,
+the coefficients x have the covariance :math:`C = (G + L + \sum_j R_j / w_j^2)^{-1}`, and the likelihood marginalised over x
+is largest where
 
 .. math:: w_j^2 = \frac{x_j^T R_j x_j}{\operatorname{tr} R_j (P_j^{-1} - C_j)} w_j^2, \qquad P_j = D_j^{-2} + R_j / w_j^2,
 
-for priors of size D (Wood and Fasiolo 2017, Biometrics 73, 1071-1081, equation 4); the noise follows from what is left. One
+for priors of size D (Wood and Fasiolo 2017, Biometrics 73, 1071-1081, equation 4); the noise follows from the residuals. One
 pass over the data serves all iterations.
 """
 
@@ -36,29 +36,28 @@ from pincal.robot.robot import Robot
 def smoothed(
     fit: ModelFit, curves: Sequence[Curve], finer: float = 1.0
 ) -> tuple[dict[Curve, tuple[Curve, np.ndarray]], ModelFit]:
-    """Return curves, of a fit or new to it, as fine as the rows tell and as rough as the data say, with heights.
+    """Return curves, in the fit or new, with the resolution and roughness that the data determine, and coefficients.
 
-    The other parameters move with them; the fit is returned with these where they are to first order.
+    Also the fit with its other parameters moved accordingly, to first order.
 
     Args:
         fit: the fit.
         curves: the curves.
-        finer: how many times as fine as their shortest wave of which rows say as much as roughness does.
+        finer: resolution relative to the shortest wave of which rows have as much information as the roughness prior.
     """
     situation, sigma = situation_of(fit), fit.solution.estimated
     fine, smooth = ({curve: curve.smooth(situation, w) for curve in curves} for w in (None, 1.0))
     present = fit.options.effects
     every = [*present, *(curve for curve in curves if curve not in present)]
-    problem, alike = (
+    problem, problem_smooth = (
         fit.problem.with_effects([by.get(e, e) if isinstance(e, Curve) else e for e in every]) for by in (fine, smooth)
     )
     start = carried(fit.solution, fit.problem, problem)
     places = [problem.places_at(curve) for curve in fine.values()]
-    sizes = priors_of(alike, fit.options).sizes
+    sizes = priors_of(problem_smooth, fit.options).sizes
     for curve, at in zip(curves, places, strict=True):
-        # One that the fit does not have begins at nothing.
         heights = fit.values[fit.problem.places_at(curve)] if curve in present else np.zeros(curve.resolution)
-        start.values[at] = _drawn_again(curve, heights, fine[curve])
+        start.values[at] = _resampled(curve, heights, fine[curve])
         start.free[at] = True
     here = Linearised(problem, start.values, start.free, start.weights, sizes)
     found = here.posterior(sigma)
@@ -78,23 +77,23 @@ def smoothed(
     chosen = {}
     for curve, w, at, own in zip(curves, roughness, places, columns, strict=True):
         waves = _pieces(fine[curve], found.form.H[np.ix_(own, own)] / noise, float(w))
-        # Where the rows call for many pieces anyhow, more cost more time than they tell.
+        # Beyond many pieces, a finer curve costs time and adds little.
         pieces = max(waves, min(finer * waves, CURVES.enough_pieces))
         smooth[curve] = curve.smooth(situation, float(w), int(np.ceil(pieces)))
-        chosen[curve] = smooth[curve], _drawn_again(fine[curve], start.values[at] + step[own], smooth[curve])
+        chosen[curve] = smooth[curve], _resampled(fine[curve], start.values[at] + step[own], smooth[curve])
     start.values[kept] += step
     others = problem.carried_over(start.values, fit.problem)
     return chosen, replace(fit, solution=replace(fit.solution, values=others))
 
 
 def _pieces(curve: Curve, information: np.ndarray, roughness: float) -> float:
-    """Return how many pieces are half as long as the shortest waves of which the rows say as much as the roughness does.
+    """Return the number of half waves, over the range, of which rows have as much information as the prior on roughness.
 
-    Of k radians a unit the prior says k^4 / w^2 and rows of levers l the sum of l^2 over their range, whatever k.
+    Of k radians per unit the prior has k^4 / w^2, and rows of levers l the sum of l^2 over their range, for any k.
 
     Args:
         curve: a curve.
-        information: shape (K, K), of the rows about its heights.
+        information: shape (K, K), of the rows on its coefficients.
         roughness: w.
     """
     q, span = _along(curve)
@@ -104,18 +103,18 @@ def _pieces(curve: Curve, information: np.ndarray, roughness: float) -> float:
     return float(span / np.pi * (density * roughness**2) ** 0.25)
 
 
-def _drawn_again(curve: Curve, heights: np.ndarray, other: Curve) -> np.ndarray:
-    """Return the heights of a curve in other pieces."""
+def _resampled(curve: Curve, heights: np.ndarray, other: Curve) -> np.ndarray:
+    """Return the coefficients of a curve in the basis of another resolution."""
     return _heights(other, heights @ curve.basis(_along(other)[0]))
 
 
-def _heights(curve: Curve, drawn: np.ndarray) -> np.ndarray:
-    """Return the heights, shape (..., K), of what is drawn at many positions along a curve, shape (..., N)."""
-    return np.asarray(lstsq(curve.basis(_along(curve)[0]).T, drawn.T, lapack_driver="gelsy", check_finite=False)[0].T)
+def _heights(curve: Curve, sampled: np.ndarray) -> np.ndarray:
+    """Return the coefficients of a curve, shape (..., K), by its values at dense positions, shape (..., N)."""
+    return np.asarray(lstsq(curve.basis(_along(curve)[0]).T, sampled.T, lapack_driver="gelsy", check_finite=False)[0].T)
 
 
 def _along(curve: Curve) -> tuple[np.ndarray, float]:
-    """Return many positions along a curve, and the length of its range."""
+    """Return dense positions along a curve, and the length of its range."""
     lower, upper = curve.locus.span or (-np.pi, np.pi)
     return np.linspace(lower, upper, CURVES.densely * curve.resolution), upper - lower
 
@@ -125,8 +124,8 @@ class CurveSquares:
     """The sum of squares of data and priors about present values of F parameters.
 
     Attributes:
-        rows: what the data alone say.
-        believed: beyond the priors of each parameter, but for the curves' roughness.
+        rows: information of the data.
+        believed: of joint priors, except for the curves' roughness.
         sizes: shape (F,), standard deviations of the priors; inf for none.
         values: shape (F,).
         squares: of the residuals, in units of the noise.
@@ -141,11 +140,9 @@ class CurveSquares:
     readings: int
 
     def likeliest(self, columns: Sequence[np.ndarray], bends: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the likeliest roughness of each curve, the step of all parameters with it, and the variance of the noise.
+        """Return the roughness of each curve that maximises the likelihood, the step of all parameters, and the noise.
 
-        Args:
-            columns: of each curve.
-            bends: of each curve, R.
+        The noise is a variance; the arguments are the columns and R of each curve.
         """
         w, noise = np.full(len(columns), CURVES.roughness), 1.0
         alone = [eigvalsh(R * np.outer(self.sizes[at], self.sizes[at])) for at, R in zip(columns, bends, strict=True)]
@@ -161,7 +158,7 @@ class CurveSquares:
                 w[j] = max(w[j] * np.clip(factor, 1.0 / CURVES.farthest, CURVES.farthest), CURVES.least)
             if np.max(np.abs(np.log(w / before))) < CURVES.settled:
                 break
-        # Known surer, and nearer to what is believed by as much: the others are pulled as before, and move less.
+        # The other parameters have narrower priors about correspondingly nearer values: the same pull, smaller steps.
         firm = np.full(len(self.sizes), 1.0 + CURVES.firm)
         firm[np.concatenate(columns)] = 1.0
         firmly = replace(self, sizes=self.sizes / np.sqrt(firm), values=self.values / firm)
@@ -170,10 +167,9 @@ class CurveSquares:
     def _posterior(
         self, columns: Sequence[np.ndarray], bends: Sequence[np.ndarray], w: np.ndarray, noise: float
     ) -> tuple[np.ndarray, float, list[float]]:
-        """Return what data and priors say together with curves of roughness w.
+        """Return the step to the posterior mode with roughness w, shape (F,), and the effective number of parameters.
 
-        That is the step to the most probable values, shape (F,), the number of parameters that the data know, and of each
-        curve the trace of R and the covariance of its heights.
+        Also, for each curve, the trace of R times the covariance of its coefficients.
         """
         precision = self.sizes**-2.0
         H, g = self.rows.H / noise + self.believed.H, self.rows.g / noise + self.believed.g - precision * self.values
@@ -181,11 +177,11 @@ class CurveSquares:
         for at, R, each in zip(columns, bends, w, strict=True):
             H[np.ix_(at, at)] += R / each**2
             g[at] -= R @ self.values[at] / each**2
-        # The covariance is the square of its root; only parts of it are asked for.
+        # Only parts of the covariance are needed, so its root is enough.
         factor = Factor.of(H)
         root, _ = dtrtri(factor.L, lower=1, overwrite_c=1)
         root *= factor.scale
-        # What is known is known from the rows, but for what priors, beliefs and roughness say.
+        # The effective number of parameters: all, less the shares of priors, joint priors and roughness.
         beliefs = np.flatnonzero(np.any(self.believed.H, axis=1))
         inner = root[:, beliefs]
         spent = len(H) - float(np.einsum("ij,ij->j", root, root) @ (precision + ROUNDING / factor.scale**2))
@@ -199,7 +195,7 @@ class CurveSquares:
 
 
 def notes_on_repeats(robot: Robot, q: np.ndarray) -> Iterator[str]:
-    """Yield what can't be told of joints that take the same positions again and again, q of shape (N, n)."""
+    """Yield notes on joints with few distinct positions, q of shape (N, n)."""
     for joint, kind, x in zip(robot.joint_names, robot.joint_types, q.T, strict=True):
         values = distinct_values(x)
         if 1 < values < CURVES.enough and values == most_pieces(x):
@@ -213,10 +209,10 @@ def notes_on_repeats(robot: Robot, q: np.ndarray) -> Iterator[str]:
 
 
 def resolved(fit: ModelFit, effect: Effect, groups: np.ndarray) -> tuple[Effect, np.ndarray, np.ndarray]:
-    """Return an effect that a fit does not have yet as fine as the rows tell; itself if it has no resolution.
+    """Return an effect that a fit lacks with the resolution that the rows determine; itself if it has none.
 
-    A curve is as smooth as the likelihood of the data says; of others the resolution is taken that predicts blocks of poses
-    left out best. Its parameters and those of the effect as it was given are returned as well, to first order.
+    A curve's follows from the marginal likelihood, that of other effects from the prediction of held-out blocks. Also its
+    parameters, and those of the effect as given, to first order.
     """
     test = BesideNuisances(fit)
     estimate = test([effect]).estimate([0])

@@ -1,4 +1,4 @@
-"""How an arm is compliant: what enters as one, which compliances are sure, what else could be, and what would tell."""
+"""Compliances of an arm: which enter together, which are significant, their equivalents, and deciding measurements."""
 
 from __future__ import annotations
 
@@ -31,20 +31,19 @@ from pincal.parameters import Estimate
 
 
 def elastic_way(fit: ModelFit, policy: Policy) -> Decision | None:
-    """Return how an arm is compliant beyond a fit; None if that is no more than chance.
+    """Return the compliances that a fit lacks; None if they are not significant.
 
-    Where one drive or one bearing leaves nothing but chance to the others, it enters alone: among twenty parameters that
-    trade with each other nobody could tell which it is. On a small table what bends least is enough: drives without
-    bearings, or one of either, if that is likelier before the data than all.
+    One drive or one bearing enters alone if all others add nothing significant to it: among twenty correlated parameters it
+    could not be identified. On a small table drives without bearings, or one of either, may be more probable than all.
     """
     chain, block = fit.problem.chain, missing_compliances(fit)
     if not block:
         return None
     parts = [part for effect in block for part in effect.parts(chain)]
-    # One bearing alone is compliant in directions of its own; where it sits, nothing shows before it is compliant.
+    # A single bearing has its own principal directions; its place is not observable before it is compliant.
     forms = [(part, *(e for e in bearing_features(chain, (part,)) if e.uses_moments)) for part in parts]
     starts = np.cumsum([0, *map(len, forms)])
-    # All arms are compliant: what gravity bends is not left to geometry that nobody would have built.
+    # All arms are compliant, so geometric errors beyond their priors are not preferred to deflection by gravity.
     tests = score_test_given_nuisances(fit, [effect for form in forms for effect in form], wider=1.0)
     whole = [int(i) for i in starts[:-1]]
     families = [[i for i, part in zip(whole, parts, strict=True) if part.name == effect.name] for effect in block]
@@ -70,24 +69,24 @@ def _row(tests: ScoreTests, effect: Effect, which: Sequence[int], groups: int) -
 
 
 def _is_accepted(row: Row, p_value: float, policy: Policy) -> bool:
-    """Return whether a row is accepted by another p-value than that of its own test."""
+    """Return whether a row is accepted with another p-value than its own."""
     return accepted(replace(row, score=replace(row.score, p_value=p_value)), policy)
 
 
 def _likeliest(
     tests: ScoreTests, ways: Sequence[tuple[tuple[Compliance, ...], Sequence[int]]], policy: Policy
 ) -> Decision | None:
-    """Return the way that is likeliest before the data, the choice among as many of its kind paid for; None without any."""
+    """Return the way of largest evidence, corrected for the number of its kind; None if it is not accepted."""
     kinds = [len(effects) == 1 and effects[0].only is not None for effects, _ in ways]
     evidence = [tests.log_evidence(of) - np.log(kinds.count(kind)) for (_, of), kind in zip(ways, kinds, strict=True)]
     effects, of = ways[int(np.argmax(evidence))]
-    # What is known beforehand decides, whatever chance would make of it.
+    # The evidence decides, not the p-value.
     row = replace(_row(tests, effects[0], of, 1), question="enter", evidence=max(evidence))
     return Decision(row, effects=effects) if _is_accepted(row, 0.0, policy) else None
 
 
 def with_features(fit: ModelFit, effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Return effects, and of bearings among them what else a fit knows of each, which goes where they go."""
+    """Return effects with the features of bearings among them, which are added and removed together."""
     found, chain = list(effects), fit.problem.chain
     for effect in effects:
         if isinstance(effect, Compliance):
@@ -97,21 +96,20 @@ def with_features(fit: ModelFit, effects: Iterable[Effect]) -> tuple[Effect, ...
 
 
 def _chance(tests: ScoreTests, ways: Sequence[Sequence[int]], given: Sequence[int] = ()) -> float:
-    """Return the p-value of the surest of several ways, the choice among them paid for; beside what is given."""
+    """Return the smallest p-value of several ways, corrected for their number, perhaps given others in the model."""
     scores = (tests.score_given(way, given) if given else tests.score(way, 1) for way in ways)
     return len(ways) * min(score.p_value for score in scores)
 
 
 class Sure(NamedTuple):
-    """A compliance of one joint that is far from zero.
+    """A compliance of one joint that is significant.
 
     Attributes:
         effect: the drive or the bearing.
-        estimate: its parameters and those of the same name that go with them.
-        p_value: the chance of compliances as large if there were none: of its own, with that other one as it is if it
-            is sure only so, or of all of its step where none is sure.
-        others: what could be compliant instead: none of its step is sure, or the data can't tell it from these.
-        beside: parameters of the other one, if it is sure only together with another.
+        estimate: its parameters and features.
+        p_value: of its compliances, perhaps conditional on another one, or of the whole step if none is significant.
+        others: compliances that it could be instead.
+        beside: parameters of another compliance, if it is significant only conditional on that.
     """
 
     effect: Effect
@@ -122,15 +120,15 @@ class Sure(NamedTuple):
 
 
 def sure_compliances(fit: ModelFit, effects: Iterable[Effect], equivalent: tuple[Effect, ...] = ()) -> list[Sure]:
-    """Return the compliances among effects that are far from zero, the surest first.
+    """Return the compliances among effects that are significantly different from zero, the most significant first.
 
     Args:
-        fit: the fit in which they are.
-        effects: what entered together.
-        equivalent: what the data can't tell from it.
+        fit: the fit with them.
+        effects: effects that entered together.
+        equivalent: effects that the data can't distinguish from these.
 
     Returns:
-        If none is far from zero, the surest alone, with the others in its place and the p-value of all together.
+        If none is significant, the first alone, with the others as equivalents and the p-value of all together.
     """
     found, chain = list[tuple[float, int, Sure]](), fit.problem.chain
     for effect in effects:
@@ -154,15 +152,13 @@ def sure_compliances(fit: ModelFit, effects: Iterable[Effect], equivalent: tuple
 
 
 def _squares(estimate: Estimate, known: Estimate | None = None) -> tuple[float, int]:
-    """Return the squares of compliances in units of their covariance, and their number.
-
-    Some that trade with each other may be sure together and none of them alone.
+    """Return Wald's statistic of compliances, and their number.
 
     Args:
         estimate: the parameters.
-        known: these first, then others that are taken to be as they are; default: without others.
+        known: these first, then others that are conditioned on; default: no others.
     """
-    # Where one sits says nothing of whether it is compliant.
+    # The place of a bearing is not part of the test.
     bends = [np.array([p.is_compliance for p in some.parameters]) for some in (estimate, known or estimate)]
     values, size = estimate.values[bends[0]], int(bends[0].sum())
     covariance = (known or estimate).dense_covariance()[np.ix_(bends[1], bends[1])]
@@ -171,11 +167,10 @@ def _squares(estimate: Estimate, known: Estimate | None = None) -> tuple[float, 
 
 
 def _sure_together(fit: ModelFit, doubtful: Sequence[Sure]) -> Iterator[tuple[float, Sure]]:
-    """Yield the compliances that would be sure if another one stayed as it is, each with that of which this holds most.
+    """Yield Wald's statistic and compliances that are significant conditional on another one, each with the best such.
 
-    Their squares come first.
-
-    A drive and the bearing of the joint before may turn an arm nearly alike; that one is compliant is sure, not which.
+    A drive and the bearing of the previous joint may be nearly equivalent: that one of them is compliant is significant, but
+    not which.
     """
     for one in doubtful:
         pairs = []
@@ -193,19 +188,19 @@ def instead_of(
 ) -> tuple[Effect, ...]:
     """Return the effects of loads that explain the data as well as one joint's compliances do.
 
-    A bearing that tilts with the link before is, at the first joint, the foundation that tilts, and at others the end of a
-    link that bends; all bearings came in together, so that none of them was ever judged against these.
+    A tilting bearing is equivalent to a tilting foundation at the first joint, and to a bending link at others; as all
+    bearings entered together, none of them was tested against these.
 
     Args:
-        tests: those against the last model, in which the compliance is.
+        tests: tests against the last model, which includes the compliance.
         compliance: the effect, of one joint.
         estimate: its parameters.
-        beside: parameters of another compliance, which stays as it is, or it would take over most itself.
-        policy: what counts as a tie.
+        beside: parameters of another compliance that is held fixed, as it would absorb most itself.
+        policy: its tie limit.
     """
-    # Without the compliance it does not matter where it sits: that stays as it is.
+    # Without compliance the place of a bearing has no effect, so it is kept.
     lost = {p.name: float(value) * p.is_compliance for p, value in zip(estimate.parameters, estimate.values, strict=True)}
-    # What acts in the same place is a finer form of it.
+    # An effect in the same place is a finer form of it.
     loads = [i for i, e in enumerate(tests.effects) if e.family is Family.LOAD and _place(e) != _place(compliance)]
     if beside and loads:
         tests, loads = _holding(tests.among(loads, ()), beside), list(range(len(loads)))
@@ -215,16 +210,16 @@ def instead_of(
 
 
 def _holding(tests: ScoreTests, names: Collection[str]) -> ScoreTests:
-    """Return the same tests against the model with some of its parameters held where they are."""
+    """Return the same tests against the model with some of its parameters held fixed."""
     held = np.array([name in names for name in tests.names])
     H = tests.model.prior.H + np.diag(held * np.diag(tests.model.rows.H) * TESTING.held)
     return replace(tests, model=Information(tests.model.blocks, replace(tests.model.prior, H=H)))
 
 
 def costs_instead(tests: ScoreTests, which: Sequence[int], lost: Mapping[str, float]) -> list[float]:
-    """Return the changes of the information criterion if each candidate took the place of some parameters of the model.
+    """Return the changes of the information criterion if each candidate replaced some parameters of the model.
 
-    Both are in the model first, priors included, and these parameters then lose what they are told to, to first order.
+    To first order: from a model with both, the parameters are reduced by ``lost``.
     """
     j = np.array([i for i, name in enumerate(tests.names) if name in lost], int)
     columns = tests.model.factor.solve(np.eye(tests.n_model)[:, j])
@@ -234,16 +229,16 @@ def costs_instead(tests: ScoreTests, which: Sequence[int], lost: Mapping[str, fl
     for i, (c, S, b) in ((i, tests.within([i])) for i in which):
         inverse = np.linalg.inv(S + tests.prior([i]))
         cross = columns.T @ tests.cross[:, c]
-        left = values - cross @ inverse @ b
-        loss = left @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, left) - b @ inverse @ b
+        rest = values - cross @ inverse @ b
+        loss = rest @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, rest) - b @ inverse @ b
         costs.append(float(loss + (len(c) - spared) * np.log(tests.readings)))
     return costs
 
 
 def without_compliance(fit: ModelFit, *compliances: Effect) -> ModelFit:
-    """Return a fit as it stands without some compliances, of one joint each, its noise that of a fit of everything else.
+    """Return a fit without some compliances, of one joint each, not refitted, but with the noise of a refit.
 
-    To first order that takes no fit: the squares grow by those of the compliances, in units of their covariance.
+    To first order the squares increase by Wald's statistic of the compliances.
     """
     effects = fit.options.effects
     for compliance in compliances:
@@ -258,7 +253,7 @@ def without_compliance(fit: ModelFit, *compliances: Effect) -> ModelFit:
 
 
 def _without(effects: Iterable[Effect], compliance: Effect, joints: Sequence[str]) -> Iterator[Effect]:
-    """Yield effects without the compliance of one joint and what else there is to know of it."""
+    """Yield effects without the compliance of one joint and its features."""
     joint = compliance.locus.joint
     for effect in effects:
         own = effect.heading[0] == compliance.heading[0]
@@ -266,7 +261,7 @@ def _without(effects: Iterable[Effect], compliance: Effect, joints: Sequence[str
             have = joints if effect.joints is None else effect.joints
             yield replace(effect, joints=tuple(name for name in have if name != joint))
         elif own and effect.locus.joint is None:
-            # What else there is to know of all bearings stays with the others.
+            # Features of all bearings are kept for the others.
             feature: Any = effect
             yield from (replace(feature, joint=name) for name in joints if name != joint)
         elif not own or effect.locus.joint != joint:
@@ -278,15 +273,15 @@ def _place(effect: Effect) -> tuple[str | None, str, str | None]:
 
 
 def deciding_measurement(fit: ModelFit, effect: Effect, value: np.ndarray, *rivals: Effect) -> str:
-    """Return, in words, the cheapest further measurement that would tell an effect from a rival, or several together.
+    """Return, in words, the cheapest further measurement that would distinguish an effect from rivals.
 
-    For each kind of further run the power to tell them apart is computed from the Jacobian at its poses.
+    The power of each kind of further run is computed from the Jacobian at its poses.
 
     Args:
         fit: the fit before the effect was added.
         effect: the effect.
         value: its parameters, shape (K,).
-        rivals: the other one, or those that are together equivalent.
+        rivals: one rival, or several that are equivalent only together.
     """
     few, _ = sampled(fit, POLICY)
     stations, rows_each = few.problem.stations, len(fit.problem) / len(few.problem)
@@ -302,8 +297,8 @@ def deciding_measurement(fit: ModelFit, effect: Effect, value: np.ndarray, *riva
             there = tests_at(design[words] for design in designs)
         except (ValueError, KeyError):
             continue
-        told = _separation([here, there], rows_each, value)
-        if told > SIGHT.told_apart and told > SIGHT.telling * _separation([here, here], rows_each, value):
+        power = _separation([here, there], rows_each, value)
+        if power > SIGHT.told_apart and power > SIGHT.telling * _separation([here, here], rows_each, value):
             return words
     many = SIGHT.told_apart / max(_separation([here], rows_each, value), 1e-9)
     if many < SIGHT.repetitions:
@@ -312,12 +307,12 @@ def deciding_measurement(fit: ModelFit, effect: Effect, value: np.ndarray, *riva
 
 
 def _separation(runs: Sequence[ScoreTests], weight: float, value: np.ndarray) -> float:
-    """Return the signal of the first effect that the others can't take over, squared, in units of the noise.
+    """Return the squared signal of the first effect that the others can't absorb, in units of the noise.
 
     Args:
-        runs: the tests of all at the poses of each run.
+        runs: the tests of all effects at the poses of each run.
         weight: of each row.
-        value: the parameters of the first.
+        value: the parameters of the first effect.
     """
     c, *others = runs[0].columns
     g = np.concatenate(others)
@@ -330,18 +325,17 @@ def _separation(runs: Sequence[ScoreTests], weight: float, value: np.ndarray) ->
     G = S[np.ix_(g, g)]
     scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))
     taken = scale[:, None] * np.linalg.pinv(G * np.outer(scale, scale), rcond=1e-6, hermitian=True) * scale
-    left = S[np.ix_(c, c)] - S[np.ix_(c, g)] @ taken @ S[np.ix_(g, c)]
-    return float(max(value @ left @ value, 0.0))
+    return float(max(value @ (S[np.ix_(c, c)] - S[np.ix_(c, g)] @ taken @ S[np.ix_(g, c)]) @ value, 0.0))
 
 
 def _runs(chain: Chain, c: Conditions) -> dict[str, Conditions]:
-    """Return further runs that a user could make instead of these poses, cheapest first; the same objects if asked again."""
+    """Return further runs that a user could make instead of these poses, cheapest first; cached."""
     runs: dict[str, Conditions] = chain.kept.about("further runs", c, most=16)
     if runs:
         return runs
     robot, rng = chain.robot, np.random.default_rng(0)
     if c.sighted is not None:
-        # A quarter of the way around the poses, its axes as they are; that its place is found anew costs six readings.
+        # A quarter turn around the poses, its axes unchanged; relocating it costs six readings.
         x, y, _ = c.sighted.mean(axis=0)
         away = replace(c, sighted=c.sighted - [x + y, y - x, 0.0])
         runs["the same poses with the instrument on another side of the robot, as a second station"] = away
@@ -365,9 +359,9 @@ def _runs(chain: Chain, c: Conditions) -> dict[str, Conditions]:
 
 
 def likeliest_fit(fit: ModelFit, compliances: Sequence[Effect], frames: Sequence[MomentFrame]) -> ModelFit:
-    """Return a fit with compliances in the convention in which they explain most; the first unless beyond chance.
+    """Return a fit with compliances in the moment frame in which they explain most; the first unless significant.
 
-    What the data call for of the bearings takes part in the choice, and may enter once names have had their turn.
+    The comparison includes bearing features that the data require; these may enter after names.
     """
     effects = [*fit.options.effects, *compliances]
     fits = {frame: refit(fit, effects, moment_frame=frame) for frame in frames}

@@ -1,16 +1,16 @@
-r"""How a search ends: noise that comes by way of the joints, waves that are one line, a covariance that pays for the choice.
+r"""Final passes of a search: joint noise, waves that form one line, and a covariance that includes the selection.
 
-What no effect describes is mostly somewhere in the drives: friction, backlash, waves too short for a curve. It moves the
-readings of a pose together, the more the longer the levers. With noise :math:`\sigma_b` of the instrument, levers :math:`J`
-and variances :math:`\tau_j^2` of the joints, the covariance of a row is
+Unmodelled errors are mostly in the drives: friction, backlash, waves too short for a curve. They move all readings of a pose
+together, in proportion to the levers. With noise :math:`\sigma_b` of the instrument, levers :math:`J` and variances
+:math:`\tau_j^2` of the joints, the covariance of a row is
 
 .. math:: V = \operatorname{diag}(\sigma_b^2) + J \operatorname{diag}(\tau_j^2) J^T,
 
-whose variances are those by which the residuals of a fit are likeliest. A fit that weighs its rows by V (generalised least
-squares) is the most exact one, and does not take readings of one joint's error for several.
+with the variances of maximum likelihood. A fit with weights from V (generalised least squares) is the most accurate one, and
+does not count one joint's error as several.
 
-Over S turns of a joint a wave shows orders 1 / S to either side of its own; two that are less than 2 / S apart are as well
-one line between them that waxes and wanes once over the span, as the load or the mesh of a gear makes it.
+Over S turns of a joint a wave has a line width of 1 / S to either side of its order; two orders less than 2 / S apart may be
+a single line between them whose amplitude varies once over the span, as with the load or the mesh of a gear.
 """
 
 from __future__ import annotations
@@ -26,18 +26,13 @@ import numpy as np
 from scipy.optimize import minimize
 
 from pincal.discover.candidate_tests import Search, over_rows_of, sampled
-from pincal.discover.decisions import each_heading_once
+from pincal.discover.decisions import each_heading_once, is_near
 from pincal.discover.drive_curves import smoothed
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import MassError, levers, missing_features, situation_of
 from pincal.discover.policy import NOISE, WAVES
 from pincal.discover.score_tests import score_test_given_nuisances
-from pincal.discover.steps import (
-    History,
-    SearchState,
-    SearchStep,
-    worded,
-)
+from pincal.discover.steps import History, SearchState, SearchStep, worded
 from pincal.identify.calibrate import Tolerance, refit
 from pincal.identify.choices import deviance
 from pincal.identify.dependence import with_blocks
@@ -52,11 +47,11 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class JointNoise:
-    """What moves the readings from row to row.
+    """Noise of joints and instrument.
 
     Attributes:
         joints: shape (n,), standard deviation of each joint's position [rad or m].
-        instrument: shape (blocks,), that of the readings otherwise, by block of readings of all stations.
+        instrument: shape (blocks,), standard deviation of the readings otherwise, by block of readings of all stations.
     """
 
     joints: np.ndarray
@@ -64,7 +59,7 @@ class JointNoise:
 
 
 def joint_noise(fit: ModelFit) -> JointNoise | None:
-    """Return the noise that comes by way of the joints; None where noise is declared or the residuals don't call for it."""
+    """Return the noise of joints and instrument; None where noise is declared or joint noise is not significant."""
     problem, solution = fit.problem, fit.solution
     readings = problem.readings(solution.weights).sum()
     is_declared = any(sigma is not None for sigma in fit.noise.declared)
@@ -83,9 +78,9 @@ def joint_noise(fit: ModelFit) -> JointNoise | None:
 
 
 def weighed(fit: ModelFit, noise: JointNoise) -> ModelFit:
-    """Return a fit as it is whose readings are to be weighed by this noise.
+    """Return a fit, not refitted, with weights from this noise.
 
-    The size of the noise of each block of readings keeps its meaning: that of a single reading, all causes together.
+    The noise of each block of readings is still that of a single reading from all causes together.
     """
     drives, stations = tuple(map(int, fit.problem.chain.drives)), []
     for (station, _, blocks), alone in zip(fit.stations, fit.alone, strict=True):
@@ -105,7 +100,7 @@ def weighed(fit: ModelFit, noise: JointNoise) -> ModelFit:
 
 
 def note_on_joints(fit: ModelFit) -> str | None:
-    """Return what to say of a fit whose readings are weighed by this noise; None of any other."""
+    """Return the note on a fit whose readings are weighted by joint noise; None for any other."""
     if fit.is_declared or all(station.whitening is None for station in fit.problem.stations):
         return None
     noise, robot = joint_noise(fit), fit.problem.chain.robot
@@ -113,8 +108,8 @@ def note_on_joints(fit: ModelFit) -> str | None:
     triples = zip(robot.joint_names, joints.tolist(), robot.joint_units, strict=True)
     sizes = ", ".join(f"{joint} {format_small(sigma, unit)}" for joint, sigma, unit in triples if sigma > 0.0)
     return (
-        f"the residuals look like joint noise ({sizes or 'hardly'} from row to row), and the "
-        "final fit weights the readings of each row accordingly"
+        f"the residuals are consistent with joint noise ({sizes or 'negligible'} from row to row), and the final fit "
+        "weights the readings of each row accordingly"
     )
 
 
@@ -124,7 +119,7 @@ class _Readings:
 
     Attributes:
         residuals: shape (N, m).
-        levers: shape (N, m, n), how they move with each joint.
+        levers: shape (N, m, n), their derivatives by each joint.
         block: shape (m,), the block of each reading.
     """
 
@@ -134,7 +129,7 @@ class _Readings:
 
 
 def _readings(fit: ModelFit) -> Iterator[_Readings]:
-    """Yield rows of each station that count, as many as tell the variances."""
+    """Yield rows of each station that count, as many as the variances need."""
     drives = tuple(map(int, fit.problem.chain.drives))
     for station, alone, blocks in fit.in_places:
         sound = np.flatnonzero(alone.solution.weights > 0.0)
@@ -149,7 +144,7 @@ def _readings(fit: ModelFit) -> Iterator[_Readings]:
 
 
 def _likeliest(parts: Sequence[_Readings], n_blocks: int) -> tuple[np.ndarray, float]:
-    """Return the likeliest variances of joints and blocks, shape (n + blocks,), and what those of joints gain."""
+    """Return the variances of joints and blocks of maximum likelihood, shape (n + blocks,), and the gain by joints."""
     n = parts[0].levers.shape[2]
     squares, counts = np.zeros(n_blocks), np.zeros(n_blocks)
     for part in parts:
@@ -181,7 +176,7 @@ def _likeliest(parts: Sequence[_Readings], n_blocks: int) -> tuple[np.ndarray, f
 
 
 def name_lines(state: SearchState, search: Search) -> SearchState:
-    """Take waves that the span of their joint can't tell apart as one line, and give it the name that its order suggests."""
+    """Join waves that the span of their joint can't resolve into one line, and give it the name that its order suggests."""
     for step in _lines(state.steps):
         state = _joined(state, step)
     for wave in sorted((step.effect for step in _lines(state.steps)), key=_order):
@@ -191,7 +186,7 @@ def name_lines(state: SearchState, search: Search) -> SearchState:
 
 
 def line_details(trail: History, step: SearchStep) -> dict[str, Any]:
-    """Return what is to be said of a line beside its name: fields of :class:`FoundEffect`; nothing of other effects."""
+    """Return the further fields of :class:`FoundEffect` of a line; empty for other effects."""
     if not isinstance(step.effect, Harmonic):
         return {}
     width, orders = _resolution(trail.final, step.effect), [_order(effect) for effect in step.effects]
@@ -217,27 +212,22 @@ def _resolution(fit: ModelFit, effect: Effect) -> float:
 
 
 def _joined(state: SearchState, step: SearchStep) -> SearchState:
-    """Return the state in which a wave is part of an earlier line, if it is no further from it than the span tells."""
+    """Return the state in which a wave is part of an earlier line, if the span can't resolve them."""
     near = WAVES.line * _resolution(state.fit, step.effect)
     earlier = _lines(state.steps[: state.steps.index(step)])
-    line = next((s for s in earlier if all(_is_near(step.effect, part, near) for part in s.effects)), None)
+    line = next((s for s in earlier if all(is_near(step.effect, part, near) for part in s.effects)), None)
     if line is None:
         return state
     parts = (*line.effects, *step.effects)
     log.info("%s: one line with %s", worded(step.effects), worded(line.effects[:1]))
-    others = tuple(other for other in line.equivalent if not any(_is_near(other, part, near) for part in parts))
+    others = tuple(other for other in line.equivalent if not any(is_near(other, part, near) for part in parts))
     return state.with_replaced(line, replace(line, effects=parts, equivalent=others)).without_step(step)
 
 
-def _is_near(effect: Effect, other: Effect, near: float) -> bool:
-    """Return whether two effects are waves of one name on one joint, and of nearly one order."""
-    return effect.heading == other.heading and abs(_order(effect) - _order(other)) < near
-
-
 def _as_suggested(state: SearchState, step: SearchStep, search: Search) -> SearchState:
-    """Return the state with the cause that the order of a line suggests in its place, and of others that this has in it.
+    """Return the state with a line, and others that its cause contains, replaced by the cause that its order suggests.
 
-    It has to explain the data as well in the very order that it has by its nature.
+    The cause has to explain the data as well at its exact order.
     """
     wave, *others = step.effects
     width = _resolution(state.fit, wave)
@@ -252,30 +242,30 @@ def _as_suggested(state: SearchState, step: SearchStep, search: Search) -> Searc
     if deviance(after) > deviance(state.fit) + search.policy.tie:
         return state
     log.info("%s is %s by its order", worded([wave]), worded([cause]))
-    told = each_heading_once([wave, *(e for e in step.equivalent if not _is_near(e, cause, width))], cause, search.policy)
-    state = state.tuned(step, replace(step, effects=(cause,), equivalent=told, after=after))
-    if gone := [part for part in inside if part[0] is not wave]:
-        left = tuple(effect for part in gone for effect in part)
-        state = state.changed(after, tuple(s for s in state.steps if s.effects not in gone), (), left)
+    rivals = each_heading_once([wave, *(e for e in step.equivalent if not is_near(e, cause, width))], cause, search.policy)
+    state = state.tuned(step, replace(step, effects=(cause,), equivalent=rivals, after=after))
+    if removed := [part for part in inside if part[0] is not wave]:
+        steps = tuple(s for s in state.steps if s.effects not in removed)
+        state = state.changed(after, steps, (), tuple(chain.from_iterable(removed)))
     return state
 
 
 def widened(trail: History) -> ModelFit:
-    r"""Return the last fit of a discovery with a covariance that pays for what the model does not have.
+    r"""Return the last fit of a discovery with a covariance that includes the uncertainty of its model.
 
-    A fit's covariance holds if its effects are all there are. After a discovery they are those that were chosen, and three
-    things are left out that move other poses as well: masses and centres of mass are a few per cent off, which the score
-    tests grant and the model does not have; among the candidates that were refused some may be there; and each bearing has
-    directions and a place of its own, which enter only where the data call for them. What each adds to the
-    variance of a prediction follows, on average over the rows, from the projected products of the score tests,
+    A fit's covariance holds if its effects are complete. A discovery selects them, and three errors remain that affect other
+    poses, too: masses and centres of mass are a few per cent off, which the score tests allow for and the model does not;
+    some of the rejected candidates may be present; and each bearing has its own directions and place, which enter only where
+    the data require them. What each adds to the variance of a prediction follows, on average over the rows, from the
+    projected products of the score tests,
 
     .. math:: e_m = m^T S' m + \operatorname{tr} S' C, \qquad C = (S' + D^{-2})^{-1}, \quad m = C b' ,
 
     for masses known to D, in units of the noise and summed over the readings, and the mean over candidates,
     :math:`e_c = \sum_g w_g T_g`, with weights from the information criterion, :math:`w_g \propto \exp(-\mathrm{EBIC}_g/2)`,
-    1 for no candidate (Bayesian model averaging: Hoeting et al. 1999, Stat. Sci. 14, 382-417); of bearings the same of each
-    direction and place by itself, :math:`e_b`. What the fit's own parameters add is their effective number p. So the
-    covariance is that of noise whose variance is :math:`1 + (e_m + e_c + e_b) / p` times as large.
+    1 for no candidate (Bayesian model averaging: Hoeting et al. 1999, Stat. Sci. 14, 382-417); for bearings the same of each
+    direction and place separately, :math:`e_b`. The fit's own parameters add their effective number p. So the covariance is
+    that of noise with a variance :math:`1 + (e_m + e_c + e_b) / p` times as large.
     """
     fit = trail.final
     few, _ = sampled(fit, trail.policy)
@@ -287,11 +277,9 @@ def widened(trail: History) -> ModelFit:
 
 
 def of_masses(fit: ModelFit, tests: ScoreTests) -> float:
-    """Return what masses that are off add to the variance of the rows, summed over readings, in units of the noise.
+    """Return what errors of masses add to the variance of the rows, summed over readings, in units of the noise.
 
-    Args:
-        fit: the fit.
-        tests: those of what it does not have of its bearings, beside its masses alone.
+    The tests are of missing bearing features, with the masses as the only nuisance.
     """
     masses = MassError.of(*fit.arm)
     if masses is None:
@@ -299,7 +287,7 @@ def of_masses(fit: ModelFit, tests: ScoreTests) -> float:
     place = {name: i for i, name in enumerate(tests.names)}
     parameters = masses.parameters(fit.problem.chain)
     at, sizes = [place[p.name] for p in parameters], np.array([p.size for p in parameters])
-    # Beside the fit's parameters, what rows and priors say of them together.
+    # Posterior of the masses, with the fit's parameters marginalised.
     half = tests.model.factor.half(np.eye(tests.n_model)[:, at] / sizes)
     C, most_probable = half.T @ half, half.T @ tests.model.slope
     S = np.linalg.inv(C) - np.eye(len(C))
@@ -307,16 +295,16 @@ def of_masses(fit: ModelFit, tests: ScoreTests) -> float:
 
 
 def of_bearings(tests: ScoreTests) -> float:
-    """Return the same of directions and places of bearings that the data did not call for: each may be there by itself."""
+    """Return the same for directions and places of bearings that the data did not require, each separately."""
     return float(sum(of_candidates(tests, [i]) for i in range(len(tests.effects))))
 
 
 def of_candidates(tests: ScoreTests, which: Sequence[int] | None = None) -> float:
-    """Return the same of the candidates that were refused, each weighed by how likely it is there all the same.
+    """Return the same for rejected candidates, weighted by the probability that each is present.
 
     Args:
-        tests: those against the last model.
-        which: of which candidates, one of them at most there; default: all.
+        tests: tests against the last model.
+        which: candidates of which at most one is present; default: all.
     """
     which = range(len(tests.effects)) if which is None else which
     groups = len({tests.effects[i].identity for i in which})
@@ -329,10 +317,10 @@ def of_candidates(tests: ScoreTests, which: Sequence[int] | None = None) -> floa
 
 
 def fit_all_rows(state: SearchState, search: Search) -> SearchState:
-    """Fit all rows of the first fit, and every curve that was found as fine and as smooth as they say that it is.
+    """Fit all rows of the first fit, with every curve found as fine and as smooth as they determine.
 
-    At the end rows are weighed by the noise that is left, which may come by way of the joints. How smooth curves are is told
-    before: what is left of them passes for such noise.
+    Last, rows are weighted by the remaining noise, perhaps of the joints; the smoothness of curves is determined before, as
+    their unmodelled part looks like such noise.
     """
     fit, first = state.fit, search.first
     is_thinned, noise = len(fit.problem) < len(first.problem), joint_noise(fit)
@@ -359,7 +347,7 @@ def fit_all_rows(state: SearchState, search: Search) -> SearchState:
 
 
 def _curves_of(state: SearchState) -> list[Curve]:
-    """Return the curves that were found; those that the user gave stay as they are."""
+    """Return the curves that were found; curves given by the user are kept."""
     return [effect for step in state.steps for effect in step.effects if isinstance(effect, Curve)]
 
 

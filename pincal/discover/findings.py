@@ -1,4 +1,4 @@
-"""From the history of a discovery to its findings: how sure each is, what else it could be, and where the misfit was."""
+"""Findings of a discovery from its history: significance and equivalents of each effect, and where the misfit was."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _FOLLOWED = {
     "move": "in proportion to its last move",
     "payload": "following the payload",
     "temperature": "following the temperature",
-    "time": "as time goes by",
+    "time": "drifting with time",
 }
 
 
@@ -62,22 +62,21 @@ def findings_of(
     held_out: Mapping[str, dict[Literal["before", "after"], Gap]] | None = None,
     approach_from: str | None = None,
 ) -> Findings:
-    """Return what a discovery found.
+    """Return the findings of a discovery.
 
     Args:
-        fit: the fit with all that was found, its covariance paying for the choice.
-        trail: how it was found.
+        fit: the final fit, with a covariance that includes the selection.
+        trail: the history.
         gaps: the errors at the start and after each change of the model.
-        traces: what each effect explains.
-        measured: the last fit over the rows as they were measured, each reading of a pose a row; default: those of the fit.
+        traces: partial residuals of each effect.
+        measured: the last fit over the rows as measured, each reading of a pose a row; default: those of the fit.
         held_out: the errors at the start and in the end on rows held out in each way.
-        approach_from: where directions of approach come from, in words; None where there are none.
+        approach_from: origin of the directions of approach, in words; None without any.
     """
     final = trail.final
     excess = find_excess(final, measured)
     scatter = None if excess is None else excess.scattering
     floor, left = _errors_of(final)
-    # Residuals that are larger than the declared noise allows.
     is_misfit = final.is_declared and chdtrc(final.solution.degrees, final.solution.chi2) < MISFIT
     periods = {trace.effect: period_of(trace) for trace in traces if trace.effect.is_nameless}
     effects = tuple(found for step in trail.steps for found in _found(fit, trail, step, gaps=gaps, periods=periods))
@@ -97,7 +96,7 @@ def findings_of(
 
 
 def _errors_of(fit: ModelFit) -> tuple[float, float]:
-    """Return the rms errors that noise makes and those that it does not, over the rows of all stations [mm]."""
+    """Return the rms errors due to noise and those in excess of it, over the rows of all stations [mm]."""
     squares, every, rows = [], noise_floor(fit), []
     for station, places, blocks in fit.stations:
         if not station.sensor.reads_place:
@@ -114,10 +113,9 @@ def _errors_of(fit: ModelFit) -> tuple[float, float]:
 def _found(
     fit: ModelFit, trail: History, step: SearchStep, *, gaps: tuple[Stage, ...], periods: dict[Effect, float | None]
 ) -> Iterator[FoundEffect]:
-    """Yield what entered in one step; elasticity joint by joint."""
+    """Yield the effects of one step; elasticity joint by joint."""
     place = next(i for i, change in enumerate(trail.changes) if change.fit is step.after)
     before, after = gaps[place], gaps[place + 1]
-    # Standard deviations that pay for the choice, too.
     known, score, of_blocks = fit.estimate, step.score, fit.solution.of_blocks
     if step.is_elastic:
         found = [
@@ -134,7 +132,7 @@ def _found(
     for effect, estimate, sigma, p_value, equivalent, decide in found:
         sure_as = replace(score, p_value=p_value)
         if step.is_elastic and trail.is_held_up and not accepted(Row(effect, sure_as, score.ebic), trail.policy):
-            # Beside all other compliances, which few rows leave to what is known beforehand, nothing is left of it.
+            # Given all other compliances, which on few rows depend on priors, it is not significant.
             continue
         yield FoundEffect.of(
             effect,
@@ -152,17 +150,17 @@ def _found(
 
 
 def _deciding(step: SearchStep) -> str:
-    """Return what would tell an effect from the first that could stand in its place, or from several that together could."""
-    told = (step.before, step.tested, step.estimate)
+    """Return the measurement that would distinguish an effect from its first equivalent, or from several together."""
+    tested = (step.before, step.tested, step.estimate)
     if not step.together:
-        return "".join(deciding_measurement(*told, rival) for rival in step.equivalent[:1])
+        return "".join(deciding_measurement(*tested, rival) for rival in step.equivalent[:1])
     names = [f"{effect.name} of order {at.order}" if (at := effect.locus).order else effect.name for effect in step.together]
     words = f"{', '.join(names[:-1])} and {names[-1]} of {step.effect.locus.joint} are together equivalent"
-    return f"{words}; {deciding_measurement(*told, *step.together)}"
+    return f"{words}; {deciding_measurement(*tested, *step.together)}"
 
 
 def _in_its_place(trail: History, sure: Sure) -> tuple[tuple[Effect, ...], str]:
-    """Return what could be compliant in the place of one joint's compliance, others among it, and what decides."""
+    """Return the equivalents of one joint's compliance, and the measurement that would decide."""
     compliance = sure.effect
     rivals = tuple(dict.fromkeys((*instead_of(trail.last, compliance, sure.estimate, sure.beside), *sure.others)))
     if not rivals:
@@ -173,7 +171,7 @@ def _in_its_place(trail: History, sure: Sure) -> tuple[tuple[Effect, ...], str]:
 
 
 def _parameters(estimate: Estimate, sigmas: np.ndarray) -> dict[str, FoundParameter]:
-    """Return parameters by name; nothing is known of those whose standard deviation is infinite."""
+    """Return parameters by name, infinite standard deviations as None."""
     return {
         p.name: FoundParameter(p.nominal + float(value), float(sigma) if np.isfinite(sigma) else None, p.unit)
         for p, value, sigma in zip(estimate.parameters, estimate.values, sigmas, strict=True)
@@ -181,7 +179,7 @@ def _parameters(estimate: Estimate, sigmas: np.ndarray) -> dict[str, FoundParame
 
 
 def _not_testable(trail: History) -> Iterator[tuple[Effect, str]]:
-    """Yield what these data can't test, with the reason."""
+    """Yield effects that these data can't test, with the reason."""
     final = trail.final
     is_alone = len(final.problem.stations) == 1
     lost = untestable(final.problem.chain, final.problem.conditions)
@@ -192,21 +190,21 @@ def _not_testable(trail: History) -> Iterator[tuple[Effect, str]]:
 
 
 def noise_floor(fit: ModelFit) -> np.ndarray:
-    """Return the declared standard deviations of the blocks, shape (blocks,), those of the residuals where none are."""
+    """Return the declared standard deviations of the blocks, shape (blocks,), or of the residuals where none is declared."""
     pairs = zip(fit.noise.declared, fit.solution.estimated, strict=True)
     return np.array([estimated if declared is None else declared for declared, estimated in pairs])
 
 
 def where_of(trail: History, excess: Excess | None, *, is_misfit: bool) -> tuple[Disagreement, ...]:
-    """Return where model and data disagree, the share that of the excess over the noise.
+    """Return where model and data disagree, with shares of the excess over the noise.
 
-    The disagreement is located in the first fit that has elasticity, if the arm is elastic, else in the first of all,
-    without regard to what it was named later.
+    The disagreement is located in the first fit with elasticity, if the arm is elastic, else in the first of all,
+    regardless of later names.
 
     Args:
-        trail: the discovery.
-        excess: what is left along the lever of one joint in the end, if something is.
-        is_misfit: whether the residuals are larger than the noise allows in the end.
+        trail: the history.
+        excess: remaining excess along the lever of one joint, if any.
+        is_misfit: whether the final residuals exceed the noise significantly.
     """
     robot = trail.final.problem.chain.robot
     fit, found = trail.first, list[Disagreement]()
@@ -230,7 +228,7 @@ def where_of(trail: History, excess: Excess | None, *, is_misfit: bool) -> tuple
 
 
 def _located(fit: ModelFit, sigma: np.ndarray) -> tuple[list[tuple[str, Located]], list[Disagreement]]:
-    """Return where a fit and its data disagree, of several stations with their names, the largest first."""
+    """Return where a fit and its data disagree, with the names of several stations, the largest first."""
     places: list[tuple[str, Located]] = []
     regions: list[Disagreement] = []
     for station, alone, blocks in fit.in_places:
@@ -248,7 +246,7 @@ def _located(fit: ModelFit, sigma: np.ndarray) -> tuple[list[tuple[str, Located]
 
 
 def _excess(fit: ModelFit, sigma: np.ndarray) -> float:
-    """Return what the noise does not make of a fit's squared residuals, in units of its variance."""
+    """Return the excess of a fit's squared residuals over the noise, in units of its variance."""
     solution = fit.solution
     readings = fit.problem.readings(solution.weights)
     degrees = readings - solution.effective * (readings / readings.sum())
@@ -256,7 +254,7 @@ def _excess(fit: ModelFit, sigma: np.ndarray) -> float:
 
 
 def _elastic(step: SearchStep, sigma: np.ndarray) -> Disagreement:
-    """Say how much of what a model leaves follows the static moments, and where it is strongest."""
+    """Return how much of the residuals follows the static moments, and where it is strongest."""
     whole = _excess(step.before, sigma)
     share = 1.0 - max(_excess(step.after, sigma), 0.0) / whole if whole > 0.0 else 0.0
     joint = sure_compliances(step.after, step.effects)[0].effect.locus.joint
@@ -265,7 +263,7 @@ def _elastic(step: SearchStep, sigma: np.ndarray) -> Disagreement:
 
 
 def _left_along(fit: ModelFit, excess: Excess, sigma: np.ndarray) -> Disagreement:
-    """Say how much of what is left in the end is along the lever of one joint."""
+    """Return how much of the final residuals is along the lever of one joint."""
     chain, made = fit.problem.chain, 0.0
     drive = int(chain.drives[chain.robot.joint_names.index(excess.joint)])
     for _, alone, blocks in fit.in_places:
@@ -277,7 +275,7 @@ def _left_along(fit: ModelFit, excess: Excess, sigma: np.ndarray) -> Disagreemen
 
 
 def _words(place: Located, robot: Robot) -> str:
-    """Return where a disagreement acts, what it follows, and the range in which most of it sits."""
+    """Return a disagreement in words: where it acts, on what it depends, and the range that contains most of it."""
     units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
     if place.acts_on == "base":
         moves = "the whole arm moves on its base"
@@ -299,12 +297,12 @@ def _words(place: Located, robot: Robot) -> str:
 
 
 def bootstrap_last(trail: History) -> Bootstrap | None:
-    """Return the chance that data without the effect that was accepted last look as if they had it: a parametric bootstrap.
+    """Return the p-value of the effect accepted last by a parametric bootstrap; None if only elasticity was accepted.
 
-    Data drawn from the model without it, with the noise as found, are tested against all candidates, and the best score is
-    compared with that of the real data. That asks about the choice as a whole, which no p-value of a single candidate does.
-    To first order nothing has to be fitted: of normal noise the projected products b' of the score tests are normal, with
-    covariance S'. None if nothing was accepted but elasticity.
+    Data drawn from the model without it, with the estimated noise, are tested against all candidates, and the best score is
+    compared with that of the real data. That tests the selection as a whole, unlike the p-value of a single candidate. To
+    first order nothing is refitted: with normal noise the projected products b' of the score tests are normal, with
+    covariance S'.
     """
     steps = [step for step in trail.steps if not step.is_elastic]
     if not steps:
@@ -315,13 +313,7 @@ def bootstrap_last(trail: History) -> Bootstrap | None:
 
 
 def chance_of_best(tests: ScoreTests, draws: int, seed: int = 0) -> float:
-    """Return the chance that noise alone gives some candidate as small a p-value as the best one has.
-
-    Args:
-        tests: all candidates against a model.
-        draws: tables to draw.
-        seed: of the draws.
-    """
+    """Return the probability that noise alone gives some candidate as small a p-value as the best, from so many draws."""
     _, S, _ = tests.within(range(len(tests.effects)))
     rng = np.random.default_rng(seed)
     scale = np.sqrt(np.maximum(np.diag(S), 1e-300))
@@ -329,7 +321,7 @@ def chance_of_best(tests: ScoreTests, draws: int, seed: int = 0) -> float:
     seen = sizes > TESTING.drawn_from * sizes[-1]
     noise = rng.standard_normal((draws, np.count_nonzero(seen)))
     b = noise * np.sqrt(sizes[seen]) @ axes[:, seen].T * scale
-    # What the candidates don't see of the noise is left whatever they explain.
+    # Noise outside the span of the candidates is never explained.
     unseen = max(tests.dof - noise.shape[1], 1.0)
     squares = np.sum(noise**2, axis=1) + rng.chisquare(unseen, draws)
     observed, drawn = 1.0, np.ones(draws)

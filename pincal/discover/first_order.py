@@ -1,18 +1,16 @@
-r"""Score tests of candidate effects on the Jacobian of a fitted model, and what refits would change, to first order.
+r"""Score tests of candidate effects on the Jacobian of a fitted model, and refits to first order.
 
-With A the whitened Jacobian by all parameters (those of the model, N, and those of every candidate, at zero), r the
-whitened residuals, S = A A^T and b = A r, everything that criticism asks follows from S and b: with the model's tangent
-space and its priors L projected out,
+With A the whitened Jacobian by all parameters (of the model, N, and of every candidate, at zero), r the whitened residuals,
+S = A A^T and b = A r, all criteria follow from S and b: with the model's tangent space and its priors L projected out,
 
 .. math:: S'_{gg} = S_{gg} - S_{gN} (S_{NN} + L)^{-1} S_{Ng}, \qquad b'_g = b_g - S_{gN} (S_{NN} + L)^{-1} (b_N - L x)
 
-are what is left of candidates once the model has taken up what it can of them, x its parameters less what is believed, and
+are information and gradient of candidates given a refit of the model, x its parameters less their prior means, and
 
 .. math:: T_g = b'^T_g S'^{-1}_{gg} b'_g
 
-is what adding effect g and refitting everything would take off the sum of squares (Rao's score test; chi-square with
-k_g degrees of freedom if g is not there). One pass over the data serves all candidates. Which criteria follow from these,
-and what each decides, stands in docs/criteria.md.
+is the reduction of the sum of squares by adding effect g and refitting everything (Rao's score test; chi-square with k_g
+degrees of freedom if g is absent). One pass over the data serves all candidates. docs/criteria.md derives the criteria.
 """
 
 from __future__ import annotations
@@ -38,9 +36,9 @@ class ScoreResult:
     """The test of one candidate.
 
     Attributes:
-        gain: T, what it takes off the sum of squares (in units of the noise that the model leaves).
-        rank: k, directions of it that the data see.
-        p_value: of the F test, the places or frequencies paid for among which the candidate was chosen.
+        gain: T, the reduction of the sum of squares (in units of the residual noise).
+        rank: k, number of its observable directions.
+        p_value: of the F test, corrected for the places or frequencies among which the candidate was chosen.
         ebic: change of the extended Bayesian information criterion (Chen and Chen 2008); negative is better.
     """
 
@@ -52,23 +50,23 @@ class ScoreResult:
 
 @dataclass(frozen=True, eq=False)
 class ScoreTests:
-    """Gram matrices of a fitted model and of all candidates, whitened by the noise that the model leaves.
+    """Gram matrices of a fitted model and of all candidates, whitened by the residual noise.
 
-    What a refit with candidates, or without parameters of the model, would change follows from them to first order.
+    Refits with candidates, or without parameters of the model, follow from them to first order.
 
     Attributes:
         effects: the candidates.
-        columns: for each of them its columns, counted from the first of all C columns of candidates.
+        columns: for each of them its columns among all C columns of candidates.
         names: the N parameters of the model and of nuisance effects.
         values: shape (N,), of these.
-        sizes: shape (N + C,), standard deviations of the priors, those of the candidates' parameters behind.
-        unsure: shape (N,), which parameters at zero are small though not how small: their sizes are in doubt.
-        model: what rows and priors say of the N parameters, by block of poses.
-        blocks_H: shape (B, N + C, C), products of all columns with those of the candidates, by block of poses.
-        blocks_g: shape (B, C), of the candidates' columns with the residuals.
-        is_partial: whether products of one candidate's columns with another's are left out of ``blocks_H``, to be taken from
-            the rows when they are asked for: of many candidates few pairs are.
-        parts: the rows that all products are taken over; none if nobody asks for them.
+        sizes: shape (N + C,), standard deviations of the priors, of the candidates' parameters last.
+        unsure: shape (N,), which parameters have a prior of uncertain size about zero.
+        model: information of rows and priors on the N parameters, by block of poses.
+        blocks_H: shape (B, N + C, C), products of all columns with the candidates' columns, by block of poses.
+        blocks_g: shape (B, C), products of the candidates' columns with the residuals.
+        is_partial: whether ``blocks_H`` lacks products between different candidates, which are computed from the rows on
+            demand, as few pairs are needed.
+        parts: the rows.
         squares: weighted sum of squared residuals.
         readings: number of readings that count.
         spent: parameters spent by the model.
@@ -102,22 +100,22 @@ class ScoreTests:
 
     @cached_property
     def H(self) -> np.ndarray:
-        """Products of all columns with those of the candidates, shape (N + C, C); of one with another perhaps not."""
+        """Products of all columns with the candidates' columns, shape (N + C, C); see ``is_partial``."""
         return self.blocks_H[0] if len(self.blocks_H) == 1 else np.asarray(self.blocks_H.sum(axis=0))
 
     @property
     def cross(self) -> np.ndarray:
-        """Of the model's columns with those of the candidates, shape (N, C)."""
+        """Products of the model's columns with the candidates' columns, shape (N, C)."""
         return self.H[: self.n_model]
 
     @cached_property
     def inner(self) -> np.ndarray:
-        """Of the candidates' columns with each other, shape (C, C)."""
+        """Products of the candidates' columns with each other, shape (C, C)."""
         return self.inner_of(range(len(self.columns)))
 
     @cached_property
     def g(self) -> np.ndarray:
-        """Of the candidates' columns with the residuals, shape (C,)."""
+        """Products of the candidates' columns with the residuals, shape (C,)."""
         return np.asarray(self.blocks_g.sum(axis=0))
 
     def places(self, which: Sequence[int]) -> np.ndarray:
@@ -153,7 +151,7 @@ class ScoreTests:
 
     @cached_property
     def _beliefs(self) -> list[tuple[float, Self]]:
-        """The same tests with each of the sizes that are in doubt, and what each costs: -2 log of how likely it is."""
+        """The tests with each choice of the uncertain sizes, and -2 log of its posterior probability up to a constant."""
         if not self.unsure.any():
             return [(0.0, self)]
         found = []
@@ -167,9 +165,9 @@ class ScoreTests:
         return [(cost - least, tests) for cost, tests in found]
 
     def likeliest(self, which: Sequence[int]) -> tuple[float, Self]:
-        """Return the tests with the sizes, of those in doubt, that are likeliest with some candidates, and their cost.
+        """Return the tests with the most probable uncertain sizes given some candidates, and their cost.
 
-        The cost is what these sizes cost beyond the likeliest ones without the candidates.
+        The cost is relative to the most probable sizes without the candidates.
         """
         return min(self._beliefs, key=lambda belief: belief[0] - belief[1].gain(which)[0])
 
@@ -179,7 +177,7 @@ class ScoreTests:
         return j, self.inner_of(which) - taken[j] @ taken[j].T, b[j]
 
     def gain(self, which: Sequence[int]) -> tuple[float, int]:
-        """Return T and rank of some candidates together; sizes in doubt are the likeliest ones, with and without them."""
+        """Return T and rank of some candidates together, with the most probable uncertain sizes with and without them."""
         if len(which) == 1:
             gains, ranks, _ = self._alone
             return float(gains[which[0]]), int(ranks[which[0]])
@@ -192,7 +190,7 @@ class ScoreTests:
 
     @cached_property
     def _alone(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """T, rank and the p-value of each candidate by itself; those of one size are worked out at once."""
+        """T, rank and p-value of each candidate by itself, vectorised over candidates of one size."""
         sizes, looks = np.array([len(j) for j in self.columns]), np.array([effect.looks for effect in self.effects])
         gains, ranks = np.zeros(len(sizes)), np.zeros(len(sizes), int)
         if self.unsure.any():
@@ -216,26 +214,26 @@ class ScoreTests:
         return j, roots[:, seen]
 
     def _roots(self, j: np.ndarray, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the root of S^-1 of J columns, shape (..., J, J), zero where the data see nothing, and what they see."""
+        """Return the root of S^-1 of J columns, shape (..., J, J), zero in unobservable directions, and a mask of others."""
         scale = 1.0 / np.sqrt(np.maximum(self.H[self.n_model + j, j], 1e-300))
         values, vectors = np.linalg.eigh(S * scale[..., None] * scale[..., None, :])
         expected = (self.sizes[self.n_model + j] / scale) ** 2
-        told = values * np.einsum("...i,...ik->...k", expected, vectors**2)
-        seen = (values > SEEN) & (told > TESTING.told)
+        reduction = values * np.einsum("...i,...ik->...k", expected, vectors**2)
+        seen = (values > SEEN) & (reduction > TESTING.told)
         root = 1.0 / np.sqrt(np.where(seen, values, np.inf))
         return scale[..., None] * vectors * root[..., None, :], seen
 
     def gains_by_block(self, which: Sequence[int]) -> np.ndarray:
-        """Return by how much some candidates lower the squared prediction error on each block left out, shape (B,).
+        """Return the reduction of the squared prediction error on each held-out block by some candidates, shape (B,).
 
-        Both the model and the model with the candidates are refitted, to first order, without each block. Sizes in doubt
-        are those that are likeliest with the candidates.
+        The model with and without the candidates is refitted, to first order, without each block, with the uncertain sizes
+        that are most probable with the candidates.
         """
         tests = self.likeliest(which)[1]
         return np.array([tests._gain_left_out(k, which) for k in range(len(self.model.blocks.H))])
 
     def _gain_left_out(self, k: int, which: Sequence[int]) -> float:
-        """Return by how much some candidates, fitted without block k, lower the squared error on it."""
+        """Return the reduction of the squared error on block k by some candidates fitted without it."""
         j, (model, model_step) = self.places(which), self.model.without_block[k]
         model_S, model_b = self.model.blocks.H[k], self.model.blocks.g[k]
         (across, own), b = np.split(self.blocks_H[k][:, j], [self.n_model]), self.blocks_g[k, j]
@@ -243,22 +241,16 @@ class ScoreTests:
         cross = self.cross[:, j] - across
         taken = model.half(cross)
         known = self.inner_of(which) - own + self.prior(which)
-        # Where few rows tell nearly all of it, what the model does not take is less than its rounding.
+        # Where few rows determine a candidate, the difference may be below its rounding errors.
         factor = Factor.of(known - taken.T @ taken + ROUNDING * np.diag(np.diag(known)))
         step = factor.solve(self.g[j] - b - cross.T @ model_step)
         change = -model.back(taken @ step)
-        along = model_S @ change + across @ step
-        beside = across.T @ change + own @ step
-        left = model_b - model_S @ model_step, b - across.T @ model_step
-        return float(2.0 * (change @ left[0] + step @ left[1]) - change @ along - step @ beside)
+        along = model_S @ change + across @ step, across.T @ change + own @ step
+        rest = model_b - model_S @ model_step, b - across.T @ model_step
+        return float(2.0 * (change @ rest[0] + step @ rest[1]) - change @ along[0] - step @ along[1])
 
     def among(self, which: Sequence[int], gone: Collection[str]) -> Self:
-        """Return the tests of some candidates against the model as it stands with some of its parameters at zero.
-
-        Args:
-            which: the candidates.
-            gone: the parameters of the model that go; what is left follows, to first order, without evaluation.
-        """
+        """Return the tests of some candidates against the model with the parameters ``gone`` removed, to first order."""
         stays = np.array([name not in gone for name in self.names], bool)
         kept, out = np.flatnonzero(stays), np.flatnonzero(~stays)
         values, rows, undone = self.values[out], self.model.rows.part(out), np.zeros(len(self.sizes))
@@ -273,12 +265,12 @@ class ScoreTests:
         )
 
     def rearranged(self, model: np.ndarray, which: Sequence[int], undone: np.ndarray) -> Self:
-        """Return the products of some candidates with another model's columns; what is said of that model is left as it is.
+        """Return the products of some candidates with another model's columns; the attributes of the model are unchanged.
 
         Args:
-            model: its columns, by their places among all N + C.
+            model: its columns, by index among all N + C.
             which: the candidates.
-            undone: shape (N + C,), how far parameters have gone back, so that the residuals have grown by what they did.
+            undone: shape (N + C,), values of parameters that are set to zero, which changes the residuals.
         """
         j, ends, gone = self.places(which), np.cumsum([0, *(len(self.columns[i]) for i in which)]), np.flatnonzero(undone)
         order, slots = np.concatenate([model, self.n_model + j]), np.full(len(self.sizes) + 1, -1)
@@ -294,15 +286,14 @@ class ScoreTests:
         )
 
     def along_rows(self, which: Sequence[int], steps: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield rows, what a refit of the model leaves of their residuals, and how steps of candidates then move them.
+        """Yield rows, their residuals after a refit of the model, and their motions by steps of candidates with a refit.
 
         Args:
             which: candidates.
             steps: shape (J, R), R steps of their J parameters.
 
         Yields:
-            Which of all rows they are, shape (n,), whitened residuals, shape (m, n), and motions beside what the model takes
-            up of them, shape (R, m, n).
+            Indices of the rows, shape (n,), whitened residuals, shape (m, n), and motions, shape (R, m, n).
         """
         model, j = self.model, self.places(which)
         taken = model.factor.solve(np.column_stack([self.cross[:, j] @ steps, -model.rows.g - model.prior.g]))
@@ -323,13 +314,13 @@ class ScoreTests:
         return max(self.readings - self.spent, 1.0)
 
     def score(self, which: Sequence[int], groups: int) -> ScoreResult:
-        """Return the test of some candidates taken as one, of so many groups that are tested."""
+        """Return the test of some candidates together, one of so many tested groups."""
         (gain, rank), looks = self.gain(which), math.prod(self.effects[i].looks for i in which)
         chance = self._alone[2][which[0]] if len(which) == 1 else looks * chance_of(gain, rank, self.squares, self.dof)
         return self._judged(gain, rank, float(chance), self.squares, groups * looks)
 
     def score_given(self, which: Sequence[int], given: Sequence[int], groups: int = 1) -> ScoreResult:
-        """Return the test of what some candidates still explain once others are in the model."""
+        """Return the test of some candidates given others in the model."""
         both, rank_both = self.gain(sorted({*which, *given}))
         alone, rank_alone = self.gain(given)
         gain, rank, squares = both - alone, max(rank_both - rank_alone, 0), max(self.squares - alone, 1e-6 * self.squares)
@@ -337,9 +328,9 @@ class ScoreTests:
         return self._judged(gain, rank, chance, squares, groups)
 
     def p_value_of_any(self, which: Sequence[int]) -> float:
-        """Return the p-value of some candidates, of all as one or of one of them alone, its choice paid for.
+        """Return the smaller p-value of all candidates together and of the best one alone, corrected for its selection.
 
-        One joint's drive that is compliant is lost among as many parameters as all drives and bearings have.
+        A single compliant drive is not significant among the many parameters of all drives and bearings.
         """
         alone = (len(which) * self.score([i], 1).p_value for i in which)
         return min(self.score(which, 1).p_value, *alone)
@@ -352,10 +343,10 @@ class ScoreTests:
         return ScoreResult(gain, rank, min(chance, 1.0), cost)
 
     def log_evidence(self, which: Sequence[int]) -> float:
-        """Return the log of how much likelier the data are with some candidates, whatever their values, than without.
+        """Return the log Bayes factor in favour of some candidates, to first order.
 
-        Their priors decide what they may be: a wide one costs more, which no p-value knows (Bayes factor, first order). The
-        places or frequencies among which they were chosen cost, too.
+        It is corrected for the places or frequencies among which they were chosen. Unlike a p-value it depends on the width
+        of their priors.
         """
         cost, tests = self.likeliest(which)
         j, S, b = tests.within(which)
@@ -371,19 +362,14 @@ class ScoreTests:
 def chance_of(
     gain: np.ndarray | float, rank: np.ndarray | int, squares: np.ndarray | float, dof: np.ndarray | float
 ) -> np.ndarray:
-    """Return the chance that something of a rank that is not there takes as much off the squares (F test).
-
-    All arguments of any shape.
+    """Return the p-value of the F test of a gain, arguments of any shape; 1 of rank 0.
 
     Args:
-        gain: what it takes off.
-        rank: directions of it that the data see; of none the chance is 1.
+        gain: reduction of the squares.
+        rank: number of observable directions.
         squares: before, in the same unit.
         dof: degrees of freedom before.
     """
-    gain, rest, rank_seen = (
-        np.minimum(gain, TESTING.most_explained * squares),
-        np.maximum(dof - rank, 1.0),
-        np.maximum(rank, 1),
-    )
-    return np.asarray(np.where(rank, fdtrc(rank_seen, rest, (gain / rank_seen) / ((squares - gain) / rest)), 1.0))
+    gain, rest = np.minimum(gain, TESTING.most_explained * squares), np.maximum(dof - rank, 1.0)
+    seen = np.maximum(rank, 1)
+    return np.asarray(np.where(rank, fdtrc(seen, rest, (gain / seen) / ((squares - gain) / rest)), 1.0))

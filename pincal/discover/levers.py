@@ -1,13 +1,13 @@
-r"""How readings move with the coordinates of an arm, and which waves and maps of joint positions show along these levers.
+r"""Levers: derivatives of readings by the coordinates of an arm; search for waves and maps of joint positions along them.
 
 With w = L . r and v = L . L at each pose (L the lever of a joint's position on its whitened readings, r their residuals,
-which a fit has made orthogonal to its own columns), and :math:`F_u(k) = \sum_n u_n e^{i k q_n}`, a wave of k periods a turn
-takes off the squares
+orthogonal to the columns of a fit), and :math:`F_u(k) = \sum_n u_n e^{i k q_n}`, a wave of k cycles per revolution reduces
+the squares by
 
 .. math:: T(k) = 2 \, \frac{V |F_w(k)|^2 - \Re (\overline{F_v(2k)} F_w(k)^2)}{V^2 - |F_v(2k)|^2}, \qquad V = \sum_n v_n ,
 
-if the model takes up none of it. On even steps of k the exponential of a sum is a product, so that all k are one product
-of two small matrices. What is found is tested like any other candidate, and pays for all orders among which it was chosen.
+if the model absorbs none of it. On even steps of k the exponential of a sum is a product, so that all k follow from one
+product of two small matrices. The result is tested like any other candidate, corrected for the number of orders searched.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from pincal.parameters import Parameter
 
 @dataclass(frozen=True)
 class Motions(Effect):
-    """Unit motions of some coordinates of the chain, for their levers."""
+    """Unit motions of some coordinates of the chain, to compute their levers."""
 
     coordinates: tuple[int, ...]
     name: ClassVar[str] = "motions"
@@ -48,7 +48,7 @@ class Motions(Effect):
     locus: ClassVar[Locus] = Locus()
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """One a coordinate."""
+        """One per coordinate."""
         return tuple(Parameter(f"chain.{k}", "rad", self.name, 0.0, 1.0) for k in self.coordinates)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
@@ -56,8 +56,8 @@ class Motions(Effect):
         return tuple(Term(p, k) for p, k in enumerate(self.coordinates))
 
 
-def _beside(fit: ModelFit, coordinates: Iterable[int]) -> tuple[Problem, np.ndarray, np.ndarray]:
-    """Return a fit's problem with motions of coordinates, all its values, and which of these are the motions."""
+def _with_motions(fit: ModelFit, coordinates: Iterable[int]) -> tuple[Problem, np.ndarray, np.ndarray]:
+    """Return a fit's problem with motions of coordinates, its values, and a mask of the motions."""
     problem, known = extended(fit.problem, [Motions(tuple(map(int, coordinates)))])
     values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
     values[known], free[known] = fit.values, False
@@ -65,22 +65,22 @@ def _beside(fit: ModelFit, coordinates: Iterable[int]) -> tuple[Problem, np.ndar
 
 
 def levers(fit: ModelFit, coordinates: Sequence[int]) -> np.ndarray:
-    """Return how the readings of the only station move with K coordinates of the chain, shape (K, m, N), per rad or m."""
-    problem, values, free = _beside(fit, coordinates)
+    """Return the derivatives of the readings of the only station by K coordinates, shape (K, m, N), per rad or m."""
+    problem, values, free = _with_motions(fit, coordinates)
     return np.concatenate([J for _, _, J in problem.stations[0].linearise(values, free)], axis=2)
 
 
 @dataclass(frozen=True)
 class MassError(Effect):
-    """Mass and first moment of each link are off, seen through compliances as they are known so far.
+    """Errors of mass and first moment of each link, which act through the present compliances.
 
-    The static moments are linear in mass and first moment of mass, so one evaluation a parameter gives the basis:
-    gamma_l += k_l d n_l / d parameter. They are those of the nominal geometry: that of the fit changes them by far less than
-    masses are off, and nominal ones serve all fits of one table.
+    The static moments are linear in mass and first moment of mass, so one evaluation per parameter gives the basis:
+    gamma_l += k_l d n_l / d parameter. They are computed with the nominal geometry, which is accurate enough and serves all
+    fits of one table.
 
     Attributes:
-        compliances: coordinates that bend, each with the moment that it follows and its k [rad/(N m)].
-        links: the joints that move the links whose masses a URDF tells; of the others they are parameters of the model.
+        compliances: compliant coordinates, each with its moment and its k [rad/(N m)].
+        links: the joints of the links whose masses are from the URDF; other masses are parameters of the model.
     """
 
     compliances: tuple[tuple[int, int, float], ...]
@@ -91,7 +91,7 @@ class MassError(Effect):
 
     @classmethod
     def of(cls, model: Model, values: np.ndarray) -> MassError | None:
-        """Return the effect for a model's present compliances, None for a rigid model, or one that has all masses itself."""
+        """Return the effect for a model's compliances; None for a rigid model, or if all masses are its parameters."""
         chain, found = model.chain, {body.joint for body in model.bodies}
         links = tuple(i for i in range(chain.robot.n_joints) if i not in found)
         n, bent = chain.robot.n_joints, []
@@ -105,7 +105,7 @@ class MassError(Effect):
 
     @property
     def locus(self) -> Locus:
-        """All elastic rotations."""
+        """All elastic rotations of the arm."""
         return Locus(acts_on="gamma", follows=MOMENT)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -150,7 +150,7 @@ def _moments_of_link(chain: Chain, conditions: Conditions, i: int) -> Iterator[n
 
 
 def compliances_of(model: Model, values: np.ndarray) -> np.ndarray:
-    """Return the linear compliances that a model has, k of each joint's x, y, z in turn, shape (3 n,) [rad/(N m)]."""
+    """Return the linear compliances of a model, k about each joint's x, y, z in turn, shape (3 n,) [rad/(N m)]."""
     joints = model.chain.robot.joint_names
     k = np.zeros(3 * len(joints))
     for effect in model.effects:
@@ -163,46 +163,40 @@ def compliances_of(model: Model, values: np.ndarray) -> np.ndarray:
 
 
 def situation_of(fit: ModelFit) -> PoseSet:
-    """Return where effects look for what they could do beyond a fit."""
+    """Return the poses of a fit, with its compliances, for which candidates are generated."""
     compliances = tuple(compliances_of(*fit.arm).tolist())
     return PoseSet(fit.problem.chain, fit.problem.conditions, compliances)
 
 
 def missing_compliances(fit: ModelFit) -> tuple[Compliance, ...]:
-    """Return the linear compliances that the poses excite and a fit does not have yet."""
+    """Return the linear compliances that the poses excite and a fit lacks."""
     chain = fit.problem.chain
     present = {p.name for e in fit.problem.effects if isinstance(e, Compliance) for p in e.parameters(chain)}
     found = []
     for effect in elasticity(situation_of(fit)):
         assert isinstance(effect, Compliance)
         parts = effect.parts(chain)
-        left = tuple(str(part.only) for part in parts if part.parameters(chain)[0].name not in present)
-        if left:
-            found.append(effect if len(left) == len(parts) else replace(effect, joints=left))
+        joints = tuple(str(part.only) for part in parts if part.parameters(chain)[0].name not in present)
+        if joints:
+            found.append(effect if len(joints) == len(parts) else replace(effect, joints=joints))
     return tuple(found)
 
 
 def missing_features(fit: ModelFit) -> list[Effect]:
-    """Return the places and directions of bearings that a fit takes from the drawing."""
+    """Return the places and directions of bearings that are nominal in a fit."""
     return missing_from(fit, bearing_features(fit.problem.chain, fit.problem.effects))
 
 
 def missing_from(fit: ModelFit, effects: Iterable[Effect]) -> list[Effect]:
-    """Return those of some effects that a fit does not have."""
+    """Return the effects that a fit lacks."""
     present = {effect.identity for effect in fit.problem.effects}
     return [effect for effect in effects if effect.identity not in present]
 
 
 def strongest_tones(fit: ModelFit, candidates: Sequence[Candidate], near: float) -> list[Harmonic]:
-    """Return, for each joint whose residuals show one, the wave that explains most, and others that explain as much.
-
-    Args:
-        fit: the fit.
-        candidates: effects that its poses could show.
-        near: squares by which the others may explain less.
-    """
-    tones = [candidate.effect for candidate in candidates if isinstance(candidate.effect, Harmonic)]
-    tones = [tone for tone in tones if tone.band is not None]
+    """Return, for each joint whose residuals show one, the wave that explains most, and others up to ``near`` below."""
+    every = (candidate.effect for candidate in candidates)
+    tones = [tone for tone in every if isinstance(tone, Harmonic) and tone.band is not None]
     if not tones:
         return []
     joints = [fit.problem.chain.robot.joint_names.index(str(tone.locus.joint)) for tone in tones]
@@ -213,7 +207,7 @@ def strongest_tones(fit: ModelFit, candidates: Sequence[Candidate], near: float)
 
 def seen_along(fit: ModelFit, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return L . r and L . L of some coordinates on the whitened readings, shape (K, N) each."""
-    (problem, values, free), n = _beside(fit, coordinates), len(fit.problem)
+    (problem, values, free), n = _with_motions(fit, coordinates), len(fit.problem)
     along, lever = np.zeros((2, len(coordinates), n))
     for station, places, blocks, rows in zip(
         problem.stations, problem.places, problem.block_spans, problem.rows, strict=True
@@ -231,7 +225,7 @@ def seen_along(fit: ModelFit, coordinates: np.ndarray) -> tuple[np.ndarray, np.n
 def _strongest(
     fit: ModelFit, tone: Harmonic, q: np.ndarray, along: np.ndarray, lever: np.ndarray, near: float
 ) -> Iterator[Harmonic]:
-    """Yield the wave that explains most of what a joint leaves, if it is worth a test, and its like."""
+    """Yield the wave that explains most of a joint's residuals, if it is worth a test, and its aliases."""
     assert tone.band is not None
     resolution = resolution_of(q)
     step = WAVES.step * resolution
@@ -263,7 +257,7 @@ def on_steps(
     end: float,
     is_beside_constant: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return even steps of orders, shape (K,), and what each takes off the squares, shape (K,), beside a constant or not."""
+    """Return even steps of orders, shape (K,), and the gain of each, shape (K,), perhaps given a constant."""
     coarse = start + WAVES.fine * step * np.arange(int(np.ceil((end - start) / (WAVES.fine * step))))
     fine, columns = step * np.arange(WAVES.fine), [(along, 1), (lever, 2), (lever, 1)][: 2 + is_beside_constant]
     sums = np.zeros((len(columns), len(coarse), WAVES.fine), complex)
@@ -274,7 +268,7 @@ def on_steps(
             total += (a**times * u[piece]) @ (b**times).T
     (F, twice, *mean), whole = sums.reshape(len(columns), -1), np.array(lever.sum())
     for m in mean:
-        # What the constant takes up of each wave.
+        # The constant absorbs its part of each wave.
         F, twice = F - m * along.sum() / whole, twice - m**2 / whole
         whole = whole - np.abs(m) ** 2 / whole
     orders = np.add.outer(coarse, fine).ravel()
@@ -282,7 +276,7 @@ def on_steps(
 
 
 def _waves(orders: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return exp(i k q) of even steps of orders, shape (K, N): each step is one more factor."""
+    """Return exp(i k q) of even steps of orders k, shape (K, N), by repeated multiplication."""
     factors = np.empty((len(orders), len(q)), complex)
     factors[:1] = np.exp(1j * orders[0] * q)
     factors[1:] = np.exp(1j * (orders[-1] - orders[0]) / max(len(orders) - 1, 1) * q)
@@ -295,7 +289,7 @@ def _sums(q: np.ndarray, u: np.ndarray, orders: np.ndarray) -> np.ndarray:
 
 
 def _gains(sums: np.ndarray, whole: np.ndarray | float) -> np.ndarray:
-    """Return T from F_w(k) and F_v(2k), shape (2, K); zero where the positions show one phase of a wave only."""
+    """Return T from F_w(k) and F_v(2k), shape (2, K); zero where the positions sample a single phase of a wave."""
     F, twice = sums
     rest = whole**2 - np.abs(twice) ** 2
     gains = 2.0 * (whole * np.abs(F) ** 2 - (np.conj(twice) * F**2).real) / np.maximum(rest, WAVES.phases * whole**2)
@@ -303,10 +297,9 @@ def _gains(sums: np.ndarray, whole: np.ndarray | float) -> np.ndarray:
 
 
 def likely_maps(fit: ModelFit, joints: Sequence[str]) -> list[Effect]:
-    """Return the map, coarse and finer, that takes most off the squares at some joints, if it is worth a test.
+    """Return the map of largest gain at some joints, in its coarsest and a finer resolution, if it is worth a test.
 
-    What a refit would take up of it is left out of account: what is found is tested like any other candidate, and pays for
-    the pairs of joints among which it was chosen.
+    The gain is without a refit; the map is then tested like any other candidate, corrected for the pairs of joints searched.
     """
     situation, chain = situation_of(fit), fit.problem.chain
     drives = [int(chain.drives[situation.index(joint)]) for joint in joints]

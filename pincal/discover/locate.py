@@ -1,7 +1,7 @@
-"""Where a model and data disagree, found before anything is named: in which joint, following what, in which range, where.
+"""Localisation of misfit before anything is named: joint, variable, range of the variable, and region of the workspace.
 
-A disagreement acts at a place if a curve of some variable, as a motion of that place, explains it once all that a refit
-takes up is projected out: a score test like that of any effect, of dependences on everything everywhere.
+Misfit is located at a place if a motion of it along a curve of some variable explains it, given a refit of the model: a
+score test, as of any effect, of the dependence of every place on every variable.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from pincal.parameters import FRAME_SYMBOLS, Parameter
 
 @dataclass(frozen=True)
 class Located:
-    """Where a disagreement acts and what it follows.
+    """Where misfit acts and on what it depends.
 
     Attributes:
         joint: the joint, None for the whole arm.
         acts_on: "drive" (about or along the joint's own axis), "gamma_x" or "gamma_y" (across it), "base" or "lengths".
         depends_on: a joint's name, "approach", "move", "load", "payload", "temperature" or "time".
-        share: part of the excess of the squared residuals that it explains, 0 to 1.
-        size: rms of the motion that a refit does not take up [rad; m of sliding joints; 1 for "lengths"; none for "base"].
-        window: the narrow range of the variable in which most of it sits, None if it is spread.
-        inside: part of it that sits in this range.
+        share: fraction of the excess of the squared residuals that it explains, 0 to 1.
+        size: rms of the motion that a refit does not absorb [rad; m of prismatic joints; 1 for "lengths"; none for "base"].
+        window: narrow range of the variable that contains most of it, None if it is spread.
+        inside: fraction of it in this range.
     """
 
     joint: str | None
@@ -55,7 +55,7 @@ class Located:
 
 @dataclass(frozen=True, eq=False)
 class MovedPlace(Effect):
-    """A joint, the base or all lengths move by curves of a variable, at the poses of one table.
+    """Motion of a joint, the base or all lengths along curves of a variable, at the poses of one table.
 
     Attributes:
         joint, acts_on, depends_on: as of :class:`Located`.
@@ -71,22 +71,22 @@ class MovedPlace(Effect):
 
     @property
     def locus(self) -> Locus:
-        """Where it acts, and what it follows."""
+        """Place and variable."""
         return Locus(self.joint, self.acts_on, self.depends_on)
 
     def moved(self, chain: Chain) -> list[dict[int, float]]:
-        """Return what moves independently: the coordinates that move with it, and by how much."""
+        """Return the independent motions, each as displacements of coordinates."""
         if self.joint is not None:
             i = chain.robot.joint_names.index(self.joint)
             return [{int(chain.drives[i]) if self.acts_on == "drive" else chain.joint(i, self.acts_on): 1.0}]
         if self.acts_on == "base":
             return [{chain.base(symbol): 1.0} for symbol in FRAME_SYMBOLS]
-        # All lengths grow alike.
+        # All lengths are scaled by the same factor.
         lengths = (chain.joint(i, symbol) for i in range(chain.robot.n_joints) for symbol in "da")
         return [{k: float(chain.nominal[k]) for k in lengths if chain.nominal[k]}]
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Heights of the curves, of which nothing is known."""
+        """Coefficients of the curves, without a prior."""
         stem, shape = f"{self.joint}.{self.acts_on}_of_{self.depends_on}", (len(self.moved(chain)), len(self.curves))
         return tuple(Parameter(f"{stem}_{shape[1]}_{k}", "rad", self.name, 0.0, 1.0) for k in range(np.prod(shape)))
 
@@ -97,39 +97,39 @@ class MovedPlace(Effect):
 
 
 def locate(fit: ModelFit, sigma: np.ndarray) -> tuple[list[Located], list[Disagreement]]:
-    """Return where a fit and its data disagree, the largest first, and where in the workspace more than elsewhere.
+    """Return where a fit and its data disagree, the largest first, and the regions of the workspace with most misfit.
 
     Args:
-        fit: the fit; best with elasticity, so that what is left is what nobody has named yet.
+        fit: the fit, preferably with elasticity, so that only unknown effects remain.
         sigma: shape (blocks,), standard deviation of one component of each block of readings.
     """
     rows = np.flatnonzero(fit.solution.weights > 0.0)
     fit = fit.select(rows[np.unique(np.linspace(0, len(rows) - 1, WHERE.rows).astype(int))])
-    # Row by row, whatever the noise of a fit has in common.
+    # Rows are taken to be independent.
     fit = fit.over([replace(fit.station, whitening=None, serial=None)])
     fit = replace(fit, solution=replace(fit.solution, estimated=sigma))
     every, places = _motions(fit), list[Located]()
     masses = MassError.of(fit.model, fit.values)
     tests = Tangent.at(fit, [masses] if masses else [], None).tests(every, wider=1.0)
-    # What a refit leaves of readings and priors; masses are known as they are.
+    # Squares after a refit, with those of priors; the sizes of mass errors are certain.
     known = float(np.sum((fit.values / fit.priors.sizes) ** 2)) + fit.problem.beliefs.square(fit.values, fit.priors.sizes)
     squares = tests.squares + known - float(tests.model.slope @ tests.model.slope)
     tests = replace(tests, unsure=np.zeros_like(tests.unsure), squares=squares)
-    left, dof, excess = _left(tests), tests.dof, tests.squares - tests.dof
+    residuals, dof, excess = _projected(tests), tests.dof, tests.squares - tests.dof
     is_noise = chdtrc(dof, tests.squares) >= WHERE.chance
     while len(places) < WHERE.places and (best := _best(tests)) is not None:
         place = _described(fit, tests, best, excess)
         if place.share < WHERE.share:
             break
         places.append(place)
-        tests = _taking(tests, best)
+        tests = _given(tests, best)
     if fit.station.sensor.blocks[0].size != 3 or (is_noise and not places):
         return places, []
-    return places, list(regions_of(fit, left[:3], 3.0 * dof / tests.readings))
+    return places, list(regions_of(fit, residuals[:3], 3.0 * dof / tests.readings))
 
 
-def _taking(tests: ScoreTests, best: int) -> ScoreTests:
-    """Return the tests of the other motions once one is a part of the model."""
+def _given(tests: ScoreTests, best: int) -> ScoreTests:
+    """Return the tests of the other motions given one in the model."""
     model, n, j, H = tests.model, tests.n_model, tests.columns[best], tests.blocks_H.copy()
     mine, every = n + j, n + np.arange(len(tests.g))
     H[0, mine] = sum(part.products(mine, every) for part in tests.parts)
@@ -138,25 +138,25 @@ def _taking(tests: ScoreTests, best: int) -> ScoreTests:
     rows = np.block([[model.rows.H, cross], [cross.T, H[0, mine[:, None], j]]])
     blocks = Form.of(rows[None], np.append(model.rows.g, tests.g[j])[None])
     prior = Form.of(block_diag(model.prior.H, tests.prior([best])), np.append(model.prior.g, nothing))
-    beside = Information(blocks, prior)
+    both = Information(blocks, prior)
     return replace(
         replace(tests, blocks_H=H).rearranged(np.append(np.arange(n), mine), others, np.zeros(n + len(every))),
         names=(*tests.names, *(f"{best}.{k}" for k in j)),
         values=np.append(tests.values, nothing),
         unsure=np.append(tests.unsure, nothing > 0.0),
-        model=beside,
-        squares=tests.squares + float(model.slope @ model.slope - beside.slope @ beside.slope),
+        model=both,
+        squares=tests.squares + float(model.slope @ model.slope - both.slope @ both.slope),
         spent=tests.spent + tests.score([best], 1).rank,
     )
 
 
-def _left(tests: ScoreTests) -> np.ndarray:
-    """Return the residuals once all that a refit would take up is projected out, shape (m, N)."""
-    return np.concatenate([left for _, left, _ in tests.along_rows((), np.zeros((0, 0)))], axis=1)
+def _projected(tests: ScoreTests) -> np.ndarray:
+    """Return the residuals after a refit, shape (m, N)."""
+    return np.concatenate([residuals for _, residuals, _ in tests.along_rows((), np.zeros((0, 0)))], axis=1)
 
 
 def _best(tests: ScoreTests) -> int | None:
-    """Return the motion that explains most for its freedom; None if none is sure."""
+    """Return the motion of smallest information criterion; None if it is not significant."""
     scores = [tests.score([i], 1) for i in range(len(tests.effects))]
     costs = [score.ebic if score.rank < 0.5 * tests.dof else np.inf for score in scores]
     best = int(np.argmin(costs))
@@ -164,7 +164,7 @@ def _best(tests: ScoreTests) -> int | None:
 
 
 def _described(fit: ModelFit, tests: ScoreTests, best: int, excess: float) -> Located:
-    """Return a motion with its share of the whole excess, its size and the range in which it sits."""
+    """Return a motion with its share of the whole excess, its size and its range."""
     motion, (_, whitening) = tests.effects[best], tests.whitening([best])
     assert isinstance(motion, MovedPlace)
     height = whitening @ (whitening.T @ tests.within([best])[2])
@@ -183,7 +183,7 @@ def _described(fit: ModelFit, tests: ScoreTests, best: int, excess: float) -> Lo
 
 
 def _motions(fit: ModelFit) -> list[MovedPlace]:
-    """Return what may move, by all that it may follow."""
+    """Return the motions of all places along all variables."""
     names, conditions = fit.model.chain.robot.measured_joints, fit.station.conditions
     slow = [v for v in ("payload", "temperature", "time") if varies(conditions.column(v))]
     curves = {v: _curves(_variable(fit, None, v), WHERE.slow_pieces) for v in slow}
@@ -202,7 +202,7 @@ def _motions(fit: ModelFit) -> list[MovedPlace]:
 
 
 def _of_own_drive(fit: ModelFit, joint: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield what a drive may follow beside positions: fine waves of its gear, direction of approach, last move, load."""
+    """Yield further variables of a drive, with curves: fine waves of its gear, direction of approach, last move, load."""
     conditions = fit.station.conditions
     q = _variable(fit, None, joint)
     for size in WHERE.own_pieces:
@@ -231,7 +231,7 @@ def _curves(x: np.ndarray, size: int) -> np.ndarray:
 
 
 def _window(x: np.ndarray, energy: np.ndarray) -> tuple[tuple[float, float] | None, float]:
-    """Return the narrowest range of x that holds most of an energy a row, and how much; None if it is not narrow."""
+    """Return the narrowest range of x that contains most of the rows' energy, and how much; None if it is not narrow."""
     order = np.argsort(x, kind="stable")
     x, total = x[order], np.concatenate([[0.0], np.cumsum(energy[order])])
     if not total[-1] > 0.0 or len(np.unique(x)) < WHERE.distinct:
@@ -245,31 +245,30 @@ def _window(x: np.ndarray, energy: np.ndarray) -> tuple[tuple[float, float] | No
     return (float(x[i]), float(x[j])), float((total[j + 1] - total[i]) / total[-1])
 
 
-def regions_of(fit: ModelFit, left: np.ndarray, expected: float) -> Iterator[Disagreement]:
-    """Yield the range of reach or height and the direction in which what is left of positions is concentrated.
+def regions_of(fit: ModelFit, residuals: np.ndarray, expected: float) -> Iterator[Disagreement]:
+    """Yield the range of reach or height and the direction in which residuals of positions are concentrated.
 
     Args:
         fit: the fit.
-        left: shape (3, N), whitened residuals in the frame of the instrument.
-        expected: what the noise makes of the squares of a row.
+        residuals: shape (3, N), whitened, in the frame of the instrument.
+        expected: sum of squares of a row that noise explains.
     """
     robot, gravity = fit.model.chain.robot, fit.model.chain.gravity
-    # A row's part of the excess: its squares less what the noise makes of them.
-    energy = np.sum(left**2, axis=0) - expected
+    energy = np.sum(residuals**2, axis=0) - expected
     if energy.sum() <= 0.0:
         return
     up = -gravity / np.linalg.norm(gravity)
     away = robot.forward_kinematics(fit.station.conditions.q)[:, :3, 3] - robot.frames.T_base_first[:3, 3]
     first = robot.joint_names[0]
     ranges = ("reach", f"from {first}", np.linalg.norm(away, axis=1)), ("height", f"above {first}", away @ up)
-    found = [region for name, where, x in ranges for region in _thickest(name, where, x, energy)]
+    found = [region for name, where, x in ranges for region in _densest(name, where, x, energy)]
     if found:
         yield max(found, key=lambda region: region.share)
-    yield from _direction(fit.model.chain.base_rotation.T @ left, away, up, expected)
+    yield from _direction(fit.model.chain.base_rotation.T @ residuals, away, up, expected)
 
 
-def _thickest(name: str, where: str, x: np.ndarray, energy: np.ndarray) -> Iterator[Disagreement]:
-    """Yield the third of the rows, neighbours in x [m], with most of the excess, if chance does not make as much."""
+def _densest(name: str, where: str, x: np.ndarray, energy: np.ndarray) -> Iterator[Disagreement]:
+    """Yield the third of the rows, adjacent in x [m], with most of the excess, if it is significant."""
     order = np.argsort(x, kind="stable")
     third = max(len(x) // 3, 1)
 
@@ -287,23 +286,23 @@ def _thickest(name: str, where: str, x: np.ndarray, energy: np.ndarray) -> Itera
     yield Disagreement(statement, min(float(energy[inside].sum() / energy.sum()), 1.0), region=f"{name} {span}")
 
 
-def _direction(left: np.ndarray, away: np.ndarray, up: np.ndarray, expected: float) -> Iterator[Disagreement]:
-    """Yield the direction in which more than half of the excess points, if there is one.
+def _direction(residuals: np.ndarray, away: np.ndarray, up: np.ndarray, expected: float) -> Iterator[Disagreement]:
+    """Yield the direction that contains more than half of the excess, if there is one.
 
     All in the base frame: whitened residuals, shape (3, N), the tip from the first joint, shape (N, 3) [m], and up, (3,).
     """
     outward = away - np.outer(away @ up, up)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
     parts = {
-        "vertical": up @ left,
-        "radial": np.sum(outward.T * left, axis=0),
-        "tangential": np.sum(np.cross(up, outward).T * left, axis=0),
+        "vertical": up @ residuals,
+        "radial": np.sum(outward.T * residuals, axis=0),
+        "tangential": np.sum(np.cross(up, outward).T * residuals, axis=0),
     }
     excess = {name: float(np.sum(part**2) - len(part) * expected / 3.0) for name, part in parts.items()}
     name = max(excess, key=lambda key: excess[key])
     whole = sum(max(value, 0.0) for value in excess.values())
-    # A sum of squares of N numbers scatters by the root of 2 N.
-    if excess[name] >= WHERE.pointed * whole and excess[name] >= WHERE.above * np.sqrt(2.0 * left.shape[1]):
+    # A sum of squares of N normal numbers has a standard deviation of the root of 2 N.
+    if excess[name] >= WHERE.pointed * whole and excess[name] >= WHERE.above * np.sqrt(2.0 * residuals.shape[1]):
         direction = f"{name} direction"
         statement = f"the error points in the {direction} (a third would be isotropic)"
         yield Disagreement(statement, excess[name] / whole, region=direction)

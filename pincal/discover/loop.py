@@ -1,4 +1,4 @@
-"""Find the effects that a fit misses: one pass after the other, each from one state to the next."""
+"""The search for effects that a fit lacks: a sequence of passes, each from one state to the next."""
 
 from __future__ import annotations
 
@@ -11,12 +11,7 @@ import numpy as np
 
 from pincal.discover.backward import drop_needless, judge_remainders, merge_parts, name_again
 from pincal.discover.candidate_tests import Search, addable, has_compliance, is_small_table, sampled, table_of, variants
-from pincal.discover.decisions import (
-    Decision,
-    Row,
-    accepted,
-    each_heading_once,
-)
+from pincal.discover.decisions import Decision, Row, accepted, each_heading_once
 from pincal.discover.elastic import elastic_way, likeliest_fit
 from pincal.discover.ending import fit_all_rows, name_lines
 from pincal.discover.levers import missing_compliances
@@ -45,7 +40,7 @@ from pincal.model.effect import Effect
 from pincal.validate.midway import change_in
 
 log = logging.getLogger(__name__)
-# What loads move where a bearing is compliant in another convention.
+# Places where effects of loads resemble a bearing that is compliant in another moment frame.
 _LIKE_A_BEARING = ("base", "link")
 
 
@@ -58,16 +53,16 @@ def discover_effects(
     policy: Policy = POLICY,
     nameless: Collection[object] | None = None,
 ) -> History:
-    """Find the effects that a fit misses.
+    """Find the effects that a fit lacks.
 
     Args:
         fit: the model to start from, usually the geometric one.
         groups: shape (N,), blocks of training rows for cross-validation.
-        frames: conventions of where moments bend the arm to choose from; default: that of the fit. The first stays unless
-            another fits better beyond chance.
-        extra: effects of the user's own, which take part like those of the catalogue.
+        frames: moment frames to choose from; default: that of the fit. The first is kept unless another fits significantly
+            better.
+        extra: effects of the user, candidates like those of the catalogue.
         policy: thresholds and limits.
-        nameless: identities of the dependences without a name that take part; default: all.
+        nameless: identities of the unnamed dependences that are candidates; default: all.
     """
 
     def searched(first: ModelFit) -> History:
@@ -80,7 +75,7 @@ def discover_effects(
         return History(state.fit, state.steps, state.changes, first=first, extra=search.extra, policy=policy)
 
     if fit.options.serial and any(station.serial is not None for station in fit.problem.stations):
-        # What depends on the order of rows may be what is looked for.
+        # Correlation along the rows may be due to the effects searched for.
         fit = refit(with_serial(fit, (None,) * len(fit.problem.stations)), fit.options.effects, start={})
     found = searched(fit)
     if not fit.options.serial:
@@ -89,8 +84,8 @@ def discover_effects(
     along = [effect for effect in names if _follows_the_order(effect, found.final)]
     if not along and not is_dependent(found.final):
         return found
-    # Names that leave what depends on the order of the rows may be made of it: once more, with rows weighed by it. What it
-    # is is told beside all that was found, or else without: what is missing may look like it.
+    # Where residuals depend on the order of the rows, names may be artefacts of it: the search is repeated with weighted
+    # rows. The correlation is estimated with all that was found, or else without, as a missing effect may resemble it.
     named = {e.identity for step in found.steps if not step.is_elastic for e in step.effects}
     plain = refit(found.final, [e for e in found.final.options.effects if e.identity not in named], until=Tolerance.CLOSE)
     noise = next((of for of in map(serial_noise, (found.final, plain)) if any(of)), None)
@@ -102,10 +97,9 @@ def discover_effects(
 
 
 def withdraw_names_at_change(found: History) -> History:
-    """Take back all names where something changed midway in a table: what it leaves passes for effects of the robot.
+    """Withdraw all names if something changed midway in a table, which can be mistaken for effects of the robot.
 
-    A model that describes neither half leaves residuals that no name explains, and something always fits them somewhat.
-    Elasticity, which every arm has, stays.
+    A model that describes neither half leaves residuals that some name always fits partly. Elasticity is kept.
     """
     names = [step for step in found.steps if not step.is_elastic]
     if not names or not _is_changed_midway(found.final):
@@ -133,7 +127,7 @@ def _order(station: Station) -> np.ndarray:
 
 
 def _follows_the_order(effect: Effect, fit: ModelFit) -> bool:
-    """Return whether an effect follows the positions of a joint that moved by small steps along the rows of a station."""
+    """Return whether an effect depends on a joint that moved by small steps along the rows of a station."""
     names = fit.problem.chain.robot.joint_names
     if effect.locus.follows not in names:
         return False
@@ -147,10 +141,10 @@ def _follows_the_order(effect: Effect, fit: ModelFit) -> bool:
 
 
 def _may_be_order(effects: Sequence[Effect], weighed: ModelFit, policy: Policy) -> bool:
-    """Return whether noise along the rows explains any of some effects of which a fit has none.
+    """Return whether correlated noise explains some of the effects, none of which is in the fit.
 
-    Where poses follow each other along a joint, what follows that joint and what drifts are the same but for rows that are
-    near in the joint and far apart in the order.
+    Where a joint moves along the rows, an effect of that joint and drift differ only in rows that are close in the joint and
+    far apart in the order.
     """
     fit = refit(weighed, weighed.options.effects, start={}, until=Tolerance.CLOSE)
     few, _ = sampled(fit, policy)
@@ -161,7 +155,7 @@ def _may_be_order(effects: Sequence[Effect], weighed: ModelFit, policy: Policy) 
 
 
 def start_in_likeliest_frame(state: SearchState, search: Search) -> SearchState:
-    """Take the convention of moments in which elasticity explains most."""
+    """Choose the moment frame in which elasticity explains most."""
     if len(search.frames) < 2:
         return state
     ways = elastic_ways(state.fit, search.frames, search.policy)
@@ -180,22 +174,22 @@ def start_in_likeliest_frame(state: SearchState, search: Search) -> SearchState:
 
 
 def compare_frames(state: SearchState, search: Search) -> SearchState:
-    """Go on in the convention of moments that fits what was found best, unless this one explains the data as well then."""
+    """Continue in the moment frame that fits best with the effects found, unless the present one then explains as much."""
     frame = best_frame(state, search)
     if frame == state.fit.problem.chain.moment_frame:
         return state
-    log.info("once more with --moment-frame %s", frame)
-    told = SearchState(in_frame(sampled(search.first, search.policy)[0], frame))
+    log.info("repeating with --moment-frame %s", frame)
+    other = SearchState(in_frame(sampled(search.first, search.policy)[0], frame))
     for step in state.steps:
         if not is_brought(step):
             start = {effect: state.fit.values[state.fit.problem.places_at(effect)] for effect in step.effects}
-            after = refit(told.fit, [*told.fit.options.effects, *step.effects], start=start, until=Tolerance.CLOSE)
-            told = told.with_step(replace(step, before=told.fit, after=after))
-    return min(state, add_effects(told, search), key=lambda found: _cost(found, search))
+            after = refit(other.fit, [*other.fit.options.effects, *step.effects], start=start, until=Tolerance.CLOSE)
+            other = other.with_step(replace(step, before=other.fit, after=after))
+    return min(state, add_effects(other, search), key=lambda found: _cost(found, search))
 
 
 def _cost(state: SearchState, search: Search) -> float:
-    """Return the extended Bayesian information criterion of all that was found, and what another convention has to gain."""
+    """Return the extended Bayesian information criterion of a state, with the surcharge of another moment frame."""
     named = sum(not step.is_elastic for step in state.steps)
     is_other = state.fit.problem.chain.moment_frame != search.frames[0]
     choices = max(len(addable(state.fit, search)), 2)
@@ -203,7 +197,7 @@ def _cost(state: SearchState, search: Search) -> float:
 
 
 def in_frame(fit: ModelFit, frame: MomentFrame) -> ModelFit:
-    """Return a fit in another convention, fitted again if it has moments."""
+    """Return a fit in another moment frame, refitted if it uses moments."""
     effects = fit.options.effects
     if frame == fit.problem.chain.moment_frame:
         return fit
@@ -213,7 +207,7 @@ def in_frame(fit: ModelFit, frame: MomentFrame) -> ModelFit:
 
 
 def elastic_ways(fit: ModelFit, frames: Sequence[MomentFrame], policy: Policy) -> dict[MomentFrame, Decision]:
-    """Return how an arm that has no elasticity yet is compliant in each convention; nothing where it does not."""
+    """Return the compliances of an arm by moment frame, where significant; empty if the fit has elasticity."""
     if has_compliance(fit.options.effects):
         return {}
     return {frame: way for frame in frames if (way := elastic_way(in_frame(fit, frame), policy))}
@@ -222,15 +216,15 @@ def elastic_ways(fit: ModelFit, frames: Sequence[MomentFrame], policy: Policy) -
 def single_compliance(
     ways: Mapping[MomentFrame, Decision], frames: Sequence[MomentFrame], policy: Policy
 ) -> tuple[MomentFrame, Decision] | None:
-    """Return the convention in which one drive or bearing is all that is compliant; None where more does, or nothing.
+    """Return the moment frame in which a single drive or bearing is compliant, and that; None otherwise.
 
-    It would be lost among the many parameters by which whole arms differ between conventions. What explains as much in
-    another convention is told as equivalent.
+    Among all parameters of an arm, its moment frame would not be significant. What explains as much in another frame is
+    equivalent.
 
     Args:
-        ways: how the arm is compliant, by convention.
-        frames: the conventions; the first is kept unless another is better beyond chance.
-        policy: what counts as a tie.
+        ways: the compliances, by moment frame.
+        frames: the moment frames; the first is kept unless another is significantly better.
+        policy: its tie limit.
     """
     if not ways:
         return None
@@ -245,11 +239,11 @@ def single_compliance(
 
 
 def best_frame(state: SearchState, search: Search) -> MomentFrame:
-    """Return the convention in which it is best to go on from what was found; that of the fit unless another is better.
+    """Return the moment frame in which to continue the search: that of the fit unless another is better.
 
-    Another has to fit what was found better, or as well without the effects that a wrong convention brings about, or with
-    one of loads that a wrong convention takes for a compliance: a base that tilts is a bearing that tilts with the link
-    before. Where nothing but elasticity was found, the likeliest stays unless that is worth what an effect must take off.
+    Another frame has to fit the effects found better, or as well without artefacts of a wrong frame, or with an effect of
+    loads that a wrong frame mistakes for a compliance, as a tilting base resembles a tilting bearing. Where only elasticity
+    was found, the improvement has to be as large as that of an effect.
     """
     frames, policy = search.frames, search.policy
     fit, effects, here = state.fit, state.fit.options.effects, state.fit.problem.chain.moment_frame
@@ -272,14 +266,13 @@ def best_frame(state: SearchState, search: Search) -> MomentFrame:
 
 
 def _still_to_gain(fit: ModelFit, search: Search) -> float:
-    """Return what the best load on base or links would change of the information criterion; 0 where that may be chance.
+    """Return the change of the information criterion by the best effect of loads on base or links; 0 if not accepted.
 
-    As in a search it has to predict rows left out, too. Few rows leave bearings out, and what loads do elsewhere would stand
-    for them.
+    Not on few rows, where it may substitute for bearings that the model lacks.
     """
     if is_small_table(fit, search.policy):
         return 0.0
-    # What else moves base or links, such as time, is for every convention to explain.
+    # Other motions of base or links, as with time, are the same in every moment frame.
     others = (effect for effect in variants(fit, _LIKE_A_BEARING) if effect not in fit.problem.effects)
     effects = [effect for effect in others if effect.is_of_loads]
     if not effects:
@@ -289,7 +282,7 @@ def _still_to_gain(fit: ModelFit, search: Search) -> float:
 
 
 def is_brought(step: SearchStep) -> bool:
-    """Return whether a wrong convention may have brought a step about: an effect of loads, or one without a name."""
+    """Return whether a step may be an artefact of a wrong moment frame: an effect of loads, or an unnamed one."""
     return any(effect.is_of_loads or effect.is_nameless for effect in step.effects)
 
 

@@ -1,7 +1,7 @@
-"""What a discovery goes by: every number that it decides with, and where it comes from.
+"""Thresholds of a discovery: every number by which it decides, and its origin.
 
-:class:`Policy` is what a search is given and a user may change. The others are the same in every search: one class for each
-subject, with one object of it. docs/criteria.md derives the criteria in which these numbers stand.
+A user may change those of :class:`Policy`. The others are the same in every search: one class and one object of it for each
+subject. docs/criteria.md derives the criteria that use them.
 """
 
 from __future__ import annotations
@@ -117,16 +117,16 @@ class Policy:
         "names")
 
     def least_gain(self, squares: float, *, declared: bool) -> float:
-        """Return what an effect has to take off a sum of squares to matter, both in units of the noise.
+        """Return the smallest relevant reduction of a sum of squares by an effect, both in units of the noise.
 
-        Where the noise is not declared, what is left may be other than noise, and anything takes a little off it.
+        Where the noise is not declared, the residuals may contain other errors, of which any effect explains a little.
         """
         return min(self.gain, (1.0 if declared else 2.0) * self.share * squares)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreNumbers:
-    """What score tests go by."""
+    """Score tests."""
 
     wider: float = _number(10.0, "ratio", "test_bearings.py::test_no_wobble_is_found_where_geometry_is_beyond_its_priors",
         "factor by which the priors of geometry are widened where effects are tested",
@@ -138,7 +138,7 @@ class ScoreNumbers:
         "by which held-out blocks have to improve for a prediction to be called better",
         "one in six by chance; other criteria are stricter")
     searched: float = _number(2.0, "standard errors", _STAGE,
-        "the same for an effect selected among many on all blocks, such as harmonics of all orders",
+        "the same for an effect selected among many on all blocks, such as waves of all orders",
         "selection favours chance in the held-out blocks as well: of the significant ripples on a real UR10 only one is "
         "found in both series, at 2.4 and 2.2; the others reach 1.7 at most")
     veto: float = _number(2.0, "standard errors", _BLOCKS,
@@ -146,7 +146,7 @@ class ScoreNumbers:
     fewest_blocks: int = _number(6, "blocks", _BLOCKS,
         "among which the extreme ones can be identified", "four are left without them")
     against: float = _number(2.0, "standard errors", _BENT,
-        "by which blocks of poses have to get worse with a prior to contradict it", "1 in 40 by chance")
+        "by which the prediction of blocks has to deteriorate with a prior to contradict it", "1 in 40 by chance")
     most_explained: float = _number(0.999999, "ratio", _EXAMPLES,
         "largest fraction of the squares that can be removed", "keeps the F ratio finite")
     told: float = _number(0.01, "ratio", "test_bearings.py::test_what_geometry_takes_of_a_wobble_is_not_counted",
@@ -175,13 +175,13 @@ class ScoreNumbers:
     drawn: int = _number(200, "tables", "test_stability.py::test_a_bootstrap_of_noise_has_any_chance_alike",
         "tables that a bootstrap draws", "the smallest p-value that they can show is 1/201")
     drawn_from: float = _number(1e-10, "ratio", "test_stability.py::test_what_is_there_is_no_chance",
-        "part of the largest eigenvalue of S', scaled to a diagonal of 1, below which one is rounding",
-        "above what rounding leaves of 1e-16 a product")
+        "fraction of the largest eigenvalue of S', scaled to a diagonal of 1, below which one is rounding",
+        "above the accumulated rounding errors of products, 1e-16 each")
     order: float = _number(0.1, "ratio", "test_rows.py::test_correlated_noise_is_estimated_and_left_white",
         "mean square of a joint's steps from row to row, over that of random ones, below which it moved along the rows",
         "a path of a few turning points, or sorted poses")
     expansions: int = _number(8, "times", _CONSTANT,
-        "that an effect with a time constant is linearised anew at most", "chosen: each step is Newton's")
+        "that an effect with a time constant is linearised again at most", "chosen: each is a Newton step")
     sure: float = _number(4.0, "standard deviations", _SOFT,
         "by which a compliance has to differ from zero to be named by itself",
         "1 in 16000 by chance, of some twenty compliances")
@@ -189,90 +189,90 @@ class ScoreNumbers:
 
 @dataclass(frozen=True, kw_only=True)
 class WaveNumbers:
-    """How high-order harmonics, maps of two joints and periods are searched for."""
+    """Search for waves of high order, maps of two joints, and periods."""
 
     step: float = _number(0.25, "periods over the whole range", _SCAN,
         "steps of a periodogram", "the highest is then seen at 95 % of its square or more")
     fine: int = _number(48, "steps", _SCAN,
-        "of the one small matrix; the other has as many as it takes", "chosen for time: about the root of all steps")
+        "of one of the two small matrices; the other has the rest", "chosen for time: about the root of all steps")
     closer: int = _number(16, "steps", _STAGE,
-        "about the highest to find its place, each way", "a sixtieth of a resolution")
+        "on either side of the highest gain, to refine its order", "a sixtieth of a resolution")
     piece: int = _number(4096, "rows", _STAGE,
-        "whose exponentials are held at once", "chosen for memory: some megabytes")
+        "whose exponentials are held in memory at once", "chosen for memory: some megabytes")
     worth: float = _number(0.05, "probability", _QUIET,
-        "p-value of the highest harmonic, and of the best map, below which it becomes a candidate",
+        "p-value of the highest wave, and of the best map, below which it becomes a candidate",
         "the subsequent test is exact and stricter")
     aliases: int = _number(3, "waves", "test_tones.py::test_a_grid_of_positions_does_not_tell_orders_apart",
         "other orders that explain as much, at most", "what a reader can act on")
     phases: float = _number(1e-3, "ratio", "test_tones.py::test_a_grid_of_positions_does_not_tell_orders_apart",
-        "fraction of V^2 by which two phases of a harmonic have to differ to be distinguished",
+        "fraction of V^2 by which two phases of a wave have to differ to be distinguished",
         "less is rounding of positions on a grid")
     digits: int = _number(2, "digits", _STAGE,
-        "of an order that are kept", "finer than any span resolves")
+        "after the decimal point of an order", "finer than any span resolves")
     close: float = _number(1.0, "cycles per revolution", "test_tones.py::test_a_wave_found_again_close_by_came_in_so",
-        "orders closer than this are the same harmonic", "stages of a drive differ by more")
+        "orders closer than this are the same wave", "stages of a drive differ by more")
     line: float = _number(2.0, "resolutions", _LINE,
-        "up to which two harmonics may be one line", "each is within one of the middle")
+        "up to which two waves may be one line", "each is within one of the middle")
     map_forms: int = _number(3, "resolutions", "test_maps.py::test_a_map_is_as_fine_as_rows_and_positions_allow",
         "of the likeliest map, of which the coarsest and the finest are tested",
         "chosen: its other resolutions are tried once it has entered")
     map_seen: float = _number(1e-6, "ratio", "test_maps.py::test_a_function_of_two_joints_is_found_with_both",
-        "fraction of the largest diagonal below which a piece of a map has no pose", "a thousandth of the largest lever")
+        "fraction of the largest diagonal below which a cell of a map has no pose", "a thousandth of the largest lever")
     periods: float = _number(1.8, "periods", _PERIOD,
-        "that have to be seen before a curve is called periodic", "nearly two")
+        "that have to be observed for a curve to be called periodic", "nearly two")
     tone: float = _number(0.7, "ratio", _PERIOD,
-        "part of the excess that one tone has to explain for that", "chosen: most of it")
+        "fraction of the excess that one tone has to explain for that", "chosen: most of it")
     period: float = _number(1e-3, "probability", _PERIOD,
-        "chance that noise makes any tone of this strength", "chosen: a word in a report")
+        "p-value of the strongest tone for that", "chosen: a word in a report")
     fewest: int = _number(20, "rows", _PERIOD,
-        "below which no period is looked for", "chosen: ten a period")
-    finest: float = _number(0.25, "periods a row", _PERIOD,
-        "that are looked for at most", "half of what evenly spaced rows resolve")
-    oversampled: int = _number(8, "steps a period", _REPORT + "test_gains_of_tones_are_those_of_least_squares",
-        "over the whole range in which periods are looked for", "a tone between two steps is seen at 98 % of its square")
+        "below which no period is searched for", "chosen: ten per period")
+    finest: float = _number(0.25, "periods per row", _PERIOD,
+        "that are searched for at most", "half of what evenly spaced rows resolve")
+    oversampled: int = _number(8, "steps per period", _REPORT + "test_gains_of_tones_are_those_of_least_squares",
+        "over the whole range, of the search for periods", "a tone between two steps is seen at 98 % of its square")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurveNumbers:
-    """How fine and how smooth drive curves are."""
+    """Resolution and roughness of drive curves."""
 
     enough: int = _number(44, "positions", _REPEATS + "test_what_repeated_positions_can_not_tell_is_said",
-        "distinct positions of a joint that are enough for most gears", "fewer are worth a word where the poses carry more")
+        "distinct positions of a joint that are enough for most gears", "fewer are worth a note if there are more poses")
     forms: int = _number(3, "resolutions", _RATES + "test_a_whole_curve_takes_the_place_of_its_part",
-        "of a whole curve, the coarsest ones, in which it is asked whether a simple one leaves some of it",
-        "chosen: three are enough to tell whether there is more, and each pays for the others")
+        "of a whole curve, the coarsest ones, that are tested in addition to a simple one",
+        "chosen: three are enough to detect a remainder, and p-values are corrected for their number")
     roughness: float = _number(0.1, "rad^-0.5", _LIKELIEST,
         "where the search for the roughness begins", "chosen: only the time depends on it")
     moves: int = _number(15, "times", _LIKELIEST,
-        "that it is moved at most", "chosen: a bound on the time")
+        "that the roughness is updated at most", "chosen: a bound on the time")
     settled: float = _number(0.05, "ratio", _LIKELIEST,
-        "the change that ends it", "a curve hardly depends on that")
+        "relative change below which the updates end", "a curve hardly depends on that")
     farthest: float = _number(10.0, "ratio", _LIKELIEST,
-        "by which it moves at most", "chosen: a step that is too long comes back")
+        "of an update at most", "chosen: a step that is too long is reversed by the next")
     least: float = _number(1e-5, "rad^-0.5", _SMOOTH,
         "least roughness", "below it a curve strays from a straight line by less than 0.01 mrad in a radian")
     least_noise: float = _number(1e-3, "ratio", _SMOOTH,
-        "part of the variance of the noise that finer curves may leave at least", "readings that they go through have none")
+        "lower bound on the estimated noise, as a fraction of its variance", "curves through all readings leave none")
     firm: float = _number(30.0, "ratio", _SMOOTH,
-        "how much surer than by their priors other parameters are taken to stay, in the step from there",
-        "where compliances multiply places of bearings, a whole one leads far off")
+        "additional prior information of other parameters in the step with the curves, in units of their priors'",
+        "where compliances multiply places of bearings, a full step leads far off")
     enough_pieces: int = _number(180, "pieces", "test_smooth_curves.py::test_a_curve_ends_finer_up_to_enough_pieces",
-        "up to which a curve ends finer than the shortest wave that the rows tell", "for time: 12000 poses tell of more")
-    densely: int = _number(8, "positions a piece", _SMOOTH,
-        "by which a curve is drawn in other pieces", "chosen: a spline is smooth between them")
+        "up to which a curve ends finer than the shortest resolved wave", "for time: 12000 poses resolve more")
+    densely: int = _number(8, "positions per piece", _SMOOTH,
+        "at which a curve is resampled to another resolution", "chosen: a spline is smooth between them")
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlaceNumbers:
-    """When a place or a region is worth a line."""
+    """Places and regions of misfit that are reported."""
 
     chance: float = _number(0.01, "probability", _NOWHERE,
         "that data without an effect show a place, or a range of the workspace",
-        "a line of a report in a hundred may be chance")
+        "one line of a report in a hundred may be chance")
     share: float = _number(0.05, "ratio", _LOCATED,
-        "part of the excess below which a further place is not worth a line", "chosen: too small to be relevant")
+        "fraction of the excess below which a further place is not reported", "chosen: too small to be relevant")
     places: int = _number(3, "places", _LOCATED,
-        "and regions, of one station and of all together, that are worth a line", "what a reader can act on")
+        "and regions, of one station and of all together, that are reported", "what a reader can act on")
     pieces: int = _number(8, "functions", _LOCATED,
         "of a smooth curve of a position", "two periods over the range")
     own_pieces: tuple[int, ...] = _number((24, 60), "functions", _LOCATED,
@@ -282,73 +282,73 @@ class PlaceNumbers:
     distinct: int = _number(10, "values", _REPORT + "test_a_range_is_named_only_if_most_sits_in_it",
         "of a variable below which it has no narrow range", "chosen: a range of four of them, at most")
     most: float = _number(0.6, "ratio", _REPORT + "test_a_range_is_named_only_if_most_sits_in_it",
-        "part of what is found that sits in one range", "chosen: most of it")
+        "fraction of the misfit that one range has to contain", "chosen: most of it")
     narrow: float = _number(0.4, "ratio", _REPORT + "test_a_range_is_named_only_if_most_sits_in_it",
-        "part of the whole range and of the rows that this range has at most",
-        "chosen: evenly spread, two fifths would hold two fifths")
+        "fraction of the whole range and of the rows that this range contains at most",
+        "chosen: evenly spread, two fifths would contain two fifths")
     rows: int = _number(1000, "rows", _LOCATED,
-        "beyond which they are thinned", "for time: a place worth a line shows in fewer")
-    shuffles: int = _number(300, "orders", _NOWHERE,
-        "of the rows by which a range of the workspace is judged", "three of them lie beyond the chance")
+        "beyond which they are thinned", "for time: a place worth reporting shows in fewer")
+    shuffles: int = _number(300, "permutations", _NOWHERE,
+        "of the rows in the test of a range of the workspace", "three of them exceed the limit by chance")
     pointed: float = _number(0.55, "ratio", _LOCATED,
-        "part of the excess that a direction has to hold", "more than half; a third would be even")
+        "fraction of the excess that a direction has to contain", "more than half; a third would be isotropic")
     above: float = _number(4.0, "standard deviations", _NOWHERE,
-        "that it has to be above the noise", "1 in 30000 by chance")
+        "by which it has to exceed the noise", "1 in 30000 by chance")
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseNumbers:
-    """What is taken for scatter of one joint, and for noise that comes by way of all joints."""
+    """Scatter of one joint, and noise of all joints."""
 
     scatter: float = _number(25.0, "2 log likelihood", "test_scatter.py::test_noise_of_several_targets_is_no_scatter",
-        "that scatter of a joint has to gain",
-        "5 standard deviations of one parameter, so that none of a robot's joints gets there by chance: neither noise nor "
-        "several targets do, 50 urad do")
+        "smallest gain by scatter of a joint",
+        "5 standard deviations of one parameter, so that no joint exceeds it by chance: neither noise nor several targets "
+        "do, 50 urad of scatter do")
     ratios: tuple[float, float, int] = _number((-2.0, 3.0, 101), "log10, log10, number", _SCATTER,
         "candidate variances of the joint, in units of the noise seen at the joint's mean lever",
         "an eighth apart: a likelihood is flatter")
     chance: float = _number(0.01, "probability", _NEIGHBOURS,
-        "that scatter is taken for a function of the pose, and that noise of replicates is taken for scatter",
-        "a line of a report in a hundred may be chance")
+        "that scatter is mistaken for a function of the pose, and noise of replicates for scatter",
+        "one line of a report in a hundred may be chance")
     neighbours: int = _number(6, "poses", _NEIGHBOURS,
-        "next to a pose", "chosen: twice as many as joints that a function follows")
+        "nearest to a pose", "chosen: twice as many as joints on which a function depends")
     smooth: float = _number(0.15, "ratio", _NEIGHBOURS,
-        "part of a joint's range over which a smooth function keeps most of its value", "one period per range")
+        "fraction of a joint's range over which a smooth function keeps most of its value", "one period per range")
     most_joints: int = _number(3, "joints", "test_scatter.py::test_a_function_of_two_joints_is_no_scatter",
-        "that a function follows, if not all", "chosen: of more, no table has near poses")
+        "on which a function depends, if not on all", "chosen: of more, no table has near poses")
     near_joints: int = _number(2, "joints", _NEIGHBOURS,
         "of which neighbours have to be near for a function of them to be excluded",
-        "as many as an effect of the catalogue follows")
+        "as many as those on which an effect of the catalogue depends")
     beyond: float = _number(2.0, "standard deviations", _NEIGHBOURS,
-        "beyond the critical value that a smooth function has to reach to be excluded where it does not",
+        "beyond the critical value at which a smooth function is expected, for its absence to exclude it",
         "1 in 40 by chance")
-    draws: int = _number(299, "orders", _NEIGHBOURS,
-        "in which the errors are drawn again", "three of them lie beyond the chance")
+    draws: int = _number(299, "permutations", _NEIGHBOURS,
+        "of the errors", "three of them exceed the limit by chance")
     visits: int = _number(1000, "visits", _SCATTER,
         "beyond which they are thinned", "for time")
     joints: float = _number(25.0, "2 log likelihood", "test_joint_noise.py::test_even_noise_is_left_as_it_is",
-        "that noise of the joints has to gain", "without any, 120 tables had up to 13, half of them up to 2")
+        "smallest gain by noise of the joints", "without any, 120 tables had up to 13, half of them up to 2")
     readings_each: float = _number(5.0, "readings per parameter", _JOINT_NOISE,
-        "below which a fit has shaped its residuals too much", "a fifth of their variance is gone then")
+        "below which a fit absorbs too much of the residuals", "then a fifth of their variance")
     rows: int = _number(1000, "rows", _JOINT_NOISE,
         "that determine the variances well enough", "to 5 %")
     start: float = _number(0.3, "noise variance", "test_joint_noise.py::test_variances_are_where_residuals_are_likeliest",
         "where the search for the variances begins", "chosen: only the time depends on it")
     bounds: tuple[float, float] = _number((1e-6, 1e4), "noise variance",
         "test_joint_noise.py::test_variances_are_where_residuals_are_likeliest",
-        "how small and how large they may be", "nothing, and everything")
+        "bounds on these variances", "negligible, and dominant")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SightNumbers:
-    """What is promised of effects that could be found, and of measurements that could be made."""
+    """Detectability of effects, and measurements that would distinguish them."""
 
     power: float = _number(0.9, "probability", _POWER,
         "probability of finding an effect of detectable size", "usual")
     fewest: float = _number(10.0, "degrees of freedom", _REPORT + "test_survey_assumes_noise_where_rows_are_too_few_to_tell",
         "below which an effect can't be tested", "the noise is known to 22 % then")
     hopeless: float = _number(1e7, "noise variance", _REPORT + "test_survey_assumes_noise_where_rows_are_too_few_to_tell",
-        "non-centrality beyond which a test is given up", "the readings are too few for it")
+        "non-centrality beyond which no size is detectable", "the readings are too few for it")
     shapes: int = _number(400, "shapes", _POWER,
         "of an effect of several parameters over which its power is averaged", "to 1.5 % at a power of 0.9")
     told_apart: float = _number(30.0, "noise variance", _APART,
@@ -361,7 +361,7 @@ class SightNumbers:
     warmer: float = _number(10.0, "K", _APART,
         "change of temperature that another run could make", "an arm between a cold start and an hour of work")
     moves: tuple[float, ...] = _number((-1.5, -0.1, 0.1, 1.5), "rad, m", _APART,
-        "moves by which another run could come to its poses", "a large motion, and one as short as in a program")
+        "moves by which another run could reach its poses", "a large motion, and one as short as in a program")
 
 
 # fmt: on

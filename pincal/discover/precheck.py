@@ -1,4 +1,4 @@
-"""What a table of measurements is worth before it is fitted: coverage, rank, how large an effect has to be to be found."""
+"""Precheck of tables before they are fitted: coverage, rank, expected uncertainty, smallest detectable effects."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from pincal.validate.outcome import noise_key
 
 # Why an effect of rank zero can't be tested.
 ABSORBED = "the fitted model absorbs all of it in these poses (rank zero)"
-FTest = tuple[float, int, int]  # degrees of freedom that the model leaves, rank, groups tested
+FTest = tuple[float, int, int]  # residual degrees of freedom, rank, groups tested
 
 
 @dataclass(frozen=True)
 class JointRange:
-    """How much of a joint's range a table covers [rad or m], and at how many distinct positions."""
+    """Range and limits of a joint's positions in a table [rad or m], and the number of distinct ones."""
 
     joint: str
     low: float
@@ -53,7 +53,7 @@ class JointRange:
 
 @dataclass(frozen=True)
 class Expectation:
-    """What these poses can tell of one parameter, whatever its value: sigma in SI units."""
+    """Expected standard deviation of one parameter at these poses, in SI units, and its status."""
 
     name: str
     unit: str
@@ -65,14 +65,14 @@ class Expectation:
 
 @dataclass(frozen=True)
 class DetectabilityTable:
-    """What a discovery could find with these poses and this noise.
+    """Effects that a discovery could find with these poses and this noise.
 
     Attributes:
-        model: "elastic" or "geometric": what is fitted along with every effect.
-        sigma_m: the noise that it rests on [m]; of an image, at the distance of its points; None of an IMU alone.
+        model: "elastic" or "geometric": the model fitted along with every effect.
+        sigma_m: the underlying noise [m]; of an image, at the distance of its points; None of an IMU alone.
         source: "declared", "estimated" or "assumed".
-        alpha: chance of any false name.
-        power: chance with which an effect of the size told is found.
+        alpha: probability of any false name.
+        power: probability of finding an effect of the detectable size.
         effects: each effect of the catalogue.
     """
 
@@ -86,19 +86,19 @@ class DetectabilityTable:
 
 @dataclass(frozen=True)
 class DataReport:
-    """What a table can tell.
+    """Precheck of tables.
 
     Attributes:
         kind: what was measured.
         rows: number of rows.
         joints: coverage of each joint.
-        nominal: errors with base and tool fitted alone.
-        noise: standard deviation that the expectations rest on [m], and where it comes from.
-        rank: directions that the poses determine better than what is known beforehand.
-        released: parameters that a fit would release.
-        condition: of the determined directions.
-        parameters: what to expect of each.
-        detectable: how large each effect beyond the model would have to be to be found.
+        nominal: errors with only base and tool fitted.
+        noise: standard deviation on which expectations are based [m], and its origin.
+        rank: number of directions that the poses determine better than the priors do.
+        released: number of parameters that a fit would release.
+        condition: condition number of the determined directions.
+        parameters: expected uncertainty of each.
+        detectable: smallest detectable size of each effect beyond the model.
         warnings: further messages, doubts first.
     """
 
@@ -125,7 +125,7 @@ class DataReport:
 
 
 def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport:
-    """Look at tables as a calibration would, without fitting more than base and tool.
+    """Check tables as a calibration would, fitting only base and tool.
 
     Args:
         robot: the arm.
@@ -133,7 +133,7 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
         options: how it would be calibrated.
 
     Raises:
-        BadInputError: as a calibration would.
+        BadInputError: as for a calibration.
     """
     admitted = admit(robot, tables_of(measurements), lambda name: options.at(name).setup)
     tables = admitted.tables
@@ -173,7 +173,7 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
 
 
 def _outlook(robot: Robot, fit: ModelFit) -> DetectabilityTable:
-    """Return what could be found beyond the elastic model."""
+    """Return the effects that could be found beyond the elastic model."""
     base = refit(fit, ELASTIC)
     declared = fit.noise.declared
     assumed = np.array([block.noise for block in base.problem.blocks])
@@ -194,7 +194,7 @@ def _outlook(robot: Robot, fit: ModelFit) -> DetectabilityTable:
 
 
 def _ranges(robot: Robot, poses: np.ndarray) -> Iterator[JointRange]:
-    """Yield the coverage of each joint; an endless range has no limits."""
+    """Yield the coverage of each joint, infinite limits as None."""
     for name, q, *limits in zip(robot.joint_names, poses.T, robot.lower, robot.upper, strict=True):
         lower, upper = (float(limit) if np.isfinite(limit) else None for limit in limits)
         yield JointRange(name, float(q.min()), float(q.max()), lower, upper, distinct_values(q))
@@ -208,18 +208,18 @@ def _expectations(fit: ModelFit) -> Iterator[Expectation]:
 
 @dataclass(frozen=True)
 class Detectable:
-    """The smallest size of an effect that would be found.
+    """The smallest detectable size of an effect.
 
     Attributes:
-        effect: what.
-        measure: what the size is the size of: the name of the effect's one parameter, "amplitude" (the length of the
-            vector of its parameters), "rms of the curve" or, of compliances, "largest rotation in these poses".
-        unit: the unit of the sizes.
-        size: at which it is found with the chance ``SIGHT.power``, all directions of its parameters alike; None where no
-            size would show.
-        best: the same in the direction that shows best.
-        absorbed: part of the squared signal that a refitted model takes up (the mean over the directions).
-        reason: why no size would show; empty otherwise.
+        effect: the effect.
+        measure: the measured quantity: the name of the effect's only parameter, "amplitude" (the norm of its parameters),
+            "rms of the curve" or, of compliances, "largest rotation in these poses".
+        unit: unit of the sizes.
+        size: size that is found with probability ``SIGHT.power``, for random directions of its parameters; None if no size
+            is detectable.
+        best: the same in the most visible direction.
+        absorbed: fraction of the squared signal that a refitted model absorbs (mean over the directions).
+        reason: why no size is detectable; empty otherwise.
     """
 
     effect: Effect
@@ -231,24 +231,23 @@ class Detectable:
     reason: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain data, the effect by name, joint, source, order and frame."""
+        """Return plain data, the effect by name, joint, source, order and frame."""
         at = self.effect.locus
         which = zip(("effect", "joint", "source", "order", "frame"), (*self.effect.heading, at.order, at.frame), strict=True)
         return dict(which) | {key: value for key, value in vars(self).items() if key != "effect"}
 
 
 def minimum_detectable(fit: ModelFit, effects: Sequence[Effect], *, sigma: np.ndarray | None = None) -> list[Detectable]:
-    """Return, for each effect, how large it would have to be to be found with these poses and this noise.
+    """Return the smallest detectable size of each effect with these poses and this noise.
 
-    An effect of parameters beta leaves the non-centrality beta^T S' beta once everything else, uncertain masses included,
-    is refitted. It is found if its gain passes what the loop asks: the F test over the number of groups
-    tested, and the share of the squares. The power follows from the non-central F distribution.
+    An effect of parameters beta has the non-centrality beta^T S' beta with everything else refitted, uncertain masses
+    included. It is found if its gain passes the tests of the search: the F test corrected for the number of groups, and the
+    smallest relevant gain. The power follows from the non-central F distribution.
 
     Args:
-        fit: the model that every effect would be added to.
-        effects: which.
-        sigma: shape (blocks,), standard deviation of one component of each block of readings; that of the residuals
-            unless given.
+        fit: the model to which every effect would be added.
+        effects: the effects.
+        sigma: shape (blocks,), standard deviation of one component of each block of readings; default: of the residuals.
     """
     situation = situation_of(fit)
     tested = [effect.reduced(situation) if isinstance(effect, Reducible) else effect for effect in effects]
@@ -266,7 +265,7 @@ def _too_few(found: ScoreTests) -> str:
 
 
 def _sizes(fit: ModelFit, found: ScoreTests, i: int, groups: int) -> Iterator[Detectable]:
-    """Yield the detectable size of an effect, one a unit of its parameters."""
+    """Yield the detectable size of an effect, one per unit of its parameters."""
     effect = found.effects[i]
     parameters = effect.parameters(fit.problem.chain)
     rank = found.gain([i])[1]
@@ -288,11 +287,11 @@ def _sizes(fit: ModelFit, found: ScoreTests, i: int, groups: int) -> Iterator[De
 
 
 def _measure(effect: Effect, fit: ModelFit, own: np.ndarray, unit: str) -> tuple[str, str, np.ndarray]:
-    """Return what the size of some parameters means, its unit, and the parameters of vectors of size 1, shape (p, k)."""
+    """Return the measure of the size of some parameters, its unit, and parameter vectors of size 1, shape (p, k)."""
     if isinstance(effect, Curve):
         return "rms of the curve", unit, _unit_curves(effect, fit)
     if "N m" in unit:
-        # Micro-radians say more than compliances.
+        # A rotation is more intuitive than a compliance.
         largest, felt = largest_basis(Model(fit.problem.chain, (effect,)), fit.problem.conditions)
         return "largest rotation in these poses", "rad", np.diag(1.0 / largest[own])[:, felt[own]]
     one = len(own) == 1
@@ -310,11 +309,9 @@ def _unit_curves(effect: Curve, fit: ModelFit) -> np.ndarray:
 
 
 def _size_at(strengths: np.ndarray, test: FTest) -> tuple[float, float]:
-    """Return the size that is found with the chance SIGHT.power in a random direction, and in the best one.
+    """Return the size that is found with probability SIGHT.power in a random direction, and in the best one.
 
-    Args:
-        strengths: shape (k,), non-centrality of an effect of size 1 along the principal directions.
-        test: what the loop asks.
+    ``strengths``, shape (k,), are the non-centralities of an effect of size 1 along its principal directions.
     """
     from scipy.optimize import brentq
 
@@ -329,7 +326,7 @@ def _size_at(strengths: np.ndarray, test: FTest) -> tuple[float, float]:
 
 
 def critical_gain(test: FTest) -> float:
-    """Return what an effect has to take off the sum of squares to be let in, in units of the noise."""
+    """Return the smallest accepted reduction of the sum of squares, in units of the noise."""
     dof, rank, groups = test
     rest = max(dof - rank, 1.0)
     ratio = rank * float(fdtri(rank, rest, 1.0 - POLICY.false_name / max(groups, 1))) / rest
@@ -337,7 +334,7 @@ def critical_gain(test: FTest) -> float:
 
 
 def power_of(noncentrality: float, test: FTest) -> float:
-    """Return the chance that an effect of a non-centrality passes the loop's test."""
+    """Return the probability that an effect of a non-centrality is accepted."""
     dof, rank, *_ = test
     gain, rest = critical_gain(test), max(dof - rank, 1.0)
     F = (gain / rank) / (max(dof - gain, 1e-9) / rest)
@@ -346,7 +343,7 @@ def power_of(noncentrality: float, test: FTest) -> float:
 
 @lru_cache(maxsize=256)
 def detectable_noncentrality(test: FTest) -> float:
-    """Return the non-centrality at which the chance to be found is SIGHT.power; inf where no effect passes the test."""
+    """Return the non-centrality that is found with probability SIGHT.power; inf where no effect passes the test."""
     from scipy.optimize import brentq
 
     upper = 10.0 * critical_gain(test) + 100.0
@@ -359,6 +356,6 @@ def detectable_noncentrality(test: FTest) -> float:
 
 @lru_cache(maxsize=256)
 def _power_curve(test: FTest) -> tuple[np.ndarray, np.ndarray]:
-    """Return non-centralities and the chances that belong to them."""
+    """Return non-centralities and the power at each."""
     grid = np.linspace(0.0, 3.0 * detectable_noncentrality(test), 60)
     return grid, np.array([power_of(value, test) for value in np.maximum(grid, 1e-9)])

@@ -1,4 +1,4 @@
-"""What score tests are made of: what rows and priors say of a model, and the rows themselves with all columns."""
+"""Components of score tests: the information of rows and priors on a model, and the rows with all columns."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from pincal.identify.quadratic import Factor, Form
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What rows and priors say of the N parameters of a model, by block of poses; the same for all candidates.
+    """Information of rows and priors on the N parameters of a model, by block of poses; the same for all candidates.
 
     Attributes:
-        blocks: what the rows of each of B blocks say.
-        prior: what was known of the parameters before.
-        variants: the same with other sizes of what is in doubt, or without some parameters, once it is asked for.
+        blocks: of the rows of each of B blocks.
+        prior: of the priors.
+        variants: cache of the same with other uncertain sizes, or without some parameters.
     """
 
     blocks: Form
@@ -28,42 +28,37 @@ class Information:
 
     @cached_property
     def rows(self) -> Form:
-        """What all rows say."""
+        """Information of all rows."""
         return self.blocks.sum()
 
     @cached_property
     def factor(self) -> Factor:
-        """Of the information of rows and priors."""
+        """Factor of the information of rows and priors."""
         return Factor.of(self.rows.H + self.prior.H)
 
     @cached_property
     def slope(self) -> np.ndarray:
-        """That of rows and priors in units of the factor, shape (N,)."""
+        """Gradient of rows and priors in units of the factor, shape (N,)."""
         return self.factor.half(self.rows.g + self.prior.g)
 
     def believing(self, factor: float, H: np.ndarray) -> Information:
-        """Return the same where sizes in doubt are multiplied by a factor, which makes H of the priors' information."""
+        """Return the same with uncertain sizes multiplied by a factor, with H the resulting information of the priors."""
         return self.variants.setdefault(factor, Information(self.blocks, replace(self.prior, H=H)))
 
     def without(self, model: np.ndarray, gone: np.ndarray, values: np.ndarray) -> Information:
-        """Return the same of the parameters that stay, the others at zero; to first order nothing is evaluated again.
+        """Return the same of some parameters, ``model``, with the others, ``gone``, set from ``values`` to zero.
 
-        Without columns J of value v the residuals r grow by J v, and g by H v.
-
-        Args:
-            model: shape (M,), which stay.
-            gone: shape (G,), which go.
-            values: shape (G,), of these.
+        To first order the residuals r grow by J v for columns J of value v, and g by H v.
         """
         if (key := gone.tobytes()) not in self.variants:
-            left = self.blocks.part(model)
-            left = replace(left, g=left.g + self.blocks.H[:, model[:, None], gone] @ values)
-            self.variants[key] = Information(left, self.prior.part(model))
+            kept = self.blocks.part(model)
+            kept = replace(kept, g=kept.g + self.blocks.H[:, model[:, None], gone] @ values)
+            self.variants[key] = Information(kept, self.prior.part(model))
         return self.variants[key]
 
     @cached_property
     def without_block(self) -> list[tuple[Factor, np.ndarray]]:
-        """Factor of the information without each block, and the step of the parameters."""
+        """Factor of the information and step of the parameters, without each block."""
         found = []
         for H, g in zip(self.blocks.H, self.blocks.g, strict=True):
             factor = Factor.of(self.rows.H - H + self.prior.H)
@@ -72,14 +67,14 @@ class Information:
 
 
 class RowPart(NamedTuple):
-    """Some rows of a station, their residuals and columns whitened.
+    """Some rows of a station, with whitened residuals and columns.
 
     Attributes:
-        rows: shape (n,), which of all rows of the fit they are.
+        rows: shape (n,), their indices among all rows of the fit.
         residuals: shape (m, n).
         model: the station's columns of the model.
         candidates: the station's columns of the candidates.
-        at: where these and those stand among the columns of all, the model's first; -1 for nowhere.
+        at: indices of the model's and then the candidates' columns among all columns; -1 for removed ones.
     """
 
     rows: np.ndarray
@@ -90,14 +85,14 @@ class RowPart(NamedTuple):
 
     def moved(self, steps: np.ndarray) -> np.ndarray:
         """Return how R steps of the parameters of all columns, shape (N + C, R), move the rows, shape (R, m, n)."""
-        # What stands nowhere takes no step.
+        # Removed columns take no step.
         steps, n = np.vstack([steps, np.zeros(steps.shape[1])]), self.model.size
         some = np.flatnonzero(steps[self.at[n:]].any(axis=1))
         added = self.candidates.only(some).along(steps[self.at[n + some]])
         return np.asarray(self.model.along(steps[self.at[:n]]) + added)
 
     def products(self, some: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Return the products of J columns of candidates with K, by their places among all, shape (J, K)."""
+        """Return the products of J columns of candidates with K others, by index among all, shape (J, K)."""
         pairs = (np.nonzero(of[:, None] == self.at[self.model.size :]) for of in (some, others))
         (here, mine), (there, theirs) = pairs
         own, found = np.zeros((len(here), len(there))), np.zeros((len(some), len(others)))
@@ -106,5 +101,5 @@ class RowPart(NamedTuple):
         return found
 
     def among(self, slots: np.ndarray, undone: np.ndarray) -> RowPart:
-        """Return the same with columns in other places, shape (N + C + 1,), once their parameters have gone back so far."""
+        """Return the rows with columns at other indices, shape (N + C + 1,), and values ``undone`` set to zero."""
         return self._replace(residuals=self.residuals + self.moved(undone[:, None])[0], at=slots[self.at])

@@ -1,13 +1,12 @@
-"""Discover what a calibration misses: from a robot and a table to findings, a model that holds them, how stable they are.
+"""Discovery of effects that a calibration lacks: findings, a model with them, and their stability.
 
-Halves of the poses, whole regions of joint space at a time, tell how stable names are: a half leaves out half of the
-regions; it and the rest of them are a pair (complementary pairs: Shah and Samworth 2013, J. R. Stat. Soc. B 75, 55-80). A
-name that comes in 19 of 20 halves does not hang on a few poses, and somebody else's poses would most likely have brought it
-up, too; one that comes in less than 60 % is a hint.
+The search is repeated on subsamples of half of the regions of joint space; a half and the other regions are a complementary
+pair (Shah and Samworth 2013, J. R. Stat. Soc. B 75, 55-80). A name found in 19 of 20 halves does not depend on a few poses
+and would probably be found with other poses; one found in less than 60 % is a hint.
 
-A search on a half starts from the geometric fit of all rows, in their convention of moments, and looks for everything in
-the catalogue; of dependences without a name for those that all rows brought up. Where effects are chosen by a sample of the
-rows, see ``Policy.enough_readings``, halves are of this sample.
+A search on a half starts from the geometric fit of all rows, in their moment frame, with all effects of the catalogue and
+those unnamed dependences that were found on all rows. Where effects are selected on a sample of the rows, see
+``Policy.enough_readings``, halves are of this sample.
 """
 
 from __future__ import annotations
@@ -56,9 +55,9 @@ from pincal.spread import spread, wake
 from pincal.validate.misfit import SURE, Verdict
 
 Heading = tuple[str, str | None, str | None]
-"""Effect, joint and source: two effects that have them in common have the same name."""
+"""Effect, joint and source, which together are the name of an effect."""
 Group = tuple[Heading, ...]
-"""The heading of what was found, and those of what the data can't tell from it."""
+"""Headings of an effect found and of its equivalents."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,10 +66,10 @@ class Discovery:
 
     Attributes:
         calibration: the calibration with all effects found.
-        trail: how it was found.
-        findings: what was found.
+        trail: the history of the search.
+        findings: the findings.
         gaps: errors on held-out rows at the start, after each change of the model.
-        traces: what each effect explains, pose by pose.
+        traces: partial residuals of each effect, pose by pose.
     """
 
     calibration: Calibration
@@ -94,7 +93,7 @@ class Discovery:
 
 
 class Choices(TypedDict, total=False):
-    """What a discovery shares with a calibration, how rows are held out, and conventions of moments to choose from."""
+    """How rows are held out, as for a calibration, and moment frames to choose from."""
 
     test_fraction: float
     split: Validation
@@ -114,29 +113,29 @@ def run_discovery(
     executor: Executor | None = None,
     **choices: Unpack[Choices],
 ) -> Discovery:
-    """Calibrate, identify and add the effects that the model misses, and validate each step on held-out rows.
+    """Calibrate, identify and add the effects that the model lacks, and validate each step on held-out rows.
 
     Args:
         robot: the arm.
-        measurements: the table, or several, which are a station each.
+        measurements: the table, or several, a station each.
         options: how to calibrate; its effects are the model to start from, default: the geometric one.
-        extra: additional effects of the user that take part.
+        extra: additional candidate effects of the user.
         policy: thresholds and limits.
         stability: number of subsamples on which the search is repeated, to count how often each name is found; a
             bootstrap then also tests the effect accepted last; default: none.
-        executor: makes these searches, and the discoveries that leave a station out; default: one after the other, here.
+        executor: runs these searches, and the discoveries that leave a station out; default: sequentially, here.
 
     Keyword Args:
-        test_fraction: part of the rows held out; default: a fifth.
-        split: how rows are chosen; default: whole regions of joint space, and stretches of consecutive rows, of which those
-            lead that are predicted worse. With "station" each station in turn is predicted by a discovery on the others.
+        test_fraction: fraction of the rows held out; default: a fifth.
+        split: how rows are chosen; default: whole regions of joint space, and stretches of consecutive rows, the headline
+            being the one predicted worse. With "station" each station is predicted by a discovery on the others.
         seed: of the choice; default: 0.
         holdout: other measurements to hold out instead.
-        moment_frames: conventions of where moments bend the arm to choose from by the data; that of the options unless
-            given. The first stays unless another fits better beyond chance.
+        moment_frames: moment frames to choose from by the data; default: as in the options. The first is kept unless
+            another fits significantly better.
 
     Returns:
-        The calibration with all that was found, and how it was found.
+        The calibration with all effects found, and the history of the search.
 
     Raises:
         BadInputError: as :func:`run_calibration`, and if the number of subsamples is negative.
@@ -161,8 +160,8 @@ def run_discovery(
     tables = tables_of(measurements)
     if not reads_places(tables):
         raise BadInputError(
-            f"{', '.join(table.source for table in tables.values())}: an IMU alone tells no places, which tell causes "
-            "apart; add a tracker in motion or some held poses, or calibrate by it (pincal calibrate)"
+            f"{', '.join(table.source for table in tables.values())}: an IMU alone measures no positions, which a discovery "
+            "needs to distinguish causes; add a tracker in motion or some static poses, or only calibrate (pincal calibrate)"
         )
     options = Options(effects=GEOMETRIC) if options is None else options
     begun = time.perf_counter()
@@ -180,13 +179,13 @@ def run_discovery(
         left_out = leave_out_stations(robot, tables, options, fit_others=others, executor=executor)
     if executor is not None:
         wake(executor, stability, begin_subsamples.__module__)
-    # Before names are looked for, what depends on the order of rows may be what they stand for.
+    # Correlation along the rows may be due to the effects searched for.
     plain = replace(options, serial=False)
     first = run_calibration(robot, measurements, plain, **held_back)
     first = replace(first, fit=replace(first.fit, options=replace(first.fit.options, serial=options.serial)))
     trail, notes = search(first)
     halves = begin_subsamples(trail, _regions(first), stability, executor=executor)
-    # What follows is done here while workers are at the halves.
+    # The following runs while workers search the halves.
     fit, traces = widened(trail), partial_residuals(trail)
     gaps, held_out = stages_of(trail, first.stations)
     origins = ", ".join(dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations))))
@@ -200,7 +199,7 @@ def run_discovery(
     seconds = time.perf_counter() - begun
     result = result_of(fit, first.stations, seconds=seconds, notes=notes, left_out=left_out)
     final = replace(first, fit=CalibratedFit.of(fit), result=result, notes=notes)
-    # The search says what speaks against the model; whether anything speaks for it, the rule for all verbs.
+    # The search decides whether the model is inadequate; whether it is adequate, the rule common to all commands.
     verdict = result.verdict_of(left=findings.verdict is Verdict.NOT_ADEQUATE)
     findings = changed(findings, verdict=verdict, warnings=result.warnings)
     return Discovery(final, trail, findings, gaps, traces)
@@ -209,7 +208,7 @@ def run_discovery(
 def _search(
     first: Calibration, *, frames: tuple[MomentFrame, ...], extra: tuple[Effect, ...], policy: Policy
 ) -> tuple[History, tuple[Note, ...]]:
-    """Return what was found from a calibration on, and notes."""
+    """Return the history of a search from a calibration on, and notes."""
     blocks = np.concatenate(_regions(first)) % TESTING.blocks
     found = discover_effects(first.fit, blocks, frames=frames, extra=extra, policy=policy)
     trail = withdraw_names_at_change(found)
@@ -245,19 +244,14 @@ def _discovered(
     tables: dict[str, Measurements],
     options: Options,
 ) -> CalibratedFit:
-    """Return the fit of all that is discovered on all rows of some stations."""
+    """Return the final fit of a discovery on all rows of some stations."""
     trail, _ = search(run_calibration(robot, tables, options, test_fraction=0.0))
     return CalibratedFit.of(trail.final)
 
 
 @dataclass(frozen=True)
 class Subsamples:
-    """What the search named in each half of the poses.
-
-    Attributes:
-        named: for each half the names that it brought up.
-        poses: rows of a half, on average.
-    """
+    """Names found in each half of the poses, and the mean number of rows of a half."""
 
     named: tuple[tuple[Group, ...], ...]
     poses: int
@@ -266,11 +260,11 @@ class Subsamples:
         return len(self.named)
 
     def count(self, heading: Heading) -> int:
-        """Return in how many halves a name came up, as it is or among what the half could not tell from its name."""
+        """Return the number of halves in which a name was found, also as an equivalent."""
         return sum(any(heading in group for group in groups) for groups in self.named)
 
     def others(self, known: Sequence[Heading], share: float) -> list[tuple[Heading, int]]:
-        """Return names that are not known and came up first in at least a share of the halves, the most frequent first."""
+        """Return unknown names that were found, not only as equivalents, in at least a share of the halves, with counts."""
         first = Counter(heading for groups in self.named for heading in dict.fromkeys(group[0] for group in groups))
         return [(name, n) for name, n in first.most_common() if name not in known and n >= share * len(self)]
 
@@ -278,25 +272,25 @@ class Subsamples:
 def begin_subsamples(
     trail: History, regions: Sequence[np.ndarray], count: int, *, executor: Executor | None = None
 ) -> Callable[[], Subsamples]:
-    """Begin to repeat a search on halves of the poses from which it chose; return what waits for the names.
+    """Begin to repeat a search on halves of its poses; return a function that waits for the names.
 
     Args:
         trail: the search on all rows.
         regions: for each station shape (rows,), the region of joint space of each training row.
         count: number of halves.
-        executor: makes the searches, all of them begun now; default: one after the other, here, once they are waited for.
+        executor: runs the searches, all started now; default: sequentially, here, when they are waited for.
     """
     if not count:
         return lambda: Subsamples((), 0)
     few, rows = sampled(trail.first, trail.policy)
-    # How noise depends on the order is known from all rows.
+    # The correlation along the rows is estimated from all rows.
     few = replace(few, options=replace(few.options, serial=False))
     offsets = np.cumsum([0, *(int(part.max()) + 1 for part in regions)])
     joined = np.concatenate([part + offset for part, offset in zip(regions, offsets, strict=False)])[rows]
     parts = [np.unique(joined[span]) for span in few.problem.rows]
     found = [effect for step in trail.steps for effect in (*step.effects, *step.equivalent)]
     nameless = frozenset(effect.identity for effect in found if effect.is_nameless)
-    # Names do not hang on how fine curves end.
+    # Names do not depend on the final resolution of curves.
     run = partial(_names_in_half, few, joined, trail.extra, replace(trail.policy, finer=1.0), nameless)
     halves = list(_subsamples(parts, joined, count))
     poses = round(float(np.mean([np.count_nonzero(np.isin(joined, half)) for half in halves])))
@@ -305,7 +299,7 @@ def begin_subsamples(
 
 
 def _subsamples(parts: Sequence[np.ndarray], regions: np.ndarray, count: int) -> Iterator[np.ndarray]:
-    """Yield the regions of each half, those of every station divided so that both halves have about as many rows."""
+    """Yield the regions of each half, with about half of the rows of every station."""
     rng, sizes = np.random.default_rng(0), np.bincount(regions)
     for k in range(count):
         if k % 2 == 0:
@@ -325,7 +319,7 @@ def _names_in_half(
     nameless: frozenset[object],
     half: np.ndarray,
 ) -> tuple[Group, ...] | None:
-    """Return the names that a search on some regions brings up; None if their rows do not make a fit."""
+    """Return the names found by a search on some regions; None if their rows can't be fitted."""
     rows = np.flatnonzero(np.isin(regions, half))
     groups = np.unique(regions[rows], return_inverse=True)[1] % TESTING.blocks
     try:
@@ -337,7 +331,7 @@ def _names_in_half(
 
 
 def _groups(trail: History) -> Iterator[Group]:
-    """Yield what a search found as its findings name it: elasticity joint by joint."""
+    """Yield the names found by a search, as in its findings: elasticity joint by joint."""
     for step in trail.steps:
         if step.is_elastic:
             yield from ((sure.effect.heading,) for sure in sure_compliances(trail.final, step.effects))
@@ -346,27 +340,21 @@ def _groups(trail: History) -> Iterator[Group]:
 
 
 def with_subsamples(findings: Findings, halves: Subsamples, bootstrap: Bootstrap | None) -> Findings:
-    """Return findings with how stable they are.
-
-    Args:
-        findings: what a discovery found.
-        halves: what the search named in halves of the poses.
-        bootstrap: whether the effect that was accepted last may be chance; None if there is none.
-    """
+    """Return findings with their stability, from names in halves of the poses, and a bootstrap of the last effect."""
     if not halves:
         return changed(findings, bootstrap=bootstrap)
     every = [(entry, Stability(halves.count(_heading(entry)), len(halves))) for entry in findings.effects]
-    effects = tuple(changed(entry, stability=stability) for entry, stability in every)
+    effects = tuple(changed(entry, stability=of) for entry, of in every)
     names = ({key: getattr(entry, key) for key in EffectName.__struct_fields__} for entry in effects)
     hints = (Repeated(**name, stability=of) for name, (_, of) in zip(names, every, strict=True) if of.share < SURE)
-    # What most halves bring up and all rows neither have nor list among what could be theirs.
+    # Names found in most halves that are neither found on all rows nor equivalents.
     known = [_heading(name) for entry in effects for name in (entry, *entry.equivalent)]
     only = (
         Repeated(effect=effect, joint=joint, source=source, stability=Stability(named, len(halves)))
         for (effect, joint, source), named in halves.others(known, SURE)
     )
-    told: dict[str, Any] = {"hints": tuple(hints), "only_in_halves": tuple(only), "poses_in_a_half": halves.poses}
-    return changed(findings, effects=effects, bootstrap=bootstrap, **told)
+    stability: dict[str, Any] = {"hints": tuple(hints), "only_in_halves": tuple(only), "poses_in_a_half": halves.poses}
+    return changed(findings, effects=effects, bootstrap=bootstrap, **stability)
 
 
 def _heading(entry: EffectName) -> Heading:

@@ -1,15 +1,15 @@
-r"""Scatter of one joint, which moves it from pose to pose but stands in no column; and tests where noise is uneven by it.
+r"""Scatter of one joint from pose to pose, and score tests for noise that is uneven because of it.
 
-More is left along the lever of a joint than the noise makes: either the joint is somewhere else each time, or what is left
-is a function of the pose that nobody has named. The same pose measured again tells these apart; so do poses that are near
-each other in some joints, as a smooth function is nearly the same at both and scatter is not.
+Residuals in excess of the noise along the lever of a joint are due either to its repeatability or to an unknown function of
+the pose. Repeated poses distinguish these; so do poses that are close in some joints, where a smooth function has nearly the
+same value and scatter has not.
 
-A score test takes the noise to be one number. Where a joint does not repeat, readings are noisier along its lever than
-across it, and chance alone explains more by effects on this joint than the test says. What the noise is along an effect is
-seen in the scores of single visits, :math:`s_v = W^T \sum_{n \in v} X'_n{}^T r_n` (X' the effect's columns with the model's
-tangent space projected out, whitened by W, r what the effect leaves): even noise makes the mean square of their components
-1 in all. Divided by a mean square that is more, and more than by chance, the test is right whatever the noise (Rao and
-Scott 1981, first order).
+A score test assumes a single noise variance. Where a joint does not repeat, readings are noisier along its lever than across
+it, and the test understates the p-values of effects on this joint. The noise along an effect follows from the scores of
+single visits, :math:`s_v = W^T \sum_{n \in v} X'_n{}^T r_n` (X' the effect's columns with the model's tangent space
+projected out, whitened by W, r the residuals with the effect): with even noise their components have a mean square of 1 in
+total. Divided by a mean square that is significantly larger, the test is valid for any noise (Rao and Scott 1981, first
+order).
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ _ROW_ORDER = "the order of the rows"
 
 @dataclass(frozen=True)
 class Excess:
-    """What is left along the lever of one joint beyond the noise.
+    """Residuals in excess of the noise along the lever of one joint.
 
     Attributes:
         joint: the joint.
         sigma: standard deviation of its position that would explain it [rad or m].
         missing: the column that could explain it.
-        shown_by: what shows that it is scatter: "replicates" or "neighbours"; "" if nothing does.
-        follows: the joints whose positions it follows, or the order of the rows, as far as near poses tell; else empty.
-        is_repeated: whether poses that were measured again show it again.
+        shown_by: evidence that it is scatter: "replicates" or "neighbours"; "" without any.
+        follows: the joints on whose positions it depends, or the order of the rows, according to neighbours; else empty.
+        is_repeated: whether repeated poses reproduce it.
     """
 
     joint: str
@@ -57,12 +57,12 @@ class Excess:
 
     @property
     def scattering(self) -> ScatteringJoint | None:
-        """The joint as one that scatters, if that is shown."""
+        """The entry of the findings, if scatter is shown."""
         return ScatteringJoint(self.joint, self.sigma, self.missing, self.shown_by) if self.shown_by else None
 
     @property
     def statement(self) -> str:
-        """Description."""
+        """The finding in words."""
         if self.shown_by == "replicates":
             return f"{self.joint} does not return to the same position about its own axis, even when a pose is repeated"
         if self.shown_by:
@@ -88,15 +88,14 @@ class Excess:
 
 
 def find_excess(fit: ModelFit, measured: ModelFit | None = None) -> Excess | None:
-    """Return the joint along whose lever most is left beyond the noise, if it is enough, and whether it is scatter.
+    """Return the joint with the largest excess along its lever, if significant, and whether it is scatter.
 
-    It is if replicates differ by it. Without them it is if poses that are neighbours in the positions of some joints have
-    unrelated errors, and would have shown a smooth function of these joints: the null distribution is that of the same
-    errors in other orders.
+    It is scatter if replicates differ by it; without them if neighbours in the positions of some joints have unrelated
+    errors although a smooth function of these joints would have been detected, in a permutation test.
 
     Args:
         fit: the fit.
-        measured: the same over rows as they were measured, where those of the fit are means of poses.
+        measured: the fit over rows as measured, where the rows of the fit are means of poses.
     """
     found = [(_scatter_along(*one.readings), one) for _, alone, _ in fit.in_places for one in _along_levers(alone)]
     whole, best = max(found, key=lambda pair: pair[0].gain)
@@ -107,10 +106,9 @@ def find_excess(fit: ModelFit, measured: ModelFit | None = None) -> Excess | Non
         missing = f"approach_{best.joint}"
     elif conditions.temperature is None:
         missing = "temperature"
-    every = (
-        found if measured is None else [(whole, one) for _, alone, _ in measured.in_places for one in _along_levers(alone)]
-    )
-    again = next(one for (_, one), (_, at) in zip(every, found, strict=True) if at is best).differences()
+    index = next(i for i, (_, one) in enumerate(found) if one is best)
+    single = best if measured is None else [one for _, alone, _ in measured.in_places for one in _along_levers(alone)][index]
+    again = single.differences()
     if again is not None and again.gain > chdtri(1, 2.0 * NOISE.chance):
         return Excess(best.joint, again.sigma, missing, "replicates")
     follows = best.follows(whole)
@@ -121,7 +119,7 @@ def find_excess(fit: ModelFit, measured: ModelFit | None = None) -> Excess | Non
 
 @dataclass(frozen=True)
 class _Component:
-    """A variance component: twice the log-likelihood that it gains, its standard deviation [rad or m], and the noise's."""
+    """A variance component: its gain in 2 log-likelihood, its standard deviation [rad or m], and that of the noise."""
 
     gain: float
     sigma: float
@@ -130,10 +128,10 @@ class _Component:
 
 @dataclass(frozen=True)
 class _AlongLever:
-    """Readings of a station and how they move with a joint, whitened.
+    """Whitened readings of a station and their lever of a joint.
 
     Attributes:
-        station: the station, of the rows that count.
+        station: the station, with the rows that count.
         joint: the joint.
         lever: shape (size, N), of the first block of readings.
         residuals: shape (size, N).
@@ -152,10 +150,10 @@ class _AlongLever:
         return self.lever, self.residuals, self.visit
 
     def differences(self) -> _Component | None:
-        """Return the scatter by which replicates of a pose differ, None without replicates.
+        """Return the scatter between replicates of a pose, None without replicates.
 
-        Of n replicates n - 1 orthonormal contrasts (Helmert), in which the pose's mean cancels; those of several things that
-        were read in the same visits share the scatter.
+        From n - 1 orthonormal contrasts (Helmert) of n replicates, in which the pose's mean cancels; contrasts of different
+        targets in the same visits share the scatter.
         """
         conditions = self.station.conditions
         pose, thing = _things(self.station)
@@ -176,7 +174,7 @@ class _AlongLever:
         return _scatter_along(np.transpose(lever), np.transpose(residuals), shared)
 
     def follows(self, whole: _Component) -> tuple[str, ...] | None:
-        """Return what the errors follow as neighbours tell; empty if they are unrelated, None if too few are near."""
+        """Return on what the errors depend according to neighbours; empty if unrelated, None if too few are near."""
         _, first = np.unique(self.visit, return_index=True)
         a2 = np.bincount(self.visit, np.sum(self.lever**2, axis=0))
         along = np.bincount(self.visit, np.sum(self.residuals * self.lever, axis=0))
@@ -190,12 +188,12 @@ class _AlongLever:
 
 
 def related(joints: dict[str, np.ndarray], errors: np.ndarray, share: np.ndarray) -> tuple[str, ...] | None:
-    """Return the joints, few or all, whose neighbours have related errors; empty if none, None if that can't be told.
+    """Return the joints, few or all, whose neighbours have related errors; empty if none, None if undecided.
 
     Args:
         joints: name -> shape (V,), positions.
         errors: shape (V,), of unit variance.
-        share: shape (V,), root of the part of each error's variance that is not noise.
+        share: shape (V,), root of the fraction of each error's variance that is not noise.
     """
     rng = np.random.default_rng(0)
     drawn = np.column_stack([errors, *(rng.permutation(errors) for _ in range(NOISE.draws))])
@@ -212,10 +210,10 @@ def related(joints: dict[str, np.ndarray], errors: np.ndarray, share: np.ndarray
     mean, spread = values[:, 1:].mean(axis=1), values[:, 1:].std(axis=1)
     scores = (values - mean[:, None]) / spread[:, None]
     critical = float(np.quantile(scores[:, 1:].max(axis=0), 1.0 - NOISE.chance))
-    # Of what is half smooth and half scatter, the larger half counts.
+    # Related if at least half of the excess is smooth.
     is_related = (scores[:, 0] > critical) & (values[:, 0] - mean > 0.5 * expected)
     if is_related.any():
-        # More joints than it follows make its neighbours fewer, not farther.
+        # Irrelevant joints in the distance make neighbours fewer, not farther.
         enough = 0.5 * scores[is_related, 0].max()
         close = is_related & (scores[:, 0] > enough)
         return min((len(names), -scores[k, 0], names) for k, names in enumerate(spaces) if close[k])[2]
@@ -250,7 +248,7 @@ def _along_levers(fit: ModelFit) -> Iterator[_AlongLever]:
 
 
 def _things(station: Station) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pose of each row, and what is read there: rows of the same number read the same thing again; (N,) each."""
+    """Return pose numbers of the rows, and numbers that are equal for replicates of a target or point, shape (N,) each."""
     pose = same_joints(station.conditions.q)
     point = station.sensor.groups
     read = np.column_stack([pose, station.conditions.target, np.zeros(len(pose), int) if point is None else point])
@@ -258,10 +256,7 @@ def _things(station: Station) -> tuple[np.ndarray, np.ndarray]:
 
 
 def visits(station: Station) -> np.ndarray:
-    """Return the visit that each row belongs to, shape (N,).
-
-    Rows of the same joint positions are one visit, unless they read the same thing again.
-    """
+    """Return the visit of each row, shape (N,): rows of the same joint positions, except replicates."""
     pose, thing = _things(station)
     count = np.bincount(thing)
     order = np.argsort(thing, kind="stable")
@@ -273,8 +268,8 @@ def visits(station: Station) -> np.ndarray:
 def _scatter_along(lever: np.ndarray, residuals: np.ndarray, visit: np.ndarray) -> _Component:
     """Return the scatter along a lever, by maximum likelihood with the noise's variance profiled out.
 
-    Along the lever, of length a_i at visit i, the variance is sigma^2 + s^2 a_i^2, and sigma^2 across it. What is read in
-    one visit, several targets or the points of an image, shares the joint's position.
+    Along the lever, of length a_i at visit i, the variance is sigma^2 + s^2 a_i^2, and sigma^2 across it. Readings of one
+    visit, of several targets or the points of an image, share the joint's position.
 
     Args:
         lever: shape (size, N), of the first block of readings.
@@ -297,22 +292,17 @@ def _scatter_along(lever: np.ndarray, residuals: np.ndarray, visit: np.ndarray) 
 
 
 def p_value_of_uneven_noise(fit: ModelFit, tests: ScoreTests) -> float:
-    """Return the p-value of one candidate's score test beside masses, whatever the noise is at each visit of a pose.
-
-    Args:
-        fit: the fit.
-        tests: those of one candidate against it, masses among what is projected out.
-    """
+    """Return the p-value of the score test of a single candidate against a fit, valid for uneven noise of visits."""
     (effect,) = tests.effects
     _, whitening = tests.whitening([0])
     if not whitening.shape[1]:
         return 1.0
     scores, taken = _scores_by_visit(fit, tests, whitening)
-    # What a visit takes up itself it does not show.
+    # Corrected for the leverage of each visit.
     scores /= (1.0 - np.minimum(taken, TESTING.most_taken))[:, None]
     gain, rank = tests.gain([0])
     uneven = float(np.sum(scores**2)) / rank
-    # As many visits as share what is seen of the effect, about.
+    # Effective number of visits.
     many = float(np.sum(taken) ** 2 / np.sum(taken**2))
     if chdtrc(many, uneven * many) > TESTING.uneven:
         return tests.score([0], 1).p_value
@@ -320,12 +310,12 @@ def p_value_of_uneven_noise(fit: ModelFit, tests: ScoreTests) -> float:
 
 
 def _scores_by_visit(fit: ModelFit, tests: ScoreTests, whitening: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the scores of what the effect leaves, shape (V, rank), and the part of it that each visit takes up, (V,)."""
+    """Return the scores of residuals with the effect, shape (V, rank), and the leverage of each visit, shape (V,)."""
     each, step = [visits(station) for station in fit.problem.stations], whitening.T @ tests.within([0])[2]
     starts = np.cumsum([0, *(int(of.max()) + 1 for of in each)])
     visit = np.concatenate([start + of for start, of in zip(starts, each, strict=False)])
     sums, shares = np.zeros((2, int(visit.max()) + 1, len(step)))
-    for rows, left, moved in tests.along_rows([0], whitening):
-        np.add.at(sums, visit[rows], np.einsum("rmn,mn->nr", moved, left - np.tensordot(step, moved, axes=1)))
+    for rows, residuals, moved in tests.along_rows([0], whitening):
+        np.add.at(sums, visit[rows], np.einsum("rmn,mn->nr", moved, residuals - np.tensordot(step, moved, axes=1)))
         np.add.at(shares, visit[rows], np.einsum("rmn,rmn->nr", moved, moved))
     return sums, shares.sum(axis=1)

@@ -1,4 +1,4 @@
-"""From a fit to its score tests: columns of the model, made once for all tests against it, and candidates beside them."""
+"""Score tests of a fit: columns of the model, computed once for all tests against it, and columns of candidates."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class _Piece(NamedTuple):
     """Some rows of a station, sorted by their blocks, with the whitened Jacobian of the model.
 
     Attributes:
-        rows: shape (n,), which of all rows of the fit they are.
-        blocks: the blocks of rows that are here, and where they stand.
+        rows: shape (n,), their indices among all rows of the fit.
+        blocks: the blocks of rows in the piece, and their slices.
         whitening: shape (m, n).
         residuals: shape (m, n), whitened.
         jacobian: by the station's columns.
@@ -44,21 +44,19 @@ class _Piece(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """The columns of a model at a fit, and of what is projected out with it, whitened by the noise that the model leaves.
-
-    Of all candidates' tests against a fit this is the same.
+    """The columns of a model at a fit and of nuisance effects, whitened by the residual noise; shared by all tests.
 
     Attributes:
         fit: the fit.
-        nuisance: what is projected out with the model.
-        problem: the model with this.
+        nuisance: effects that are projected out with the model.
+        problem: the model with these.
         values, free: shape (P,), of its parameters.
-        known: where those of the fit stand among them.
-        orders: for each station, its rows sorted by their blocks.
+        known: indices of the fit's parameters among them.
+        orders: for each station, its rows sorted by block.
         pieces: for each station, its pieces.
-        blocks: what each block of rows says of the N columns.
+        blocks: information of each block of rows on the N columns.
         squares: sum of squared residuals.
-        information: what follows from them with priors of geometry so many times as wide as the fit's.
+        information: with priors, by the factor on the widths of those of geometry.
     """
 
     fit: ModelFit
@@ -110,8 +108,8 @@ class Tangent:
             orders.append(order)
             pieces.append(tuple(found))
         squares = sum(float(np.sum(part.residuals**2)) for of_station in pieces for part in of_station)
-        said = Form.of(H, g)
-        return cls(fit, tuple(nuisance), problem, values, free, known, tuple(orders), tuple(pieces), said, squares)
+        form = Form.of(H, g)
+        return cls(fit, tuple(nuisance), problem, values, free, known, tuple(orders), tuple(pieces), form, squares)
 
     def tests(self, candidates: Sequence[Effect], *, wider: float = TESTING.wider) -> ScoreTests:
         """Return the tests of candidates, none of them in the model; ``wider`` as of :func:`score_test`."""
@@ -119,7 +117,7 @@ class Tangent:
         model, of_fit = known[self.free], known[self.known]
         values = np.zeros(len(problem.parameters))
         values[known] = self.values
-        # Of nuisance parameters the sizes are priors as they are, whatever they move.
+        # Priors of nuisance parameters are not widened.
         sizes = np.array([parameter.size for parameter in problem.parameters])
         sizes[of_fit] = fit.priors.sizes
         for effect in fit.problem.effects:
@@ -155,10 +153,7 @@ class Tangent:
     def _products(
         self, problem: Problem, values: np.ndarray, places: Sequence[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, tuple[RowPart, ...]]:
-        """Return the products of all columns with candidates', which stand at some places in a problem with all; the rows.
-
-        See :class:`ScoreTests`, ``blocks_H`` and further.
-        """
+        """Return ``blocks_H``, ``blocks_g`` and ``parts`` of :class:`ScoreTests`, for the columns at some indices."""
         tested, free = np.concatenate([np.zeros(0, int), *places]), np.zeros(len(values), bool)
         free[tested] = True
         n_model, n_blocks, n = self.blocks.H.shape[1], len(self.blocks.H), len(tested)
@@ -195,20 +190,20 @@ def _sorted(station: Station, order: np.ndarray | slice) -> Station:
 
 
 def _blocks(groups: np.ndarray) -> Iterator[tuple[int, slice]]:
-    """Yield the blocks of rows that are sorted by them, and where these stand."""
+    """Yield the blocks of rows that are sorted by block, and their slices."""
     for k in np.unique(groups).tolist():
         yield k, slice(*np.searchsorted(groups, [k, k + 1]))
 
 
 def _add(own: np.ndarray, rows: np.ndarray, columns: np.ndarray, whole: np.ndarray) -> None:
-    """Add the products of a station's columns, by block, to those of all at their places."""
+    """Add the products of a station's columns, by block, to the products of all columns."""
     whole[(slice(None), *block(span(rows), span(columns)))] += own
 
 
 def nuisances(fit: ModelFit, effects: Sequence[Effect]) -> list[Effect]:
-    """Return what effects are tested beside: errors of masses, and what a fit and they do not have of its bearings.
+    """Return the nuisance effects: errors of masses, and bearing features that neither a fit nor the tested effects have.
 
-    A bearing compliant elsewhere or in other directions than the drawing says is no effect that a name may stand for.
+    That a bearing is compliant at another place or in other directions than nominal must not be attributed to a name.
     """
     masses, named = MassError.of(*fit.arm), {effect.identity for effect in effects}
     features = [feature for feature in missing_features(fit) if feature.identity not in named]
@@ -217,11 +212,7 @@ def nuisances(fit: ModelFit, effects: Sequence[Effect]) -> list[Effect]:
 
 @dataclass(frozen=True)
 class BesideNuisances:
-    """Tests effects against a fit with what is nobody's name projected out; what all tests share is made once.
-
-    Attributes:
-        fit: the fit.
-    """
+    """Tests effects against a fit with nuisances projected out; common parts are computed once."""
 
     fit: ModelFit
     _tangents: dict[object, Tangent] = field(default_factory=dict, repr=False)
@@ -240,10 +231,7 @@ class BesideNuisances:
 def score_test_given_nuisances(
     fit: ModelFit, effects: Sequence[Effect], groups: np.ndarray | None = None, *, wider: float = TESTING.wider
 ) -> ScoreTests:
-    """Test effects against a fit with what is nobody's name projected out, masses as far as they may be off.
-
-    See :func:`nuisances` and :func:`score_test`.
-    """
+    """Test effects against a fit with :func:`nuisances` projected out; see :func:`score_test`."""
     return BesideNuisances(fit)(effects, groups, wider=wider)
 
 
@@ -256,6 +244,6 @@ def score_test(
         fit: the fitted model.
         candidates: effects to test, none of them in the model.
         groups: shape (N,), the block of each training row, for cross-validation; default: one block.
-        wider: by how much wider than in the fit the priors of geometry are.
+        wider: factor on the widths of the fit's priors on geometry.
     """
     return Tangent.at(fit, (), groups).tests(candidates, wider=wider)

@@ -1,4 +1,4 @@
-"""How the disagreement shrinks: held-out errors step by step, and what each effect explains, pose by pose."""
+"""Held-out errors step by step, and partial residuals: what each effect explains, pose by pose."""
 
 from __future__ import annotations
 
@@ -23,15 +23,12 @@ from pincal.model.effects import Compliance
 from pincal.recorded import RECORDABLE
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 
-# Shapes that follow the position of the joint on which they act beside another's.
+# Shapes of effects that depend on the joint's own position and another's.
 _OF_BOTH = ("product", "map")
 
 
 def gaps_of(fit: ModelFit, rows: Sequence[StationRows]) -> dict[str, Gap]:
-    """Return the errors of a fit on the held-out rows of all stations, "test", and of each way in which they are held out.
-
-    Where none are held out these are the errors on the fitted ones.
-    """
+    """Return the errors of a fit on the held-out rows, "test" and of each way; without any, those on the fitted rows."""
     fit = placed_at_mean(fit)
     errors = errors_held_out(fit, fit.values, rows)
     if not errors:
@@ -43,10 +40,10 @@ def gaps_of(fit: ModelFit, rows: Sequence[StationRows]) -> dict[str, Gap]:
 def stages_of(
     trail: History, rows: Sequence[StationRows]
 ) -> tuple[tuple[Stage, ...], dict[str, dict[Literal["before", "after"], Gap]]]:
-    """Return the errors at the start and after each change of the model, and those on rows held out in each way.
+    """Return the errors at the start and after each change of the model, and at start and end on rows held out in each way.
 
-    Each change gets the share of what it takes off the mean square beside those before it, so that nothing that two
-    effects share counts twice. (Shapley values would spread it evenly, at the price of a fit of every subset.)
+    The share of a change is its reduction of the mean square given the previous changes, so that nothing counts twice.
+    (Shapley values would divide it evenly, but need a fit of every subset.)
     """
     every = [gaps_of(fit, rows) for fit in (trail.first, *(change.fit for change in trail.changes))]
     first, last = every[0], every[-1]
@@ -63,7 +60,7 @@ def stages_of(
 
 
 def _words(change: ModelChange) -> str:
-    """Return what a change was."""
+    """Return a change in words."""
     entered, left = (", ".join(_title(effect) for effect in effects) for effects in (change.entered, change.left))
     if entered and left:
         return f"{entered} instead of {left}"
@@ -75,20 +72,20 @@ def _words(change: ModelChange) -> str:
 
 @dataclass(frozen=True)
 class PartialResidual:
-    """What one effect explains at each of N rows.
+    """Partial residuals of one effect at each of N rows.
 
     Attributes:
-        effect: the effect; of elasticity that of the joint that is surest to bend.
-        variable: what explains it: a joint's name, "approach", "moment", "payload", "temperature" or "time".
+        effect: the effect; of elasticity the most significant compliance.
+        variable: its variable: a joint's name, "approach", "moment", "payload", "temperature" or "time".
         unit: of the variable: "rad", "m", "N m", "kg", "deg C", "s" or "".
         x: shape (N,), the variable.
-        before: shape (N,), error of the coordinate that would explain each row's residual, the effect left out of the
-            final model and nothing else changed [``error_unit``].
+        before: shape (N,), error of the coordinate that would explain each row's residual, with the effect removed from
+            the final model without a refit [``error_unit``].
         after: the same with the effect.
         fitted: shape (N,), the effect.
         weights: shape (N,), inverse variance of ``before`` and ``after`` [1 / ``error_unit``^2].
         error_unit: "rad" or "m".
-        own: shape (N,), of an effect that follows two joints the position of the one on which it acts; else None.
+        own: shape (N,), of an effect of two joints' positions that of the joint on which it acts; else None.
     """
 
     effect: Effect
@@ -114,10 +111,10 @@ class PartialResidual:
 
 
 def partial_residuals(trail: History) -> tuple[PartialResidual, ...]:
-    """Return what each step's effect explains in the final model, at the rows that count of all stations that have it.
+    """Return the partial residuals of each step's effect in the final model, at the rows that count.
 
-    An effect on one coordinate of the chain is seen through this coordinate's lever, any other along the way by which it
-    moves the target.
+    An effect on one coordinate of the chain is projected on the lever of this coordinate, any other on its motion of the
+    target.
     """
     fit = trail.final
     kept = [[effect for effect in step.effects if effect in fit.problem.effects] for step in trail.steps]
@@ -126,7 +123,7 @@ def partial_residuals(trail: History) -> tuple[PartialResidual, ...]:
 
 
 def _shown(fit: ModelFit, effect: Effect) -> Effect:
-    """Return what is shown of an effect: of elasticity the joint that is surest to bend."""
+    """Return the effect to show: of elasticity the most significant compliance."""
     if not isinstance(effect, Compliance):
         return effect
     found = fit.estimate.take(fit.names_of([effect]))
@@ -135,7 +132,7 @@ def _shown(fit: ModelFit, effect: Effect) -> Effect:
 
 
 def _joined(parts: Sequence[PartialResidual | None]) -> PartialResidual:
-    """Return what an effect explains at all stations that have it."""
+    """Return the partial residuals of an effect at all stations that have it."""
     first, *others = filter(None, parts)
     names = ["x", "before", "after", "fitted", "weights"] + (["own"] if first.own is not None else [])
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in (first, *others)]) for name in names}
@@ -143,18 +140,12 @@ def _joined(parts: Sequence[PartialResidual | None]) -> PartialResidual:
 
 
 def _at_station(fit: ModelFit, shown: Sequence[tuple[Effect, Effect]]) -> Iterator[PartialResidual | None]:
-    """Yield what each of some effects explains at the rows of the only station of a fit; None if it is not there.
-
-    Args:
-        fit: the fit.
-        shown: the effects, each with what is shown of it.
-    """
+    """Yield the partial residuals of effects, each with the effect to show, at the only station; None where absent."""
     fit = fit.select(np.flatnonzero(fit.solution.weights > 0.0))
     station, chain, few = fit.station, fit.model.chain, fit.station.conditions.select(np.zeros(1, int))
     moments, present = fit.model.static_moments(fit.model_values, station.conditions), fit.model.effects
     scale = station.weights / np.repeat(fit.solution.estimated, station.block_sizes)[:, None]
-    left = station.residuals(fit.values) * scale
-    # Of an effect that moves a single coordinate of the chain, this one.
+    residuals = station.residuals(fit.values) * scale
     moved = [{t.coordinate for t in part.terms(chain, few, moments[:1])} if e in present else set() for e, part in shown]
     single = tuple(dict.fromkeys(k for of in moved if len(of) == 1 for k in of))
     lever_of = dict(zip(single, levers(fit, single) * scale, strict=True))
@@ -171,22 +162,22 @@ def _at_station(fit: ModelFit, shown: Sequence[tuple[Effect, Effect]]) -> Iterat
             unit_errors = lever / np.maximum(weights, 1e-300)
             unit = "rad" if at.joint is None else drive_unit(chain, at.joint)
         else:
-            along = (without - left) / np.maximum(np.linalg.norm(without - left, axis=0), 1e-300)
+            along = (without - residuals) / np.maximum(np.linalg.norm(without - residuals, axis=0), 1e-300)
             sigma = float(fit.solution.estimated[0]) * station.metres_per_reading(fit.values)
             unit_errors, weights, unit = along * sigma, np.full(len(station), sigma**-2.0), "m"
-        before, after, fitted = (np.sum(unit_errors * r, axis=0) for r in (without, left, without - left))
+        before, after, fitted = (np.sum(unit_errors * r, axis=0) for r in (without, residuals, without - residuals))
         is_of_both = at.shape in _OF_BOTH and at.joint is not None
         own = recorded_variable(chain, station.conditions, str(at.joint)) if is_of_both else None
         yield PartialResidual(part, *_explaining(fit, at, moments), before, after, fitted, weights, unit, own)
 
 
 def _explaining(fit: ModelFit, at: Locus, moments: np.ndarray) -> tuple[str, str, np.ndarray]:
-    """Return the name, the unit and the values of the variable that an effect follows, shape (N,)."""
+    """Return the name, the unit and the values, shape (N,), of the variable of an effect."""
     chain = fit.model.chain
     names = chain.robot.joint_names
     if at.follows == MOMENT:
         i = 0 if at.joint is None else names.index(at.joint)
-        # Of the whole arm the moment on joint 1 that tilts it.
+        # For the whole arm the tilting moment on joint 1.
         both = np.hypot(moments[:, 3 * i], moments[:, 3 * i + 1])
         return MOMENT, "N m", both if at.joint is None else moments[:, 3 * i + 2]
     name = at.follows or at.joint or names[0]
@@ -195,9 +186,9 @@ def _explaining(fit: ModelFit, at: Locus, moments: np.ndarray) -> tuple[str, str
 
 
 def period_of(trace: PartialResidual) -> float | None:
-    """Return the period of what an effect explains, in units of its variable; None if it is not periodic.
+    """Return the period of an effect, in units of its variable; None if it is not periodic.
 
-    It is called periodic if one tone explains most of what the noise does not, and about two periods of it are seen: a
+    It is called periodic if one tone explains most of the excess over the noise, and about two periods are observed, in a
     weighted periodogram of the error at the joint (Lomb and Scargle).
     """
     x, y, w = trace.x, trace.before, trace.weights
@@ -212,7 +203,7 @@ def period_of(trace: PartialResidual) -> float | None:
         return None
     steps = {"start": WAVES.periods, "step": 1.0 / WAVES.oversampled, "end": end}
     cycles, gains = on_steps(angle, w * y, w, **steps, is_beside_constant=True)
-    # Whitened, each row of noise adds 1 to the weighted squares, a tone of noise alone 2.
+    # Noise contributes 1 per row to the weighted squares, and 2 to a tone.
     excess = float(np.sum(w * (y - np.average(y, weights=w)) ** 2)) - len(y)
     best = int(np.argmax(gains))
     sure = gains[best] > 2.0 * np.log(len(cycles) / WAVES.period)
@@ -220,13 +211,13 @@ def period_of(trace: PartialResidual) -> float | None:
 
 
 def _title(effect: Effect) -> str:
-    """Return the name of an effect, where it acts and what drives it."""
+    """Return the name of an effect, where it acts and its source."""
     joint = effect.locus.joint
     of = "" if joint is None else f" of {joint}"
     source = effect.locus.follows if effect.is_nameless else effect.locus.source
     by = f" by {source}" if source and source != joint else ""
     where = f" at {effect.locus.station}" if effect.locus.station else ""
     order = f" order {effect.locus.order:g}" if (effect.locus.order or 1) != 1 else ""
-    # Places and directions of bearings, which compliances share a name with, are told by their own.
+    # Bearing features share the heading of compliances, so their own names are used.
     is_feature = effect.family is Family.ELASTICITY and effect.locus.station is None
     return f"{effect.name if is_feature else effect.heading[0]}{of}{by}{where}{order}"

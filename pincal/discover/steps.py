@@ -1,4 +1,4 @@
-"""The steps of a search: where it stands, what it went through, and forward: what explains most of what is left enters."""
+"""The state and history of a search, and its forward passes."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class SearchStep:
-    """What entered the model at once.
+    """Effects that entered the model together.
 
     Attributes:
         effects: the effects; the first gives the step its name.
-        score: its test against the model before.
-        equivalent: candidates that the data can't tell from it.
-        before, after: the fit before it entered, and with it.
-        tested: the effect in the form in which it was tested; a curve may be finer in the end.
-        estimate: what its parameters were by this test, shape (K,).
-        together: effects that together explain the data as well.
+        score: the test against the model before.
+        equivalent: candidates that the data can't distinguish from it.
+        before, after: the fits without and with it.
+        tested: the effect as tested; a curve may be finer in the end.
+        estimate: its parameters by this test, shape (K,).
+        together: effects that only together explain the data as well.
     """
 
     effects: tuple[Effect, ...]
@@ -66,11 +66,11 @@ class SearchStep:
 
 @dataclass(frozen=True, eq=False)
 class ModelChange:
-    """A change of the model on the way from the first fit to the last.
+    """A change of the model between the first fit and the last.
 
     Attributes:
         fit: the fit after it.
-        entered, left: the effects that came in and went out; neither where all was only fitted again.
+        entered, left: the effects added and removed; none for a mere refit.
     """
 
     fit: ModelFit
@@ -80,7 +80,7 @@ class ModelChange:
 
 @dataclass(frozen=True)
 class SearchState:
-    """Where a discovery stands: the model so far, what was accepted, in order, and every change on the way."""
+    """State of a discovery: the present model, accepted steps in order, and all changes so far."""
 
     fit: ModelFit
     steps: tuple[SearchStep, ...] = ()
@@ -89,7 +89,7 @@ class SearchState:
     def changed(
         self, fit: ModelFit, steps: tuple[SearchStep, ...], entered: tuple[Effect, ...], left: tuple[Effect, ...]
     ) -> Self:
-        """Return the state after a change of the model, which is told."""
+        """Return the state after a recorded change of the model."""
         return replace(self, fit=fit, steps=steps, changes=(*self.changes, ModelChange(fit, entered, left)))
 
     def with_step(self, step: SearchStep) -> SearchState:
@@ -97,17 +97,17 @@ class SearchState:
         return self.changed(step.after, (*self.steps, step), step.effects, ())
 
     def with_replaced(self, step: SearchStep, by: SearchStep) -> SearchState:
-        """Return the state with another step in the place of one."""
+        """Return the state with a step replaced by another."""
         return replace(self, steps=tuple(by if other is step else other for other in self.steps))
 
     def tuned(self, step: SearchStep, by: SearchStep) -> SearchState:
-        """Return the state with the wave of one step in another order, close by: told as if it had come in so."""
-        told = (replace(c, entered=tuple(by.effect if e is step.effect else e for e in c.entered)) for c in self.changes)
-        found = (replace(by, before=step.before, after=step.after) if other is step else other for other in self.steps)
-        return replace(self, steps=tuple(found), changes=tuple(told)).fitted_again(by.after)
+        """Return the state with the wave of one step at another order close by, recorded as if it had entered so."""
+        changes = [replace(c, entered=tuple(by.effect if e is step.effect else e for e in c.entered)) for c in self.changes]
+        state = self.with_replaced(step, replace(by, before=step.before, after=step.after))
+        return replace(state, changes=tuple(changes)).fitted_again(by.after)
 
     def fitted_again(self, fit: ModelFit) -> Self:
-        """Return the state with another fit of the same model: told as if it had been the first."""
+        """Return the state with another fit of the same model, recorded as if it had been the first."""
         changes = tuple(replace(change, fit=fit) if change.fit is self.fit else change for change in self.changes)
         steps = tuple(replace(step, after=fit) if step.after is self.fit else step for step in self.steps)
         return replace(self, fit=fit, steps=steps, changes=changes)
@@ -119,11 +119,11 @@ class SearchState:
 
 @dataclass(frozen=True)
 class History(SearchState):
-    """What a discovery went through: the state at its end, and where it began.
+    """The final state of a discovery, with its start.
 
     Attributes:
         first: the fit that it started from.
-        extra: effects of the user's own that took part.
+        extra: candidate effects of the user.
         policy: thresholds and limits.
     """
 
@@ -133,25 +133,25 @@ class History(SearchState):
 
     @property
     def final(self) -> ModelFit:
-        """The fit of everything that stayed."""
+        """The final fit."""
         return self.fit
 
     @property
     def is_held_up(self) -> bool:
-        """Whether elasticity is in the model by what is known beforehand, too, and not by its name alone."""
+        """Whether the model has elasticity that entered on priors, without a name."""
         named = [effect for step in self.steps for effect in step.effects]
         return any(isinstance(e, Compliance) and e not in named for change in self.changes for e in change.entered)
 
     @cached_property
     def last(self) -> ScoreTests:
-        """The tests against the final fit, none of which passed."""
+        """The tests of all named candidates against the final fit."""
         return named_tests(self.final, self.extra, self.policy)
 
 
 def add_effects(state: SearchState, search: Search) -> SearchState:
-    """Add what explains most of what is left, until that is no more than chance.
+    """Add the effect that explains most of the residuals, until none is accepted.
 
-    What the data call for of the bearings enters once no name explains more: before, it would take up what drives do.
+    Bearing features that the data require enter once no name explains more, as they would absorb effects of drives.
     """
 
     def offers(state: SearchState) -> Iterator[Scored[SearchStep | tuple[Effect, ...]]]:
@@ -176,7 +176,7 @@ def add_effects(state: SearchState, search: Search) -> SearchState:
 
 
 def _trusting_what_gathers(state: SearchState) -> SearchState:
-    """Return the state in which what is off in one place of a joint counts: it may be what is looked for."""
+    """Return the state in which outliers that cluster along a joint count, as they may be an effect."""
     fit, stations = state.fit, list[Station]()
     for station, places, _ in fit.stations:
         rows = fit.problem.rows[len(stations)]
@@ -187,7 +187,7 @@ def _trusting_what_gathers(state: SearchState) -> SearchState:
             trusted = np.zeros(len(station), bool) if station.trusted is None else station.trusted.copy()
             trusted[found.rows] = True
             if station.trusted is None or (trusted != station.trusted).any():
-                log.info("%d rows gather at %s and count from now on", len(found.rows), found.variable)
+                log.info("%d rows cluster at %s and count from now on", len(found.rows), found.variable)
                 station = replace(station, trusted=trusted)
         stations.append(station)
     if all(a is b for a, b in zip(stations, fit.problem.stations, strict=True)):
@@ -196,7 +196,7 @@ def _trusting_what_gathers(state: SearchState) -> SearchState:
 
 
 def judge_outliers_again(state: SearchState, search: Search) -> SearchState:
-    """Leave out again what counted because it gathered, if the model does not describe it in the end."""
+    """Reject clustered outliers again if the final model does not describe them."""
     fit = state.fit
     if all(station.trusted is None for station in fit.problem.stations):
         return state
@@ -205,10 +205,10 @@ def judge_outliers_again(state: SearchState, search: Search) -> SearchState:
 
 
 def hold_up_elasticity(state: SearchState, search: Search) -> SearchState:
-    """Let in, on few rows, the elasticity that has no name, unless blocks of poses left out speak against it.
+    """Add unnamed elasticity on few rows, unless held-out blocks contradict it.
 
-    Few rows can't show that an arm bends, and every arm does: what is known beforehand of how much predicts better than that
-    it does not, and intervals without it would be those of a rigid arm.
+    Few rows can't show that an arm is compliant, as every arm is: its prior predicts better than a rigid model, whose
+    intervals would be too narrow.
     """
     fit = state.fit
     missing = () if has_compliance(search.first.problem.effects) else missing_compliances(fit)
@@ -226,21 +226,21 @@ def hold_up_elasticity(state: SearchState, search: Search) -> SearchState:
 
 
 def _that_predict(fit: ModelFit, features: Sequence[Effect], search: Search) -> tuple[Effect, ...]:
-    """Return those of some features of bearings without which blocks of poses left out are predicted worse."""
+    """Return the bearing features that improve the prediction of held-out blocks."""
     if not features:
         return ()
     tests, found, gains = score_test(fit, features, search.groups, wider=1.0), list[int](), 0.0
     for i in range(len(features)):
-        beside = float(tests.gains_by_block([*found, i]).sum())
-        if beside > gains:
-            found, gains = [*found, i], beside
+        gain = float(tests.gains_by_block([*found, i]).sum())
+        if gain > gains:
+            found, gains = [*found, i], gain
     return tuple(features[i] for i in found)
 
 
 def add_hidden_waves(state: SearchState, search: Search) -> SearchState:
-    """Add the waves that show once curves are as fine as the rows tell.
+    """Add waves that are significant once curves have their final resolution.
 
-    Of more rows than effects are chosen by, all are fitted once and nothing is added after it.
+    Not where effects are selected on a sample of the rows, as all rows are fitted only once.
     """
     if len(search.groups) < len(state.fit.problem):
         return state
@@ -254,7 +254,7 @@ def add_hidden_waves(state: SearchState, search: Search) -> SearchState:
 
 
 def _next_step(fit: ModelFit, search: Search) -> SearchStep | None:
-    # Elasticity that the user gave is not for a discovery to complete.
+    # Elasticity given by the user is not extended.
     way = None if has_compliance(search.first.problem.effects) else elastic_way(fit, search.policy)
     if way is not None:
         return bent(fit, way)
@@ -263,31 +263,31 @@ def _next_step(fit: ModelFit, search: Search) -> SearchStep | None:
 
 
 def bent(fit: ModelFit, way: Decision, after: ModelFit | None = None) -> SearchStep:
-    """Return the step that adds compliances, to the fit with them if it is known."""
+    """Return the step that adds compliances, with the fit after it if known."""
     after = refit(fit, [*fit.options.effects, *way.effects]) if after is None else after
     return SearchStep(way.effects, way.row.score, way.equivalent, fit, after, way.effect, np.zeros(0))
 
 
 def decided(fit: ModelFit, decision: Decision, search: Search, until: Tolerance = Tolerance.CLOSE) -> SearchStep:
-    """Return the step that adds what was decided, a curve as fine as the data can tell."""
+    """Return the step that adds the effect of a decision, in the resolution that the data determine."""
     tested = decision.effect
     effect, start, estimate = resolved(fit, tested, search.groups)
     after = refit(fit, [*fit.options.effects, effect], start={effect: start}, until=until)
     if isinstance(effect, ExponentialDrift):
-        # What is left of its time constant is found once nothing else is missing.
+        # The time constant is refined once nothing else is missing.
         after, effect = linearised_about_itself(after, effect, until)
     return SearchStep((effect,), decision.row.score, decision.equivalent, fit, after, tested, estimate, decision.together)
 
 
 def worded(effects: Sequence[Effect]) -> str:
-    """Return effects in words, for the log."""
+    """Return effects in words."""
     return ", ".join(" ".join(filter(None, effect.heading[:2])) for effect in effects)
 
 
 def linearised_about_itself(
     fit: ModelFit, effect: ExponentialDrift, until: Tolerance = Tolerance.SETTLED
 ) -> tuple[ModelFit, ExponentialDrift]:
-    """Return a fit in which an effect stands linearised about its own parameters, and the effect."""
+    """Return a fit with an effect linearised about its own parameters, and this effect."""
     for _ in range(TESTING.expansions):
         values = fit.values[fit.problem.places_at(effect)]
         about = effect.about(values)
@@ -301,7 +301,7 @@ def linearised_about_itself(
 
 
 def settle(state: SearchState, search: Search) -> SearchState:
-    """Linearise each effect with a time constant about its parameters as they are beside all others."""
+    """Linearise each effect with a time constant about its final parameters."""
     for step in state.steps:
         for effect in step.effects:
             if isinstance(effect, ExponentialDrift):
