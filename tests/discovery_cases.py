@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.discover.elastic import instead_of, sure_compliances
+from pincal.discover.elastic import instead_of, significant_compliances
 from pincal.discover.levers import MassError, compliances_of
 from pincal.discover.loop import discover_effects, fit_cost
 from pincal.discover.steps import History
@@ -696,16 +696,16 @@ def judge(case: Case, trail: History | None = None) -> Verdict:
     """Return what a discovery made of a case; of a new one unless its trail is given."""
     trail = discover(case) if trail is None else trail
     named, details, elastic = [], [], False
-    sure = [entry for step in trail.steps if step.is_elastic for entry in sure_compliances(trail.final, step.effects)]
+    sure = [entry for step in trail.steps if step.is_elastic for entry in significant_compliances(trail.final, step.effects)]
     instead = {
-        (name_of(s.effect), name_of(other)) for s in sure for other in instead_of(trail.last, s.effect, s.estimate, s.beside)
+        (name_of(s.effect), name_of(other)) for s in sure for other in instead_of(trail.last, s.effect, s.estimate, s.given)
     }
     for step in trail.steps:
         names = tuple(name_of(e) for e in (step.effects[0], *step.equivalent))
         if names[0][0] in ELASTICITY:
             elastic = True
             if case.is_soft:
-                own = sure_compliances(trail.final, step.effects, step.equivalent)
+                own = significant_compliances(trail.final, step.effects, step.equivalent)
                 found = [[name_of(e) for e in (entry.effect, *entry.others)] for entry in own]
                 named += map(tuple, found)
                 details += [" ~ ".join(map(_words, names)) for names in found]

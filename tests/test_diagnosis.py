@@ -190,7 +190,7 @@ def test_gains_are_those_of_dense_matrices(offset: tuple[CalibratedModel, Measur
     masses = known.masses.parameters(station.model.chain)
     M = A[[names.index(p.name) for p in masses]] - known.taken_up.T @ R
     S = np.diag([parameter.size**2 for parameter in masses])
-    B = np.array([station.parameters[i].size for i in lineup.beside])[:, None] * A[lineup.beside]
+    B = np.array([station.parameters[i].size for i in lineup.surroundings])[:, None] * A[lineup.surroundings]
     V = np.eye(len(y)) + R.T @ model.robot_estimate.dense_covariance() @ R + M.T @ S @ M + B.T @ B
     white = np.linalg.inv(np.linalg.cholesky(V))
 

@@ -13,7 +13,7 @@ from scipy.special import chdtri
 
 import pincal.simulate as sim
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate, measurements_from_arrays
-from pincal.discover.elastic import costs_instead, instead_of, sure_compliances, without_compliance
+from pincal.discover.elastic import costs_instead, instead_of, significant_compliances, without_compliance
 from pincal.discover.score_tests import score_test
 from pincal.identify.calibrate import Tolerance, refit
 from pincal.identify.choices import deviance
@@ -39,7 +39,9 @@ def fit_of(tmp_path: Path, *hidden: sim.HiddenEffect) -> ModelFit:
 
 def bearing_of(fit: ModelFit, joint: str) -> tuple[Effect, Estimate]:
     """Return the compliance of one joint's bearing, which is sure, and its parameters."""
-    sure = {effect.heading[:2]: (effect, estimate) for effect, estimate, *_ in sure_compliances(fit, fit.problem.effects)}
+    sure = {
+        effect.heading[:2]: (effect, estimate) for effect, estimate, *_ in significant_compliances(fit, fit.problem.effects)
+    }
     return sure["bearing_elasticity", joint]
 
 
@@ -84,7 +86,7 @@ def test_a_compliance_is_as_sure_as_a_fit_without_it_is_bad(tmp_path: Path) -> N
     """Its chance is that of the score test on the fit without it, whatever k_x and k_y trade with each other."""
     fit = fit_of(tmp_path, sim.BaseElasticity(size=1.5e-7))
     bearings = [effect for effect in fit.problem.effects if effect.name == "bearing_elasticity"]
-    compliance, _, p_value, *_ = sure_compliances(fit, bearings)[0]
+    compliance, _, p_value, *_ = significant_compliances(fit, bearings)[0]
     rest = without_compliance(fit, compliance)
     joint = str(compliance.locus.joint)
     more = [type(e)(joint) for e in fit.problem.effects if e.name == "oblique_bearing"]
@@ -100,7 +102,7 @@ def test_two_compliances_of_which_one_gives_way_are_told_for_each_other() -> Non
     """A drive turns an arm as the bearing of the joint before tilts it: together they are sure, the base beside them."""
     case = draw_case("base_elasticity", 10273, **fresh(10273))
     fit = calibrate(case.robot, case.rows, replace(case.plain, moment_frame="before", loss="none"))
-    sure = {entry.effect.heading[:2]: entry for entry in sure_compliances(fit, ELASTIC)}
+    sure = {entry.effect.heading[:2]: entry for entry in significant_compliances(fit, ELASTIC)}
     drive, bearing = sure["joint_elasticity", "axis_2"], sure["bearing_elasticity", "axis_1"]
     tests = score_test(fit, [BaseElasticity(), LinkBending("axis_2"), LinkBending("axis_4")])
 
@@ -108,8 +110,8 @@ def test_two_compliances_of_which_one_gives_way_are_told_for_each_other() -> Non
     for one in (drive, bearing):
         size = float(np.sqrt(np.diag(one.estimate.dense_covariance())[0]))
         assert abs(one.estimate.values[0]) < 3.0 * size and one.p_value < 1e-100
-    assert instead_of(tests, bearing.effect, bearing.estimate, bearing.beside) == (BaseElasticity(),)
-    assert instead_of(tests, drive.effect, drive.estimate, drive.beside) == ()
+    assert instead_of(tests, bearing.effect, bearing.estimate, bearing.given) == (BaseElasticity(),)
+    assert instead_of(tests, drive.effect, drive.estimate, drive.given) == ()
 
     # What is lost without both is not the sum of what each loses beside the other.
     rest = without_compliance(fit, drive.effect, bearing.effect)

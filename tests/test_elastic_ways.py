@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 import pincal.simulate as sim
 from pincal import GEOMETRIC, Options, PincalWarning, Robot, calibrate, measurements_from_arrays, read_measurements
-from pincal.discover.elastic import elastic_way, sure_compliances, with_features
+from pincal.discover.elastic import elastic_way, significant_compliances, with_features
 from pincal.discover.levers import missing_compliances
 from pincal.discover.loop import elastic_ways, single_compliance
 from pincal.discover.policy import POLICY
@@ -55,7 +55,7 @@ def test_one_soft_bearing_enters_alone(tmp_path: Path) -> None:
     assert left == ["axis_1", "axis_2", "axis_4", "axis_5", "axis_6"]
     features = with_features(with_bearings(step.after), step.effects)[1:]
     assert features and all(e.heading == ("bearing_elasticity", "axis_3", None) for e in features)
-    (sure,) = sure_compliances(step.after, step.effects, step.equivalent)
+    (sure,) = significant_compliances(step.after, step.effects, step.equivalent)
     assert sure.effect == step.effect and sure.p_value < 1e-10
 
 
@@ -72,7 +72,7 @@ def test_none_of_a_rigid_arm_is_named_alone(tmp_path: Path) -> None:
     """Nothing enters; of compliances that the user fits and none of which is sure, each could be any other."""
     fit = fit_of(tmp_path)
     soft = refit(fit, ELASTIC)
-    (sure,) = sure_compliances(soft, ELASTIC)
+    (sure,) = significant_compliances(soft, ELASTIC)
 
     assert elastic_way(fit, POLICY) is None
     assert sure.p_value > 1e-4 and len(sure.others) == POLICY.most_rivals

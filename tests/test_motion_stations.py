@@ -326,11 +326,11 @@ def test_causes_are_not_looked_for_by_an_imu_alone(day: Path, tmp_path: Path, ca
     """Whatever their number; what to add, or to run instead, is said."""
     table = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]
     for tables in (table, {"a": table, "b": table}):
-        with pytest.raises(BadInputError, match=r"tells no places, .* add a tracker in motion or some held poses"):
+        with pytest.raises(BadInputError, match=r"measures no positions, .* add a tracker in motion or some static poses"):
             pincal.run_discovery(ROBOT, tables, GEOMETRY)
     given = ["--joints", day / "joints.csv", "--imu", day / "imu.csv", "--out", tmp_path / "out"]
     assert run("discover", URDF, *given, "--quiet") == Exit.BAD_INPUT
-    assert "or calibrate by it (pincal calibrate)" in " ".join(capsys.readouterr().err.split())
+    assert "or only calibrate (pincal calibrate)" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
 
 

@@ -229,12 +229,7 @@ def findings_on_data(fit: ModelFit, read: Readings) -> list[Caveat]:
 
 
 def findings_on_moves(fit: ModelFit, moves: Sequence[Sequence[MovedParameter]]) -> Iterator[Caveat]:
-    """Yield moves that the model's one value for all stations does not describe.
-
-    Args:
-        fit: a calibration.
-        moves: for each of its stations the parameters that moved; empty for a single one.
-    """
+    """Yield moves that the model's one value for all stations does not describe, of the moves at each station."""
     effects = (effect for station in fit.problem.stations for effect in station.model.effects)
     own = {p.name for e in effects if e.locus.station is not None for p in e.parameters(fit.problem.chain)}
     for station, here in zip(fit.problem.stations, moves, strict=False):
@@ -312,14 +307,9 @@ def findings_on_plausibility(fit: ModelFit, tables: Iterable[Measurements]) -> l
 def findings_on_outliers(
     station: Station, values: np.ndarray, free: np.ndarray, *, table: Measurements, rejected: np.ndarray
 ) -> list[Caveat]:
-    """Return which rows of a station were rejected, and where the instrument was moved between rows.
+    """Return which of a station's fitted rows were rejected, and where the instrument was moved between rows.
 
-    Args:
-        station: the calibrated model over the fitted rows.
-        values: shape (P,), its parameters.
-        free: shape (P,), which of them were fitted.
-        table: the fitted rows.
-        rejected: shape (N,), which of them were rejected.
+    Its parameters have values, shape (P,), and ``free``, shape (P,), were fitted; ``rejected``, shape (N,), is a mask.
     """
 
     def about(kind: CaveatKind, some: np.ndarray, **figures: Any) -> Caveat:

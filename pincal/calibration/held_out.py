@@ -181,12 +181,7 @@ def leave_out_stations(
     This is the accuracy to expect at a new set-up: held-out rows of a station share its frames, day and temperature with
     the fitted ones.
 
-    Args:
-        robot: the arm.
-        tables: rows of each station.
-        options: how to calibrate.
-        fit_others: makes the model; default: a calibration.
-        executor: runs one fit per station in parallel; default: sequentially, here.
+    The model is fitted by ``fit_others``, for each station in parallel if there is an executor.
 
     Raises:
         BadInputError: if there is only one station.

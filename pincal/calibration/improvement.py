@@ -36,8 +36,7 @@ def improvements(fit: ModelFit) -> tuple[Improvement, ...]:
 
 def unseen_directions(fit: ModelFit) -> tuple[np.ndarray, ...]:
     """Return the directions, each of shape (3,), in the axes of the robot's base link, along which nothing was measured."""
-    pairs = zip(fit.problem.stations, fit.problem.places, strict=True)
-    squares, axes = np.linalg.eigh(sum(_directions(station, fit.values[places]) for station, places in pairs))
+    squares, axes = np.linalg.eigh(sum(_directions(station, fit.values[places]) for station, places, _ in fit.stations))
     return tuple(axes[:, squares < CRITERIA.unseen_direction * squares.sum()].T)
 
 

@@ -38,13 +38,9 @@ _CLEAR, _ELSEWHERE = 0.5, 0.2
 def located(
     robot: Robot, others: Sequence[Beside], tables: Mapping[str, Measurements], options: Options
 ) -> tuple[Beside, ...]:
-    """Return the other robots of a cell with their poses, unknown ones as far as the readings determine them.
+    """Return the robots of a cell other than the first with their poses, unknown ones as far as the readings determine them.
 
-    Args:
-        robot: the cell, in which robots of unknown pose coincide with the first one.
-        others: the robots other than the first one.
-        tables: the readings of each station, by its name.
-        options: what is known of the stations.
+    In the cell, ``robot``, those of unknown pose coincide with the first robot.
     """
     found, unknown = [], [of for of in others if of.place is None]
     for of in others:

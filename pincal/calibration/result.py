@@ -137,14 +137,10 @@ def result_of(
     notes: Sequence[Note] = (),
     left_out: Sequence[LeftOut] = (),
 ) -> Result:
-    """Assemble the result of a calibration.
+    """Assemble the result of a calibration that took some seconds, with the rows of each station.
 
-    Args:
-        fit: the calibration.
-        rows: the rows of each station, fitted and held out.
-        seconds: time taken.
-        notes: on robot and data, listed before others of their severity.
-        left_out: each station predicted by the model of the others, which gives the held-out errors; default: none.
+    Notes on robot and data are listed before others of their severity. If stations were predicted by models of the others,
+    ``left_out``, these are the held-out errors.
     """
     solution = fit.solution
     parameters = parameter_rows(fit)

@@ -267,14 +267,7 @@ def _inverse(M: np.ndarray, scale: np.ndarray) -> np.ndarray:
 def information_at(
     fit: ModelFit, k: int, weights: np.ndarray | None = None, *, rows: np.ndarray | None = None
 ) -> StationInformation:
-    """Return the information of a station on the robot.
-
-    Args:
-        fit: a fit.
-        k: index of the station.
-        weights: of its rows, shape (N,); default: those of the fit.
-        rows: the rows that are used; default: all.
-    """
+    """Return the information of some rows, default: all, of the k-th station on the robot; weights default to the fit's."""
     problem, solution = fit.problem, fit.solution
     station, places, blocks = problem.stations[k], problem.places[k], problem.block_spans[k]
     free, values = solution.free[places], solution.values[places]
@@ -298,12 +291,8 @@ def information_at(
 def fit_with(fit: ModelFit, effects: Sequence[Effect], rows: Mapping[int, np.ndarray]) -> tuple[ModelFit, np.ndarray]:
     """Return a fit of some rows with further effects of zero size, and a mask of the parameters that it had before.
 
-    The priors of the further parameters are too wide to matter.
-
-    Args:
-        fit: the fit.
-        effects: the further effects.
-        rows: the rows that are kept, by the index of their station; other stations are left out.
+    The priors of the further parameters are too wide to matter. The rows are given by the index of their station; other
+    stations are left out.
     """
     problem, solution = fit.problem, fit.solution
     some = replace(problem, stations=tuple(problem.stations[k].select(kept) for k, kept in rows.items()))

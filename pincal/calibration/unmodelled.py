@@ -99,9 +99,7 @@ def instruments_error(fit: ModelFit) -> tuple[str, str, float] | None:
         return None
     found = []
     wide, known = fit_with(fit, forms, rows)
-    for station, places, blocks, of_rows in zip(
-        wide.problem.stations, wide.problem.places, wide.problem.block_spans, wide.problem.rows, strict=True
-    ):
+    for (station, places, blocks), of_rows in zip(wide.stations, wide.problem.rows, strict=True):
         free, values, solution = wide.solution.free[places], wide.solution.values[places], wide.solution
         form = accumulate(station, values, free, solution.weights[of_rows]).at(solution.sigma[blocks])
         rest, _ = eliminate(form, known[places][free], wide.priors.sizes[places][free], values[free])

@@ -124,7 +124,7 @@ def watch_of(
     station = lineup.station
     A, _ = rows_in_noise(station, lineup.start, lineup.robot.sigma)
     m = station.reading_size
-    uncertain, own = prior_root(station, lineup.known, lineup.beside) @ A, A[lineup.own]
+    uncertain, own = prior_root(station, lineup.known, lineup.surroundings) @ A, A[lineup.own]
     own = own / np.sqrt(np.maximum(np.mean(own**2, axis=1, keepdims=True), 1e-300))
     rows = np.vstack([uncertain, own]).T.reshape(len(station), m, -1)
     return DetectionDesign(

@@ -333,7 +333,7 @@ def _alarms(
 ) -> float:
     """Return the part of simulated checks that end in an alarm: noise and what the calibration left open are drawn."""
     station, start = lineup.station, lineup.start
-    root = prior_root(station, lineup.known, lineup.beside)
+    root = prior_root(station, lineup.known, lineup.surroundings)
     noise = np.repeat(lineup.robot.sigma, station.block_sizes)[:, None] / station.weights
     alarms = 0
     for _ in range(request.draws):

@@ -104,7 +104,7 @@ class ChangeVerdict:
         degrees: degrees of freedom of the calibration's noise estimate.
         rows: indices in the table of the rows that count.
         steps: changes of the robot, the most significant first.
-        beside: unmodelled effects that were present at the calibration.
+        unmodelled: unmodelled effects that were present at the calibration.
         wrong_rows: indices in the table of rows that contradict all others.
         p_first: probability of the first alarm; None before.
         is_undecided: whether the rows can't decide, as where too many contradict the others.
@@ -116,7 +116,7 @@ class ChangeVerdict:
     degrees: float
     rows: np.ndarray
     steps: tuple[NamedChange, ...] = ()
-    beside: tuple[int, ...] = ()
+    unmodelled: tuple[int, ...] = ()
     wrong_rows: tuple[int, ...] = ()
     p_first: float | None = None
     is_undecided: bool = False
@@ -149,11 +149,11 @@ class ChangeVerdict:
     def none(self) -> ChangeVerdict:
         """Return the verdict that the rows can't decide."""
         start = self.lineup.start
-        return replace(self, values=start, steps=(), beside=(), p_first=self.p_value, is_undecided=True)
+        return replace(self, values=start, steps=(), unmodelled=(), p_first=self.p_value, is_undecided=True)
 
     @property
     def _released(self) -> list[int]:
-        return [*self.happened, *self.beside]
+        return [*self.happened, *self.unmodelled]
 
     @cached_property
     def evidence(self) -> RowEvidence:
@@ -244,7 +244,7 @@ class ChangeVerdict:
         found = replace(self, values=values, p_first=self.p_value)
         if self.lineup.changes[k].effect is None or not self._was_there_before(step.score):
             return replace(found, steps=(*self.steps, step))
-        return replace(found, beside=(*self.beside, k))
+        return replace(found, unmodelled=(*self.unmodelled, k))
 
     def _was_there_before(self, score: ChangeScore) -> bool:
         """Return whether an effect was rather present at the calibration, but not modelled.

@@ -68,15 +68,15 @@ def changes_of(model: Model, situation: PoseSet) -> tuple[tuple[PossibleChange, 
         The changes, and effects that new rows may show without any change: of the station, and of the whole arm with
         temperature or time.
     """
-    changes, beside = list(_of_parameters(model)), []
+    changes, surroundings = list(_of_parameters(model)), []
     for effect in _catalogue(model, situation):
         if effect.scope == "station" or (effect.locus.joint is None and effect.locus.follows in ("temperature", "time")):
-            beside.append(effect)
+            surroundings.append(effect)
         else:
             name, joint, source = effect.heading
             parameters = tuple(parameter.name for parameter in effect.parameters(model.chain))
             changes.append(PossibleChange(name, joint, parameters, effect, source))
-    return tuple(changes), tuple(beside)
+    return tuple(changes), tuple(surroundings)
 
 
 def _catalogue(model: Model, situation: PoseSet) -> Iterator[Effect]:
@@ -177,7 +177,7 @@ class ChangeHypotheses:
         changes: the possible changes.
         places: for each change, the indices of its parameters.
         own: indices of the station's own parameters.
-        beside: indices of parameters of effects of the instrument and the environment, with a prior of their size.
+        surroundings: indices of parameters of effects of the instrument and the environment, with a prior of their size.
         start: shape (P,), the robot as calibrated.
     """
 
@@ -187,7 +187,7 @@ class ChangeHypotheses:
     changes: tuple[PossibleChange, ...]
     places: tuple[np.ndarray, ...]
     own: np.ndarray
-    beside: np.ndarray
+    surroundings: np.ndarray
     start: np.ndarray
 
     @classmethod
@@ -207,7 +207,7 @@ class ChangeHypotheses:
         masses = [] if known.masses is None else [known.masses]
         wide = model.with_effects([*model.effects, *masses, *known.left, *others, *added])
         n = len(model.effects) + len(masses) + len(known.left)
-        beside = np.concatenate([np.zeros(0, int), *map(_span, wide.spans[n : n + len(others)])])
+        surroundings = np.concatenate([np.zeros(0, int), *map(_span, wide.spans[n : n + len(others)])])
         spans = iter(wide.spans[n + len(others) :])
         index = {name: i for i, name in enumerate(model.names)}
         places = [
@@ -219,7 +219,7 @@ class ChangeHypotheses:
         nothing = np.zeros(wide.n_parameters - model.n_parameters)
         start = np.concatenate([of_model, nothing, of_sensor])
         start[[wide.index(name) for name in known.names]] = known.values
-        return cls(robot, known, station.with_model(wide), changes, tuple(places), own, beside, start)
+        return cls(robot, known, station.with_model(wide), changes, tuple(places), own, surroundings, start)
 
     def without(self, row: int | np.ndarray) -> ChangeHypotheses:
         """Return the hypotheses without one or some rows."""
@@ -292,11 +292,9 @@ class ChangeHypotheses:
         return Refitted(values, places, spread @ spread.T, unknown[n:], np.linalg.norm(uncertain[n:], axis=1))
 
     def weigh(self, values: np.ndarray, happened: Sequence[int]) -> RowEvidence:
-        """Return the evidence of the rows on everything else, given some changes.
+        """Return the evidence of the rows on everything else, given some changes, linearised about values, shape (P,).
 
-        Args:
-            values: shape (P,), about which it is linearised: the robot's parameters as calibrated, except for the changes.
-            happened: the changes, whose parameters are unconstrained, or have their joint prior if there is one.
+        These are as calibrated, except for the changes, which are unconstrained, or have their joint prior if there is one.
         """
         A, r, G, S, rank = self._projected(values, happened, np.arange(len(values)))
         g = A @ r
@@ -313,7 +311,7 @@ class ChangeHypotheses:
 
     def left(self, values: np.ndarray, happened: Sequence[int]) -> tuple[float, int]:
         """Return the square and the degrees of freedom of :meth:`weigh`, in a fraction of the time."""
-        known = np.flatnonzero(prior_root(self.station, self.known, self.beside).any(axis=0))
+        known = np.flatnonzero(prior_root(self.station, self.known, self.surroundings).any(axis=0))
         A, r, _, S, rank = self._projected(values, happened, np.union1d(known, self.free(happened)))
         return float(r @ r - np.sum((S @ (A @ r)) ** 2)), len(r) - rank
 
@@ -326,7 +324,7 @@ class ChangeHypotheses:
         """
         A, r = rows_in_noise(self.station, values, self.robot.sigma, places)
         free = np.searchsorted(places, self.free([i for i in happened if self.changes[i].belief is None]))
-        uncertain = [prior_root(self.station, self.known, self.beside)[:, places]]
+        uncertain = [prior_root(self.station, self.known, self.surroundings)[:, places]]
         for of_change, belief in self._redrawn(happened):
             at, root = np.searchsorted(places, of_change), root_of_inverse(belief, np.diag(belief), ROUNDING)
             uncertain.append(np.zeros((root.shape[1], len(places))))

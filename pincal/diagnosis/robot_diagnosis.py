@@ -87,11 +87,7 @@ class Diagnosis:
 
 
 def diagnose(
-    calibrated: Calibrated,
-    measurements: Measurements,
-    *,
-    alpha: float = FALSE_ALARM,
-    sigma: float | None = None,
+    calibrated: Calibrated, measurements: Measurements, *, alpha: float = FALSE_ALARM, sigma: float | None = None
 ) -> Diagnosis:
     """Test whether a robot still matches its model, up to the poses of instrument and target, and identify what has changed.
 
@@ -305,7 +301,7 @@ def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Itera
 
 
 def _notes(verdict: ChangeVerdict, placed: Placed, measurements: Measurements) -> Iterator[Note | str]:
-    for i in verdict.beside:
+    for i in verdict.unmodelled:
         change = verdict.lineup.changes[i]
         where = "" if change.joint is None else f" of {change.joint}"
         yield (

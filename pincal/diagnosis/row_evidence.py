@@ -174,23 +174,17 @@ class RowEvidence:
         return np.asarray(root @ (root.T @ self.form.g[j]))
 
 
-def prior_root(station: Station, known: Known, beside: np.ndarray) -> np.ndarray:
-    """Return the root of the prior covariance of the parameters of a station, shape (n, P).
-
-    Args:
-        station: the rows under the wide model.
-        known: what is known of the robot.
-        beside: indices of further parameters with a prior of their size.
-    """
+def prior_root(station: Station, known: Known, surroundings: np.ndarray) -> np.ndarray:
+    """Return the root of the prior covariance of a station's parameters, shape (n, P), of ``surroundings`` by size."""
     # Tested effects may share names; the parameters of the model and of masses come first.
     index = {parameter.name: i for i, parameter in reversed(list(enumerate(station.parameters)))}
     robot = [index[name] for name in known.names]
     masses = () if known.masses is None else known.masses.parameters(station.model.chain)
     sizes = np.array([parameter.size for parameter in masses])
-    n, k = known.root.shape[1], known.root.shape[1] + len(beside)
+    n, k = known.root.shape[1], known.root.shape[1] + len(surroundings)
     out = np.zeros((k + len(masses), len(station.parameters)))
     out[:n, robot] = known.root.T
-    out[np.arange(n, k), beside] = [station.parameters[i].size for i in beside]
+    out[np.arange(n, k), surroundings] = [station.parameters[i].size for i in surroundings]
     out[np.arange(k, len(out)), np.array([index[p.name] for p in masses], int)] = sizes
     out[k:, robot] = -sizes[:, None] * known.taken_up.T
     return out

@@ -39,7 +39,7 @@ from pincal.discover.elastic import with_features
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_from, situation_of
 from pincal.discover.policy import CURVES, TESTING, WAVES
-from pincal.discover.score_tests import BesideNuisances, score_test_given_nuisances
+from pincal.discover.score_tests import GivenNuisances, score_test_given_nuisances
 from pincal.discover.steps import SearchState, SearchStep, decided, worded
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import ModelFit, without
@@ -167,14 +167,10 @@ def _worths(state: SearchState, search: Search) -> dict[SearchStep, float]:
 
 
 def losses_by_block(tests: ScoreTests, names: Collection[str], still: Collection[str] = ()) -> np.ndarray:
-    """Return the increase of the squared error on each held-out block without some parameters, shape (B,).
+    """Return the increase of the squared error on each held-out block without some parameters of a model, shape (B,).
 
-    They are set to zero and all others refitted, to first order, without each block.
-
-    Args:
-        tests: tests against the model.
-        names: parameters of the model.
-        still: others that are held fixed, as they act only through those.
+    They are set to zero and all others refitted, to first order, without each block, except for ``still``, which act only
+    through them and are held fixed.
     """
     j = np.array([i for i, name in enumerate(tests.names) if name in names or name in still], int)
     is_removed = np.array([tests.names[i] in names for i in j], bool)
@@ -189,7 +185,7 @@ def losses_by_block(tests: ScoreTests, names: Collection[str], still: Collection
 
 def named_given(fit: ModelFit, effects: Sequence[Effect], search: Search) -> Iterator[tuple[ModelFit, Decision | None]]:
     """Yield, for each of some effects of a fit, the fit without it and the best explanation of its residuals."""
-    shared = _Shared(BesideNuisances(fit))
+    shared = _Shared(GivenNuisances(fit))
     rests = [without(fit, effect) for effect in effects]
     tests = [partial(shared.without, effect) for effect in effects]
     # The effect keeps its own time constant; others have those of the catalogue.
@@ -212,21 +208,17 @@ def named_given(fit: ModelFit, effects: Sequence[Effect], search: Search) -> Ite
 
 @dataclass
 class _Shared:
-    """Tests against a fit, from which tests against the fit without one of its effects follow.
+    """Tests against a fit, from which tests against the fit without one of its effects follow."""
 
-    Attributes:
-        beside: tests against the fit.
-        passes: candidates tested together: whether by blocks, the index of each candidate, and the tests.
-    """
-
-    beside: BesideNuisances
+    tests: GivenNuisances
+    # Candidates tested together: whether by blocks, the index of each candidate, and the tests.
     passes: list[_Pass] = field(default_factory=list)
 
     def test(self, effects: Iterable[Effect], groups: np.ndarray | None = None) -> _Pass:
         """Test candidates together, equal ones once."""
         once = {key_of(effect): effect for effect in effects}
         number = {key: i for i, key in enumerate(once)}
-        self.passes.append((groups is not None, number, self.beside(tuple(once.values()), groups)))
+        self.passes.append((groups is not None, number, self.tests(tuple(once.values()), groups)))
         return self.passes[-1]
 
     def without(self, gone: Effect, effects: Sequence[Effect], groups: np.ndarray | None = None) -> ScoreTests:
@@ -234,7 +226,7 @@ class _Shared:
         keys, has_blocks = [key_of(effect) for effect in effects], groups is not None
         tested = (of for of in self.passes if of[0] == has_blocks and of[1].keys() >= set(keys))
         _, number, tests = next(tested, None) or self.test(effects, groups)
-        return tests.among([number[k] for k in keys], self.beside.fit.names_of([gone]))
+        return tests.among([number[k] for k in keys], self.tests.fit.names_of([gone]))
 
 
 def judge_remainders(state: SearchState, search: Search) -> SearchState:

@@ -23,7 +23,7 @@ from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import likely_maps, missing_compliances, missing_from, situation_of, strongest_tones
 from pincal.discover.policy import TESTING, Policy
 from pincal.discover.scatter import p_value_of_uneven_noise
-from pincal.discover.score_tests import BesideNuisances, score_test_given_nuisances
+from pincal.discover.score_tests import GivenNuisances, score_test_given_nuisances
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.model.at_station import changed_effects, own_effects
@@ -66,7 +66,7 @@ class Search:
 
 def choose(fit: ModelFit, search: Search) -> Decision | None:
     """Return the best explanation of the residuals of a fit, if it is accepted."""
-    test, every = BesideNuisances(fit), addable(fit, search)
+    test, every = GivenNuisances(fit), addable(fit, search)
     names = table_of(fit, search, test, every)
     best = next((names.rows[i].effect for i in names.passed(search.policy)), None)
     if isinstance(best, ExponentialDrift) and (about := _about_itself(best, test)) != best:
@@ -113,7 +113,7 @@ def hidden_wave(fit: ModelFit, search: Search) -> Decision | None:
     waves, among = [effect for effect in every if isinstance(effect, Harmonic)], len({effect.identity for effect in every})
     if not waves:
         return None
-    table = table_of(fit, search, BesideNuisances(fit), waves, among=among)
+    table = table_of(fit, search, GivenNuisances(fit), waves, among=among)
     return decide(table, lambda _: table, search.policy)
 
 
@@ -146,14 +146,8 @@ def table_of(
 ) -> CandidateTable:
     """Return the table of named and unnamed candidates; each kind shares the probability of a false name.
 
-    Args:
-        fit: the fit.
-        search: settings of the search.
-        test: tests candidates against the fit.
-        effects: the candidates.
-        costs: known costs of candidates, by ``id``.
-        predicting: an effect that is taken to predict held-out rows, untested.
-        among: number of candidates that share it; default: the number of the kind.
+    Costs that are known are given by ``id``; ``predicting`` is taken to predict held-out rows, untested; ``among`` is the
+    number of candidates that share the probability, by default those of the kind.
     """
     policy, costs = search.policy, costs or {}
 

@@ -101,7 +101,8 @@ class CandidateTable:
 
     def left(self, rows: Sequence[int], given: Sequence[int]) -> float:
         """Return the p-value of some candidates together, given others in the model."""
-        return self.tests.score_given(*([k for i in of for k in self.rows[i].which] for of in (rows, given))).p_value
+        which, others = ([k for i in of for k in self.rows[i].which] for of in (rows, given))
+        return self.tests.score_given(which, others).p_value
 
     def cheapest(self) -> list[int]:
         """Return the indices of all candidates, the cheapest first."""
@@ -169,12 +170,9 @@ class Decision:
 
 
 def decide(names: CandidateTable, contest_of: Callable[[Sequence[Row]], CandidateTable], policy: Policy) -> Decision | None:
-    """Return the best explanation of the residuals of a fit; None if nothing is significant.
+    """Return the best explanation of the residuals of a fit, from all named candidates; None if nothing is significant.
 
-    Args:
-        names: all named candidates.
-        contest_of: returns the table of some of them, the best first and at the same costs, and of unnamed dependences.
-        policy: thresholds and limits.
+    ``contest_of`` returns the table of some of them, the best first and at the same costs, and of unnamed dependences.
     """
     best = next((i for i in names.cheapest() if accepted(names.rows[i], policy)), None)
     best = best if best is None else _without_equivalents(names, best, policy)

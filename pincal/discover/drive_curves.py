@@ -22,7 +22,7 @@ from scipy.linalg.lapack import dtrtri
 
 from pincal.discover.levers import situation_of
 from pincal.discover.policy import CURVES
-from pincal.discover.score_tests import BesideNuisances
+from pincal.discover.score_tests import GivenNuisances
 from pincal.identify.beliefs import priors_of
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import Ending, ModelFit, carried
@@ -38,12 +38,8 @@ def smoothed(
 ) -> tuple[dict[Curve, tuple[Curve, np.ndarray]], ModelFit]:
     """Return curves, in the fit or new, with the resolution and roughness that the data determine, and coefficients.
 
-    Also the fit with its other parameters moved accordingly, to first order.
-
-    Args:
-        fit: the fit.
-        curves: the curves.
-        finer: resolution relative to the shortest wave of which rows have as much information as the roughness prior.
+    Also the fit with its other parameters moved accordingly, to first order. The resolution is ``finer`` times that of the
+    shortest wave of which rows have as much information as the prior on roughness.
     """
     situation, sigma = situation_of(fit), fit.solution.estimated
     fine, smooth = ({curve: curve.smooth(situation, w) for curve in curves} for w in (None, 1.0))
@@ -89,12 +85,8 @@ def smoothed(
 def _pieces(curve: Curve, information: np.ndarray, roughness: float) -> float:
     """Return the number of half waves, over the range, of which rows have as much information as the prior on roughness.
 
-    Of k radians per unit the prior has k^4 / w^2, and rows of levers l the sum of l^2 over their range, for any k.
-
-    Args:
-        curve: a curve.
-        information: shape (K, K), of the rows on its coefficients.
-        roughness: w.
+    Of k radians per unit the prior has k^4 / w^2, and rows of levers l the sum of l^2 over their range, for any k;
+    ``information``, shape (K, K), is that of the rows on the curve's coefficients, ``roughness`` is w.
     """
     q, span = _along(curve)
     wave = 0.25 * np.pi * curve.resolution / span * q
@@ -214,7 +206,7 @@ def resolved(fit: ModelFit, effect: Effect, groups: np.ndarray) -> tuple[Effect,
     A curve's follows from the marginal likelihood, that of other effects from the prediction of held-out blocks. Also its
     parameters, and those of the effect as given, to first order.
     """
-    test = BesideNuisances(fit)
+    test = GivenNuisances(fit)
     estimate = test([effect]).estimate([0])
     if isinstance(effect, Curve) and fit.solution.exit is not Ending.EXACT:
         return *smoothed(fit, [effect])[0][effect], estimate

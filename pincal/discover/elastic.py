@@ -101,7 +101,7 @@ def _chance(tests: ScoreTests, ways: Sequence[Sequence[int]], given: Sequence[in
     return len(ways) * min(score.p_value for score in scores)
 
 
-class Sure(NamedTuple):
+class JointCompliance(NamedTuple):
     """A compliance of one joint that is significant.
 
     Attributes:
@@ -109,28 +109,24 @@ class Sure(NamedTuple):
         estimate: its parameters and features.
         p_value: of its compliances, perhaps conditional on another one, or of the whole step if none is significant.
         others: compliances that it could be instead.
-        beside: parameters of another compliance, if it is significant only conditional on that.
+        given: parameters of another compliance, if it is significant only conditional on that.
     """
 
     effect: Effect
     estimate: Estimate
     p_value: float
     others: tuple[Effect, ...]
-    beside: tuple[str, ...] = ()
+    given: tuple[str, ...] = ()
 
 
-def sure_compliances(fit: ModelFit, effects: Iterable[Effect], equivalent: tuple[Effect, ...] = ()) -> list[Sure]:
-    """Return the compliances among effects that are significantly different from zero, the most significant first.
+def significant_compliances(
+    fit: ModelFit, effects: Iterable[Effect], equivalent: tuple[Effect, ...] = ()
+) -> list[JointCompliance]:
+    """Return the compliances among effects of a fit that are significantly different from zero, largest statistic first.
 
-    Args:
-        fit: the fit with them.
-        effects: effects that entered together.
-        equivalent: effects that the data can't distinguish from these.
-
-    Returns:
-        If none is significant, the first alone, with the others as equivalents and the p-value of all together.
+    If none is, the first alone is returned, with the others and ``equivalent`` as rivals, and the p-value of all together.
     """
-    found, chain = list[tuple[float, int, Sure]](), fit.problem.chain
+    found, chain = list[tuple[float, int, JointCompliance]](), fit.problem.chain
     for effect in effects:
         if not isinstance(effect, Compliance):
             continue
@@ -139,10 +135,10 @@ def sure_compliances(fit: ModelFit, effects: Iterable[Effect], equivalent: tuple
         for single in effect.parts(chain):
             estimate = fit.estimate.take(p.name for p in own if p.element == single.only)
             z2, size = _squares(estimate)
-            found.append((z2, size, Sure(single, estimate, float(chdtrc(size, z2)), equivalent)))
+            found.append((z2, size, JointCompliance(single, estimate, float(chdtrc(size, z2)), equivalent)))
     found.sort(key=lambda item: -item[0])
     sure = [(z2, entry) for z2, size, entry in found if z2 > TESTING.sure**2 * size]
-    sure += _sure_together(fit, [entry for z2, size, entry in found if z2 <= TESTING.sure**2 * size])
+    sure += _significant_given(fit, [entry for z2, size, entry in found if z2 <= TESTING.sure**2 * size])
     if sure:
         return [entry for _, entry in sorted(sure, key=lambda item: -item[0])]
     first, *others = (entry for _, _, entry in found)
@@ -152,12 +148,7 @@ def sure_compliances(fit: ModelFit, effects: Iterable[Effect], equivalent: tuple
 
 
 def _squares(estimate: Estimate, known: Estimate | None = None) -> tuple[float, int]:
-    """Return Wald's statistic of compliances, and their number.
-
-    Args:
-        estimate: the parameters.
-        known: these first, then others that are conditioned on; default: no others.
-    """
+    """Return Wald's statistic of compliances, and their number; ``known`` are these, then others conditioned on."""
     # The place of a bearing is not part of the test.
     bends = [np.array([p.is_compliance for p in some.parameters]) for some in (estimate, known or estimate)]
     values, size = estimate.values[bends[0]], int(bends[0].sum())
@@ -166,44 +157,40 @@ def _squares(estimate: Estimate, known: Estimate | None = None) -> tuple[float, 
     return float(values @ information @ values), size
 
 
-def _sure_together(fit: ModelFit, doubtful: Sequence[Sure]) -> Iterator[tuple[float, Sure]]:
+def _significant_given(fit: ModelFit, uncertain: Sequence[JointCompliance]) -> Iterator[tuple[float, JointCompliance]]:
     """Yield Wald's statistic and compliances that are significant conditional on another one, each with the best such.
 
     A drive and the bearing of the previous joint may be nearly equivalent: that one of them is compliant is significant, but
     not which.
     """
-    for one in doubtful:
+    for one in uncertain:
         pairs = []
-        for other in (entry for entry in doubtful if entry is not one):
+        for other in (entry for entry in uncertain if entry is not one):
             z2, size = _squares(one.estimate, fit.estimate.take((*one.estimate.names, *other.estimate.names)))
             pairs.append((z2, size, other))
         z2, size, other = max(pairs, key=lambda pair: pair[0], default=(0.0, 1, one))
         if z2 > TESTING.sure**2 * size:
             others = each_heading_once((other.effect, *one.others), one.effect, POLICY)
-            yield z2, one._replace(p_value=float(chdtrc(size, z2)), others=others, beside=other.estimate.names)
+            yield z2, one._replace(p_value=float(chdtrc(size, z2)), others=others, given=other.estimate.names)
 
 
 def instead_of(
-    tests: ScoreTests, compliance: Effect, estimate: Estimate, beside: Collection[str] = (), policy: Policy = POLICY
+    tests: ScoreTests, compliance: Effect, estimate: Estimate, given: Collection[str] = (), policy: Policy = POLICY
 ) -> tuple[Effect, ...]:
     """Return the effects of loads that explain the data as well as one joint's compliances do.
 
     A tilting bearing is equivalent to a tilting foundation at the first joint, and to a bending link at others; as all
     bearings entered together, none of them was tested against these.
 
-    Args:
-        tests: tests against the last model, which includes the compliance.
-        compliance: the effect, of one joint.
-        estimate: its parameters.
-        beside: parameters of another compliance that is held fixed, as it would absorb most itself.
-        policy: its tie limit.
+    The tests are against the last model, which includes the compliance, with parameters ``estimate``. Parameters ``given``
+    of another compliance are held fixed, as it would absorb most itself.
     """
     # Without compliance the place of a bearing has no effect, so it is kept.
     lost = {p.name: float(value) * p.is_compliance for p, value in zip(estimate.parameters, estimate.values, strict=True)}
     # An effect in the same place is a finer form of it.
     loads = [i for i, e in enumerate(tests.effects) if e.family is Family.LOAD and _place(e) != _place(compliance)]
-    if beside and loads:
-        tests, loads = _holding(tests.among(loads, ()), beside), list(range(len(loads)))
+    if given and loads:
+        tests, loads = _holding(tests.among(loads, ()), given), list(range(len(loads)))
     costs = sorted(zip(costs_instead(tests, loads, lost), loads, strict=True))
     rivals = [tests.effects[i] for cost, i in costs if cost < policy.tie]
     return each_heading_once(rivals, compliance, policy)
@@ -273,15 +260,10 @@ def _place(effect: Effect) -> tuple[str | None, str, str | None]:
 
 
 def deciding_measurement(fit: ModelFit, effect: Effect, value: np.ndarray, *rivals: Effect) -> str:
-    """Return, in words, the cheapest further measurement that would distinguish an effect from rivals.
+    """Return, in words, the cheapest further measurement that would distinguish an effect from rivals, all together.
 
-    The power of each kind of further run is computed from the Jacobian at its poses.
-
-    Args:
-        fit: the fit before the effect was added.
-        effect: the effect.
-        value: its parameters, shape (K,).
-        rivals: one rival, or several that are equivalent only together.
+    The power of each kind of further run is computed from the Jacobian at its poses, for a fit without the effect, and its
+    parameters, shape (K,).
     """
     few, _ = sampled(fit, POLICY)
     stations, rows_each = few.problem.stations, len(fit.problem) / len(few.problem)
@@ -307,13 +289,7 @@ def deciding_measurement(fit: ModelFit, effect: Effect, value: np.ndarray, *riva
 
 
 def _separation(runs: Sequence[ScoreTests], weight: float, value: np.ndarray) -> float:
-    """Return the squared signal of the first effect that the others can't absorb, in units of the noise.
-
-    Args:
-        runs: the tests of all effects at the poses of each run.
-        weight: of each row.
-        value: the parameters of the first effect.
-    """
+    """Return the squared signal in all runs of the first effect, of parameters ``value``, that the others can't absorb."""
     c, *others = runs[0].columns
     g = np.concatenate(others)
     whole, cross, inner = (

@@ -115,13 +115,7 @@ def note_on_joints(fit: ModelFit) -> str | None:
 
 @dataclass(frozen=True)
 class _Readings:
-    """Rows of a station, in units of the noise.
-
-    Attributes:
-        residuals: shape (N, m).
-        levers: shape (N, m, n), their derivatives by each joint.
-        block: shape (m,), the block of each reading.
-    """
+    """Residuals of a station, shape (N, m), their levers, (N, m, n), in units of the noise, and blocks of readings, (m,)."""
 
     residuals: np.ndarray
     levers: np.ndarray
@@ -300,12 +294,7 @@ def of_bearings(tests: ScoreTests) -> float:
 
 
 def of_candidates(tests: ScoreTests, which: Sequence[int] | None = None) -> float:
-    """Return the same for rejected candidates, weighted by the probability that each is present.
-
-    Args:
-        tests: tests against the last model.
-        which: candidates of which at most one is present; default: all.
-    """
+    """Return the same for rejected candidates, of which at most one is present, weighted by its probability."""
     which = range(len(tests.effects)) if which is None else which
     groups = len({tests.effects[i].identity for i in which})
     scores = [tests.score([i], groups) for i in which]

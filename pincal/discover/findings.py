@@ -13,7 +13,13 @@ from scipy.special import chdtrc
 
 from pincal.discover.candidate_tests import named_tests
 from pincal.discover.decisions import Row, accepted
-from pincal.discover.elastic import Sure, deciding_measurement, instead_of, sure_compliances, without_compliance
+from pincal.discover.elastic import (
+    JointCompliance,
+    deciding_measurement,
+    instead_of,
+    significant_compliances,
+    without_compliance,
+)
 from pincal.discover.ending import line_details
 from pincal.discover.first_order import ScoreTests, chance_of
 from pincal.discover.levers import levers
@@ -120,7 +126,7 @@ def _found(
     if step.is_elastic:
         found = [
             (sure.effect, e := sure.estimate, known.take(e.names).fitted_sigma, sure.p_value, *_in_its_place(trail, sure))
-            for sure in sure_compliances(trail.final, step.effects, step.equivalent)
+            for sure in significant_compliances(trail.final, step.effects, step.equivalent)
         ]
     else:
         estimate = known.take(trail.final.names_of(step.effects if isinstance(step.effect, Harmonic) else step.effects[:1]))
@@ -131,7 +137,7 @@ def _found(
     line = line_details(trail, step)
     for effect, estimate, sigma, p_value, equivalent, decide in found:
         sure_as = replace(score, p_value=p_value)
-        if step.is_elastic and trail.is_held_up and not accepted(Row(effect, sure_as, score.ebic), trail.policy):
+        if step.is_elastic and trail.has_prior_elasticity and not accepted(Row(effect, sure_as, score.ebic), trail.policy):
             # Given all other compliances, which on few rows depend on priors, it is not significant.
             continue
         yield FoundEffect.of(
@@ -159,13 +165,13 @@ def _deciding(step: SearchStep) -> str:
     return f"{words}; {deciding_measurement(*tested, *step.together)}"
 
 
-def _in_its_place(trail: History, sure: Sure) -> tuple[tuple[Effect, ...], str]:
+def _in_its_place(trail: History, sure: JointCompliance) -> tuple[tuple[Effect, ...], str]:
     """Return the equivalents of one joint's compliance, and the measurement that would decide."""
     compliance = sure.effect
-    rivals = tuple(dict.fromkeys((*instead_of(trail.last, compliance, sure.estimate, sure.beside), *sure.others)))
+    rivals = tuple(dict.fromkeys((*instead_of(trail.last, compliance, sure.estimate, sure.given), *sure.others)))
     if not rivals:
         return (), ""
-    rest = without_compliance(trail.final, compliance, *(sure.others[:1] if sure.beside else ()))
+    rest = without_compliance(trail.final, compliance, *(sure.others[:1] if sure.given else ()))
     own = np.array([sure.estimate[parameter.name] for parameter in compliance.parameters(rest.problem.chain)])
     return rivals, deciding_measurement(rest, compliance, own, rivals[0])
 
@@ -199,12 +205,7 @@ def where_of(trail: History, excess: Excess | None, *, is_misfit: bool) -> tuple
     """Return where model and data disagree, with shares of the excess over the noise.
 
     The disagreement is located in the first fit with elasticity, if the arm is elastic, else in the first of all,
-    regardless of later names.
-
-    Args:
-        trail: the history.
-        excess: remaining excess along the lever of one joint, if any.
-        is_misfit: whether the final residuals exceed the noise significantly.
+    regardless of later names; last is the final excess along the lever of one joint, or a misfit that is nowhere located.
     """
     robot = trail.final.problem.chain.robot
     fit, found = trail.first, list[Disagreement]()
@@ -257,7 +258,7 @@ def _elastic(step: SearchStep, sigma: np.ndarray) -> Disagreement:
     """Return how much of the residuals follows the static moments, and where it is strongest."""
     whole = _excess(step.before, sigma)
     share = 1.0 - max(_excess(step.after, sigma), 0.0) / whole if whole > 0.0 else 0.0
-    joint = sure_compliances(step.after, step.effects)[0].effect.locus.joint
+    joint = significant_compliances(step.after, step.effects)[0].effect.locus.joint
     statement = f"the residuals of the geometric model follow the static moments on the joints, mainly that on {joint}"
     return Disagreement(statement, float(np.clip(share, 0.0, 1.0)), joint)
 

@@ -219,7 +219,7 @@ class ScoreTests:
         values, vectors = np.linalg.eigh(S * scale[..., None] * scale[..., None, :])
         expected = (self.sizes[self.n_model + j] / scale) ** 2
         reduction = values * np.einsum("...i,...ik->...k", expected, vectors**2)
-        seen = (values > SEEN) & (reduction > TESTING.told)
+        seen = (values > SEEN) & (reduction > TESTING.observed)
         root = 1.0 / np.sqrt(np.where(seen, values, np.inf))
         return scale[..., None] * vectors * root[..., None, :], seen
 

@@ -248,10 +248,7 @@ def _window(x: np.ndarray, energy: np.ndarray) -> tuple[tuple[float, float] | No
 def regions_of(fit: ModelFit, residuals: np.ndarray, expected: float) -> Iterator[Disagreement]:
     """Yield the range of reach or height and the direction in which residuals of positions are concentrated.
 
-    Args:
-        fit: the fit.
-        residuals: shape (3, N), whitened, in the frame of the instrument.
-        expected: sum of squares of a row that noise explains.
+    These are whitened, shape (3, N), in the frame of the instrument; noise explains the square ``expected`` of a row.
     """
     robot, gravity = fit.model.chain.robot, fit.model.chain.gravity
     energy = np.sum(residuals**2, axis=0) - expected

@@ -23,8 +23,8 @@ from pincal.discover.steps import (
     SearchStep,
     add_effects,
     add_hidden_waves,
+    add_prior_elasticity,
     bent,
-    hold_up_elasticity,
     judge_outliers_again,
     settle,
     worded,
@@ -218,13 +218,8 @@ def single_compliance(
 ) -> tuple[MomentFrame, Decision] | None:
     """Return the moment frame in which a single drive or bearing is compliant, and that; None otherwise.
 
-    Among all parameters of an arm, its moment frame would not be significant. What explains as much in another frame is
-    equivalent.
-
-    Args:
-        ways: the compliances, by moment frame.
-        frames: the moment frames; the first is kept unless another is significantly better.
-        policy: its tie limit.
+    Among all parameters of an arm, its moment frame would not be significant. The first frame is kept unless another is
+    significantly better. What explains as much in another frame is equivalent.
     """
     if not ways:
         return None
@@ -300,7 +295,7 @@ _PASSES: tuple[Callable[[SearchState, Search], SearchState], ...] = (
     name_again,
     drop_needless,
     judge_remainders,
-    hold_up_elasticity,
+    add_prior_elasticity,
     fit_all_rows,
     settle,
     merge_parts,

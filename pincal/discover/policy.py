@@ -107,7 +107,7 @@ class Policy:
     most_steps: int = _number(14, "steps", _EXAMPLES,
         "effects that are added at most", "chosen: a bound on the time")
     finer: float = _number(2.0, "ratio", _FINER,
-        "how much finer curves end than the shortest waves of which the rows say as much as the roughness does",
+        "resolution of final curves relative to the shortest waves of which rows have as much information as the prior",
         "a curve cut off there states 65 % of its variance, cut off at half of them 95 %; 1 in subsamples")
     most_rivals: int = _number(6, "effects", _DECISIONS + "test_each_heading_is_listed_once",
         "equivalent effects that are listed", "what a reader can act on")
@@ -149,7 +149,7 @@ class ScoreNumbers:
         "by which the prediction of blocks has to deteriorate with a prior to contradict it", "1 in 40 by chance")
     most_explained: float = _number(0.999999, "ratio", _EXAMPLES,
         "largest fraction of the squares that can be removed", "keeps the F ratio finite")
-    told: float = _number(0.01, "ratio", "test_bearings.py::test_what_geometry_takes_of_a_wobble_is_not_counted",
+    observed: float = _number(0.01, "ratio", "test_bearings.py::test_what_geometry_takes_of_a_wobble_is_not_counted",
         "smallest reduction of an observable parameter's prior variance by the data, as a fraction",
         "an effect distinguished only by the model's priors is not observable, such as a tilt that implausible geometry "
         "would explain")

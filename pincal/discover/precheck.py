@@ -125,16 +125,7 @@ class DataReport:
 
 
 def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport:
-    """Check tables as a calibration would, fitting only base and tool.
-
-    Args:
-        robot: the arm.
-        measurements: the table, or several.
-        options: how it would be calibrated.
-
-    Raises:
-        BadInputError: as for a calibration.
-    """
+    """Check tables as a calibration with these options would, fitting only base and tool; errors as of a calibration."""
     admitted = admit(robot, tables_of(measurements), lambda name: options.at(name).setup)
     tables = admitted.tables
     fit = expected_fit(robot, tables, options)
@@ -143,12 +134,8 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
         robot = corrected.of(robot)
         fit = expected_fit(robot, tables, options)
     unseen = [list(unobservable_notes(table, options.at(name).setup)) for name, table in tables.items()]
-    notes = [
-        *(() if corrected is None else corrected.notes),
-        *admitted.notes,
-        *admitted.idle,
-        *(n for n in unseen[0] if all(n in other for other in unseen)),
-    ]
+    notes = [*(() if corrected is None else corrected.notes), *admitted.notes, *admitted.idle]
+    notes += [note for note in unseen[0] if all(note in other for other in unseen)]
     notes += notes_on_masses(robot, options.effects)
     notes += notes_on_repeats(robot, fit.problem.conditions.q)
     posterior = fit.solution.posterior
@@ -175,21 +162,16 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
 def _outlook(robot: Robot, fit: ModelFit) -> DetectabilityTable:
     """Return the effects that could be found beyond the elastic model."""
     base = refit(fit, ELASTIC)
-    declared = fit.noise.declared
-    assumed = np.array([block.noise for block in base.problem.blocks])
-    degrees = base.solution.degrees
-    estimated = base.solution.estimated if degrees >= SIGHT.fewest else assumed
-    sigma = np.array([s if d is None else d for s, d in zip(estimated, declared, strict=True)])
-    source = "declared" if fit.is_declared else ("estimated" if degrees >= SIGHT.fewest else "assumed")
+    can_estimate = base.solution.degrees >= SIGHT.fewest
+    usual = base.solution.estimated if can_estimate else [block.noise for block in base.problem.blocks]
+    sigma = np.array([s if d is None else d for s, d in zip(usual, fit.noise.declared, strict=True)])
+    source = "declared" if fit.is_declared else "estimated" if can_estimate else "assumed"
     chain, conditions = base.problem.chain, base.problem.conditions
-    tested = candidates(chain, conditions)
-    sights = minimum_detectable(base, tested, sigma=sigma)
+    sights = minimum_detectable(base, candidates(chain, conditions), sigma=sigma)
     sights += [Detectable(effect, reason=reason) for effect, reason in untestable(chain, conditions)]
-    seen = next(((s, places, of) for s, places, of in fit.stations if s.sensor.reads_place), None)
-    sigma_m = None
-    if seen is not None:
-        first, places, of = seen
-        sigma_m = float(sigma[of][0]) * first.metres_per_reading(fit.nominal.values[places])
+    seen = (station for station in fit.stations if station[0].sensor.reads_place)
+    in_metres = (float(sigma[of][0]) * s.metres_per_reading(fit.nominal.values[places]) for s, places, of in seen)
+    sigma_m = next(in_metres, None)
     return DetectabilityTable("elastic", sigma_m, source, POLICY.false_name, SIGHT.power, tuple(sights))
 
 

@@ -31,7 +31,7 @@ from pincal.calibration.result import result_of
 from pincal.calibration.validation import Validation
 from pincal.discover.candidate_tests import sampled
 from pincal.discover.drive_curves import notes_on_repeats
-from pincal.discover.elastic import sure_compliances
+from pincal.discover.elastic import significant_compliances
 from pincal.discover.ending import note_on_joints, widened
 from pincal.discover.findings import bootstrap_last, findings_of
 from pincal.discover.loop import discover_effects, withdraw_names_at_change
@@ -334,7 +334,7 @@ def _groups(trail: History) -> Iterator[Group]:
     """Yield the names found by a search, as in its findings: elasticity joint by joint."""
     for step in trail.steps:
         if step.is_elastic:
-            yield from ((sure.effect.heading,) for sure in sure_compliances(trail.final, step.effects))
+            yield from ((sure.effect.heading,) for sure in significant_compliances(trail.final, step.effects))
         else:
             yield (step.effect.heading, *(other.heading for other in step.equivalent))
 

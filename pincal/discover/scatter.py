@@ -90,31 +90,25 @@ class Excess:
 def find_excess(fit: ModelFit, measured: ModelFit | None = None) -> Excess | None:
     """Return the joint with the largest excess along its lever, if significant, and whether it is scatter.
 
-    It is scatter if replicates differ by it; without them if neighbours in the positions of some joints have unrelated
-    errors although a smooth function of these joints would have been detected, in a permutation test.
-
-    Args:
-        fit: the fit.
-        measured: the fit over rows as measured, where the rows of the fit are means of poses.
+    It is scatter if replicates differ by it, in ``measured`` if the rows of the fit are means of poses. Without replicates
+    it is scatter if neighbours in the positions of some joints have unrelated errors although a smooth function of these
+    joints would have been detected, in a permutation test.
     """
-    found = [(_scatter_along(*one.readings), one) for _, alone, _ in fit.in_places for one in _along_levers(alone)]
+    found = [(one.scatter(), one) for _, alone, _ in fit.in_places for one in _along_levers(alone)]
     whole, best = max(found, key=lambda pair: pair[0].gain)
     if whole.gain <= NOISE.scatter:
         return None
-    conditions, missing = best.station.conditions, "time"
-    if conditions.approach is None:
-        missing = f"approach_{best.joint}"
-    elif conditions.temperature is None:
-        missing = "temperature"
+    conditions = best.station.conditions
+    missing = "time" if conditions.temperature is not None else "temperature"
+    missing = missing if conditions.approach is not None else f"approach_{best.joint}"
     index = next(i for i, (_, one) in enumerate(found) if one is best)
     single = best if measured is None else [one for _, alone, _ in measured.in_places for one in _along_levers(alone)][index]
     again = single.differences()
     if again is not None and again.gain > chdtri(1, 2.0 * NOISE.chance):
         return Excess(best.joint, again.sigma, missing, "replicates")
-    follows = best.follows(whole)
-    if again is not None:
-        return Excess(best.joint, whole.sigma, missing, "", follows or (), True)
-    return Excess(best.joint, whole.sigma, missing, "neighbours" if follows == () else "", follows or ())
+    follows, is_repeated = best.follows(whole), again is not None
+    shown_by: Literal["neighbours", ""] = "neighbours" if follows == () and not is_repeated else ""
+    return Excess(best.joint, whole.sigma, missing, shown_by, follows or (), is_repeated)
 
 
 @dataclass(frozen=True)
@@ -144,10 +138,9 @@ class _AlongLever:
     residuals: np.ndarray
     visit: np.ndarray
 
-    @property
-    def readings(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lever, residuals and visits."""
-        return self.lever, self.residuals, self.visit
+    def scatter(self) -> _Component:
+        """Return the scatter of the joint, whether repeatability or a function of the pose."""
+        return _scatter_along(self.lever, self.residuals, self.visit)
 
     def differences(self) -> _Component | None:
         """Return the scatter between replicates of a pose, None without replicates.
@@ -269,12 +262,7 @@ def _scatter_along(lever: np.ndarray, residuals: np.ndarray, visit: np.ndarray) 
     """Return the scatter along a lever, by maximum likelihood with the noise's variance profiled out.
 
     Along the lever, of length a_i at visit i, the variance is sigma^2 + s^2 a_i^2, and sigma^2 across it. Readings of one
-    visit, of several targets or the points of an image, share the joint's position.
-
-    Args:
-        lever: shape (size, N), of the first block of readings.
-        residuals: shape (size, N).
-        visit: shape (N,), the visit of each row.
+    visit, of several targets or the points of an image, share the joint's position. See :class:`_AlongLever`.
     """
     a2 = np.bincount(visit, np.sum(lever**2, axis=0))
     along2 = np.bincount(visit, np.sum(residuals * lever, axis=0)) ** 2 / np.maximum(a2, 1e-300)

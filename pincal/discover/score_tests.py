@@ -73,13 +73,7 @@ class Tangent:
 
     @classmethod
     def at(cls, fit: ModelFit, nuisance: Sequence[Effect], groups: np.ndarray | None) -> Tangent:
-        """Return the columns at a fit.
-
-        Args:
-            fit: the fit.
-            nuisance: effects that are projected out with the model.
-            groups: shape (N,), the block of each row; default: one block.
-        """
+        """Return the columns at a fit; ``groups``, shape (N,), are the blocks of rows, default: one."""
         problem, known = extended(fit.problem, nuisance)
         values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
         values[known], free[known] = fit.values, fit.solution.free
@@ -211,7 +205,7 @@ def nuisances(fit: ModelFit, effects: Sequence[Effect]) -> list[Effect]:
 
 
 @dataclass(frozen=True)
-class BesideNuisances:
+class GivenNuisances:
     """Tests effects against a fit with nuisances projected out; common parts are computed once."""
 
     fit: ModelFit
@@ -221,10 +215,10 @@ class BesideNuisances:
         self, effects: Sequence[Effect], groups: np.ndarray | None = None, *, wider: float = TESTING.wider
     ) -> ScoreTests:
         """Return the tests of candidates; arguments as of :func:`score_test`."""
-        beside = nuisances(self.fit, effects)
-        key = (tuple(effect.identity for effect in beside), None if groups is None else groups.tobytes())
+        nuisance = nuisances(self.fit, effects)
+        key = (tuple(effect.identity for effect in nuisance), None if groups is None else groups.tobytes())
         if key not in self._tangents:
-            self._tangents[key] = Tangent.at(self.fit, beside, groups)
+            self._tangents[key] = Tangent.at(self.fit, nuisance, groups)
         return self._tangents[key].tests(effects, wider=wider)
 
 
@@ -232,7 +226,7 @@ def score_test_given_nuisances(
     fit: ModelFit, effects: Sequence[Effect], groups: np.ndarray | None = None, *, wider: float = TESTING.wider
 ) -> ScoreTests:
     """Test effects against a fit with :func:`nuisances` projected out; see :func:`score_test`."""
-    return BesideNuisances(fit)(effects, groups, wider=wider)
+    return GivenNuisances(fit)(effects, groups, wider=wider)
 
 
 def score_test(

@@ -32,8 +32,7 @@ def gaps_of(fit: ModelFit, rows: Sequence[StationRows]) -> dict[str, Gap]:
     fit = placed_at_mean(fit)
     errors = errors_held_out(fit, fit.values, rows)
     if not errors:
-        pairs = zip(fit.problem.stations, fit.problem.places, strict=True)
-        errors = {"test": error_statistics(pose_error_sizes(at, fit.values[places]) for at, places in pairs)}
+        errors = {"test": error_statistics(pose_error_sizes(at, fit.values[places]) for at, places, _ in fit.stations)}
     return {part: Gap(**{key: of[key] for key in Gap.__struct_fields__ if key in of}) for part, of in errors.items()}
 
 

@@ -66,12 +66,7 @@ class SearchStep:
 
 @dataclass(frozen=True, eq=False)
 class ModelChange:
-    """A change of the model between the first fit and the last.
-
-    Attributes:
-        fit: the fit after it.
-        entered, left: the effects added and removed; none for a mere refit.
-    """
+    """A change of the model: the fit after it, and the effects that entered and left; none for a mere refit."""
 
     fit: ModelFit
     entered: tuple[Effect, ...] = ()
@@ -137,7 +132,7 @@ class History(SearchState):
         return self.fit
 
     @property
-    def is_held_up(self) -> bool:
+    def has_prior_elasticity(self) -> bool:
         """Whether the model has elasticity that entered on priors, without a name."""
         named = [effect for step in self.steps for effect in step.effects]
         return any(isinstance(e, Compliance) and e not in named for change in self.changes for e in change.entered)
@@ -204,7 +199,7 @@ def judge_outliers_again(state: SearchState, search: Search) -> SearchState:
     return state.fitted_again(refit(untrusting, fit.options.effects, start={}))
 
 
-def hold_up_elasticity(state: SearchState, search: Search) -> SearchState:
+def add_prior_elasticity(state: SearchState, search: Search) -> SearchState:
     """Add unnamed elasticity on few rows, unless held-out blocks contradict it.
 
     Few rows can't show that an arm is compliant, as every arm is: its prior predicts better than a rigid model, whose
