@@ -43,7 +43,7 @@ BOUNDS = {
     "calibration.station_information": "_SEEN _ROUNDING _BEYOND_ROUNDING _MOST",
     "calibration.unmodelled": "_MOST _ROWS _STATIONS _SEEN _ROUNDING",
     "diagnosis.change_search": "_MOST_TRIED _LINEAR _MOST",
-    "diagnosis.excluded": "_MORE _TRIED _SHOWN _NAMED _TELLABLE _SEEN",
+    "diagnosis.excluded": "_MORE _TRIED _SHOWN _NAMED _RESOLVABLE _SEEN",
     "diagnosis.lineup": "_MOST_STEPS _HALVINGS _SHORT",
     "diagnosis.robot_diagnosis": "_MOST_ROWS",
     "diagnosis.row_evidence": "_POSES",
