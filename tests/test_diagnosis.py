@@ -118,7 +118,7 @@ def test_what_a_change_leaves_is_found_without_the_rest(offset: tuple[Calibrated
         values = lineup.release(happened, lineup.start)
         whole = lineup.weigh(values, happened).form
 
-        assert lineup.left(values, happened) == (pytest.approx(whole.square, rel=1e-9), whole.degrees)
+        assert lineup.square_given(values, happened) == (pytest.approx(whole.square, rel=1e-9), whole.degrees)
 
 
 def test_poses_that_tell_two_changes_apart_are_named(change_examples: Path, monkeypatch: pytest.MonkeyPatch) -> None:

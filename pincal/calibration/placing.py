@@ -58,16 +58,16 @@ class FrameShift:
 
     def to_dict(self) -> dict[str, float | None]:
         """Return the entries of files: ``moved_mm``, ``turned_mrad``, ``target_moved_mm``."""
-        ways = {"moved_mm": self.instrument, "turned_mrad": self.turned, "target_moved_mm": self.target}
-        return {name: None if way is None else 1e3 * way for name, way in ways.items()}
+        shifts = {"moved_mm": self.instrument, "turned_mrad": self.turned, "target_moved_mm": self.target}
+        return {name: None if shift is None else 1e3 * shift for name, shift in shifts.items()}
 
     def __str__(self) -> str:
-        ways = (
+        shifts = (
             ("the instrument moved by", self.instrument, "m"),
             ("it turned by", self.turned, "rad"),
             ("the target moved by", self.target, "m"),
         )
-        known = [f"{words} {format_readable(way, unit, '.4g')}" for words, way, unit in ways if way is not None]
+        known = [f"{words} {format_readable(shift, unit, '.4g')}" for words, shift, unit in shifts if shift is not None]
         return ", ".join(known) or "how far they moved is unknown"
 
 
@@ -176,7 +176,7 @@ def _of_another_session(
     It is what effects that are not transferred, and effects of columns that the rows lack, did to the target.
     """
     lacking = set(known.unrecorded(rows))
-    left = [
+    untransferred = [
         effect
         for effect in known.model.effects
         # Apart from its pose, drift and targets, effects of the instrument are not transferred.
@@ -188,9 +188,9 @@ def _of_another_session(
             and effect not in along
         )
     ]
-    at = known.of_its_day(replace(station.conditions, target=np.zeros(len(station), int))) if left else None
+    at = known.of_its_day(replace(station.conditions, target=np.zeros(len(station), int))) if untransferred else None
     days = set(known.covered.days)
-    found = [known.note_on(effect, rows.source, at if set(effect.needs) <= days else None) for effect in left]
+    found = [known.note_on(effect, rows.source, at if set(effect.needs) <= days else None) for effect in untransferred]
     return float(np.sqrt(sum(size**2 / 3.0 for size, _ in found))), tuple(note for _, note in found)
 
 
@@ -288,6 +288,6 @@ def moved(before: CalibratedModel, after: CalibratedModel) -> FrameShift:
     pairs = list(zip(*targets, strict=True)) if len(targets[0]) == len(targets[1]) == 1 else []
     pairs = pairs or [(name, name) for name in targets[0] if name in targets[1]]
     if pairs:
-        ways = [before.estimate.frame(a)[:3] - after.estimate.frame(b)[:3] for a, b in pairs]
-        target = float(np.linalg.norm(ways, axis=1).max())
+        shifts = [before.estimate.frame(a)[:3] - after.estimate.frame(b)[:3] for a, b in pairs]
+        target = float(np.linalg.norm(shifts, axis=1).max())
     return FrameShift(instrument, turned, target)

@@ -173,7 +173,7 @@ def clock_table(clocks: Sequence[ClockRecord]) -> Table:
         "correction to the time stamps of a station at the middle of its session; for a gyroscope in addition to its "
         "accelerometer's; +- 95 %"
     )
-    return Table("Clocks against that of the joints", columns, tuple(rows), (note,))
+    return Table("Clocks relative to that of the joints", columns, tuple(rows), (note,))
 
 
 def improvement_table(regions: Sequence[Improvement]) -> Table:
@@ -206,7 +206,7 @@ def moved_table(stations: Sequence[StationRecord]) -> Table | None:
         rows.append((entry["name"], entry["unit"], at, *numbers, "moved" if entry["moved"] else ""))
     heads = (Column("parameter", kind=Kind.NAME), Column("unit", kind=Kind.LABEL, show=show_unit))
     numbers_of = (Column(name, kind=Kind.NUMBER, show=show_value) for name in ("since the first", "95 %: from", "to"))
-    columns = (*heads, Column("station", kind=Kind.NAME), *numbers_of, Column("since the one before", kind=Kind.LABEL))
+    columns = (*heads, Column("station", kind=Kind.NAME), *numbers_of, Column("since the previous", kind=Kind.LABEL))
     hidden = len(found) - len(rows)
     notes = (f"{hidden} rows without a change are omitted here; result.json has them.",) if hidden else ()
     return Table("Parameters that moved between stations", columns, tuple(rows), notes) if rows else None

@@ -276,7 +276,7 @@ def information_at(
         station, weights = station.select(rows), weights[rows]
     normal = accumulate(station, values, free, weights)
     is_own, form = station.is_own[free], normal.at(solution.sigma[blocks])
-    left, own = eliminate(form, is_own, fit.priors.sizes[places][free], values[free])
+    rest, own = eliminate(form, is_own, fit.priors.sizes[places][free], values[free])
     spent, step = float(np.sum(own.alone.frame_rank + own.alone.has_prior.sum())), own.alone.step
     square = float(normal.squares.blocks @ solution.sigma[blocks] ** -2.0 - step @ own.alone.form.H @ step)
     square -= float(own.precision @ step**2)
@@ -284,7 +284,7 @@ def information_at(
     shared = shared_places(fit)
     at = np.searchsorted(shared, places[free][~is_own])
     names = tuple(problem.parameters[place].name for place in shared[at])
-    found = Quadratic(**vars(left), names=names, square=square, degrees=readings - spent)
+    found = Quadratic(**vars(rest), names=names, square=square, degrees=readings - spent)
     return StationInformation(found, at, spent)
 
 

@@ -177,9 +177,9 @@ def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, na
     def misfit(sigma: np.ndarray, robust: np.ndarray) -> Misfit:
         return misfit_at(station, model.values, covariance=model.covariance, sigma=sigma, robust=robust)
 
-    def as_calibrated(left: Misfit, **reservations: Any) -> Validation:
+    def as_calibrated(found: Misfit, **reservations: Any) -> Validation:
         still, none = FrameShift(0.0, 0.0, 0.0), np.zeros(len(model.values), bool)
-        return Validation(name, "as calibrated", table, model, station, none, still, left, **reservations)
+        return Validation(name, "as calibrated", table, model, station, none, still, found, **reservations)
 
     try:
         placed = place_station(model, table)
@@ -255,26 +255,26 @@ def doubt_of(table: Measurements, placed: Placed) -> str:
     used, inside = placed.solution.weights > 0.0, known.knows(station.conditions)
     sound = used & known.covered.carries(station.conditions.payload)
     for rows, factor in ((sound & inside, 1.0), (sound, _UNSEEN), (used & inside, np.inf)):
-        left = placed.misfit_of(rows)
-        if not left.is_significant:
+        misfit = placed.misfit_of(rows)
+        if not misfit.is_significant:
             continue
         unit, errors = next(iter(pose_error_sizes(station.select(rows), values).items()))
         off = f"{table.source}: mean error {errors.mean():.3g} {unit} wherever instrument and target stand"
-        if left.is_far(factor):
+        if misfit.is_far(factor):
             mixed = mix_up(table, station, values, options=known.options(effects=()))
-            beyond = f"{off}, {left.ratio:.3g} times what noise and the uncertainty of the calibration allow"
+            beyond = f"{off}, {misfit.ratio:.3g} times what noise and the uncertainty of the calibration allow"
             return f"{beyond}; {mixed}" if mixed else beyond
-        if factor != _UNSEEN and (nominal := _as_good(table, placed, left=left, rows=rows)) is not None:
+        if factor != _UNSEEN and (nominal := _as_good(table, placed, misfit=misfit, rows=rows)) is not None:
             return f"{off}, no better than the nominal robot ({1e3 * nominal:.3g} mm)"
     return ""
 
 
-def _as_good(table: Measurements, placed: Placed, *, left: Misfit, rows: np.ndarray) -> float | None:
+def _as_good(table: Measurements, placed: Placed, *, misfit: Misfit, rows: np.ndarray) -> float | None:
     """Return the nominal robot's mean error [m] if it explains rows as well as the calibrated one; else None."""
     known, station = placed.model, placed.station
     nominal = nominal_displacements(known.model.chain.robot, table, known.options(effects=()))[rows]
     size = station.sensor.blocks[0].size
-    allowed = left.allowed * known.sigma[0] * np.sqrt(size) * station.metres_per_reading(placed.values)
+    allowed = misfit.allowed * known.sigma[0] * np.sqrt(size) * station.metres_per_reading(placed.values)
     if belongs_to_other_robot(station.displacements(placed.values)[rows], nominal, allowed=float(allowed)):
         return float(np.linalg.norm(nominal, axis=1).mean())
     return None

@@ -183,8 +183,8 @@ class ChangeVerdict:
         return sorted((self._score(i, gain, rank) for i, gain, rank in gains if rank), key=lambda score: score.cost)
 
     def _score(self, i: int, gain: float, rank: int) -> ChangeScore:
-        left, degrees = self.evidence.form.square - gain, self.degrees + self.evidence.form.degrees - rank
-        F = (gain / rank) / ((self.degrees + max(left, 0.0)) / max(degrees, 1.0))
+        rest, degrees = self.evidence.form.square - gain, self.degrees + self.evidence.form.degrees - rank
+        F = (gain / rank) / ((self.degrees + max(rest, 0.0)) / max(degrees, 1.0))
         p_value = float(fdtrc(rank, max(degrees, 1.0), F)) if gain > 0.0 else 1.0
         change = self.lineup.changes[i]
         if change.belief is not None:
@@ -214,25 +214,25 @@ class ChangeVerdict:
         limit = self.limit
         if not any(score.p_value < limit for score in self.scores):
             return None
-        near = self.scores
-        places = self.lineup.places[near[0].change]
-        step = self.evidence.estimate(places, self.lineup.changes[near[0].change].belief)
+        close = self.scores
+        places = self.lineup.places[close[0].change]
+        step = self.evidence.estimate(places, self.lineup.changes[close[0].change].belief)
         shift = self.lineup.motion(self.values)[:, :, places] @ step
         if np.linalg.norm(shift, axis=1).max() > _LINEAR:
             # Too far for first-order tests.
-            near = sorted((self._tried(score) for score in near[:_MOST_TRIED]), key=lambda score: score.cost)
-        chosen = next((score for score in near if score.p_value < limit), None)
+            close = sorted((self._tried(score) for score in close[:_MOST_TRIED]), key=lambda score: score.cost)
+        chosen = next((score for score in close if score.p_value < limit), None)
         if chosen is None:
             return None
-        likes = (score for score in near if score is not chosen and score.cost < chosen.cost + CHANGES.equivalent)
-        return NamedChange(chosen, min(1.0, chosen.p_value * len(self.scores) / CHANGES.for_changes), tuple(likes))
+        equivalent = (score for score in close if score is not chosen and score.cost < chosen.cost + CHANGES.equivalent)
+        return NamedChange(chosen, min(1.0, chosen.p_value * len(self.scores) / CHANGES.for_changes), tuple(equivalent))
 
     def _tried(self, score: ChangeScore) -> ChangeScore:
         if self.lineup.changes[score.change].belief is not None:
             return score
         released = [*self._released, score.change]
         values = self.lineup.release(released, self.values)
-        here, (square, degrees) = self.evidence.form, self.lineup.left(values, released)
+        here, (square, degrees) = self.evidence.form, self.lineup.square_given(values, released)
         return self._score(score.change, here.square - square, int(here.degrees - degrees))
 
     def after(self, step: NamedChange | int) -> ChangeVerdict:
@@ -253,10 +253,10 @@ class ChangeVerdict:
         likelihood with the noise reduced by it is compared with the likelihood with the noise unchanged.
         """
         n = max(self.evidence.form.degrees - score.rank, 1)
-        left, part = self.evidence.form.square - score.gain, (score.gain - score.rank) / n
+        rest, part = self.evidence.form.square - score.gain, (score.gain - score.rank) / n
         if not 0.0 < part < CHANGES.part_of_noise:
             return False
-        return bool(left / (1.0 - part) + n * np.log(1.0 - part) < left)
+        return bool(rest / (1.0 - part) + n * np.log(1.0 - part) < rest)
 
     def without(self, row: int | np.ndarray) -> ChangeVerdict:
         """Return the state without one or some rows."""

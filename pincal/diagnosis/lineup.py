@@ -205,8 +205,8 @@ class ChangeHypotheses:
         changes, others = changes_of(model, situation)
         added = [change.effect for change in changes if change.effect is not None]
         masses = [] if known.masses is None else [known.masses]
-        wide = model.with_effects([*model.effects, *masses, *known.left, *others, *added])
-        n = len(model.effects) + len(masses) + len(known.left)
+        wide = model.with_effects([*model.effects, *masses, *known.unmodelled, *others, *added])
+        n = len(model.effects) + len(masses) + len(known.unmodelled)
         surroundings = np.concatenate([np.zeros(0, int), *map(_span, wide.spans[n : n + len(others)])])
         spans = iter(wide.spans[n + len(others) :])
         index = {name: i for i, name in enumerate(model.names)}
@@ -237,8 +237,8 @@ class ChangeHypotheses:
     def reidentified(self, happened: Sequence[int], found: Refitted) -> CalibratedModel:
         """Return the re-identified robot at the new station, with the changes and nothing else of the wide model."""
         model, n = self.robot.model, len(self.robot.model.effects) + (self.known.masses is not None)
-        spans = self.station.model.spans[n : n + len(self.known.left)]
-        added = [(effect, _span(span)) for effect, span in zip(self.known.left, spans, strict=True)]
+        spans = self.station.model.spans[n : n + len(self.known.unmodelled)]
+        added = [(effect, _span(span)) for effect, span in zip(self.known.unmodelled, spans, strict=True)]
         added += [(effect, self.places[i]) for i in happened if (effect := self.changes[i].effect) is not None]
         own = np.arange(self.station.model.n_parameters, len(found.values))
         places = np.concatenate([np.arange(model.n_parameters), *(at for _, at in added), own])
@@ -309,7 +309,7 @@ class ChangeHypotheses:
         )
         return RowEvidence(form, len(self.station), A, S, r - (along @ S) @ A)
 
-    def left(self, values: np.ndarray, happened: Sequence[int]) -> tuple[float, int]:
+    def square_given(self, values: np.ndarray, happened: Sequence[int]) -> tuple[float, int]:
         """Return the square and the degrees of freedom of :meth:`weigh`, in a fraction of the time."""
         known = np.flatnonzero(prior_root(self.station, self.known, self.surroundings).any(axis=0))
         A, r, _, S, rank = self._projected(values, happened, np.union1d(known, self.free(happened)))

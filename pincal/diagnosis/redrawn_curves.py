@@ -57,8 +57,8 @@ class _Rows:
         errors = []
         for k in range(len(self.blocks.g)):
             here, step = np.flatnonzero(self.block == k), self.found(free, belief, without=k)
-            left = self.off[here] - np.einsum("p,pnm->nm", step, self.A[np.ix_(free, here)])
-            errors.append(np.linalg.norm(left, axis=1))
+            residuals = self.off[here] - np.einsum("p,pnm->nm", step, self.A[np.ix_(free, here)])
+            errors.append(np.linalg.norm(residuals, axis=1))
         return float(np.concatenate(errors).mean())
 
 

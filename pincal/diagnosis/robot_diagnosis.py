@@ -277,14 +277,14 @@ def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Itera
             # The rms of its change over the rows, without its mean.
             q = recorded_variable(model.chain, lineup.station.conditions, str(curve.locus.joint), span=curve.locus.span)
             curve_rms = float(np.std(posterior.changes[at] @ curve.basis(q)))
-        likes = (ChangeName(effect=c.name, joint=c.joint, source=c.source) for c in rival_names(changes, step))
+        equivalent = (ChangeName(effect=c.name, joint=c.joint, source=c.source) for c in rival_names(changes, step))
         yield ChangeEntry(
             effect=change.name,
             joint=change.joint,
             source=change.source,
             parameters=parameters,
             p_value=step.p_value,
-            equivalent=tuple(likes),
+            equivalent=tuple(equivalent),
             tell_apart=tell_apart(verdict, step),
             curve_rms=curve_rms,
             session=session,

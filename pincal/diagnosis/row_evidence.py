@@ -48,7 +48,7 @@ class Known:
         root: shape (K, n), root of their covariance.
         masses: errors of masses as an effect; None for a rigid model.
         taken_up: shape (K, m), what the calibration's parameters absorb of a unit of each mass parameter.
-        left: unmodelled effects; their parameters are the last of the K.
+        unmodelled: effects of the rows that it lacks; their parameters are the last of the K.
     """
 
     names: tuple[str, ...]
@@ -56,7 +56,7 @@ class Known:
     root: np.ndarray
     masses: MassError | None
     taken_up: np.ndarray
-    left: tuple[Effect, ...] = ()
+    unmodelled: tuple[Effect, ...] = ()
 
     @classmethod
     def of(cls, calibrated: CalibratedModel, conditions: Conditions) -> Known:
@@ -82,7 +82,7 @@ class Known:
             root=np.block([[known.root, -taken @ root], [np.zeros((E, known.root.shape[1])), root[own]]]),
             masses=masses,
             taken_up=np.vstack([taken_up, np.zeros((E, taken_up.shape[1]))]),
-            left=tuple(shown),
+            unmodelled=tuple(shown),
         )
 
 
@@ -123,22 +123,22 @@ class RowEvidence:
         n: number of rows, of m readings each.
         jacobian: shape (F, R), with R >= n m, in units of the noise.
         projected: shape (k, F), combinations of its rows that are projected out.
-        left: shape (R,), V^-1 r.
+        weighted: shape (R,), V^-1 r.
     """
 
     form: Quadratic
     n: int
     jacobian: np.ndarray = field(repr=False)
     projected: np.ndarray = field(repr=False)
-    left: np.ndarray = field(repr=False)
+    weighted: np.ndarray = field(repr=False)
 
     @cached_property
     def rows(self) -> np.ndarray:
         """Gain and rank of each row if its reading alone is wrong, shape (N, 2)."""
-        m = len(self.left) // self.n
+        m = len(self.weighted) // self.n
         Q = (self.projected @ self.jacobian[:, : self.n * m]).reshape(-1, self.n, m).transpose(1, 0, 2)
         seen, axes = np.linalg.eigh(np.eye(m) - Q.transpose(0, 2, 1) @ Q)
-        along = np.einsum("nab,na->nb", axes, self.left[: self.n * m].reshape(self.n, m))
+        along = np.einsum("nab,na->nb", axes, self.weighted[: self.n * m].reshape(self.n, m))
         gains = np.where(seen > SEEN, along**2 / np.maximum(seen, SEEN), 0.0)
         return np.stack([gains.sum(axis=1), np.sum(seen > SEEN, axis=1)], axis=1)
 

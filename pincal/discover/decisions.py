@@ -99,7 +99,7 @@ class CandidateTable:
     rows: Sequence[Row]
     tests: ScoreTests
 
-    def left(self, rows: Sequence[int], given: Sequence[int]) -> float:
+    def p_value_given(self, rows: Sequence[int], given: Sequence[int]) -> float:
         """Return the p-value of some candidates together, given others in the model."""
         which, others = ([k for i in of for k in self.rows[i].which] for of in (rows, given))
         return self.tests.score_given(which, others).p_value
@@ -119,7 +119,7 @@ class CandidateTable:
             row, worse = self.rows[i], self.rows[i].cost - self.rows[best].cost
             if i == best or not row.score.rank or worse >= policy.near_tie:
                 continue
-            if self.left([best], [i]) > (policy.told_apart if worse < policy.tie else policy.adds_nothing):
+            if self.p_value_given([best], [i]) > (policy.told_apart if worse < policy.tie else policy.adds_nothing):
                 found.append(row.effect)
         return found
 
@@ -136,7 +136,7 @@ class CandidateTable:
             for i, row in enumerate(self.rows)
             if is_own_curve(row.effect) and row.effect.locus.joint == effect.locus.joint and 0 < row.score.rank < rank
         ]
-        return found if len(found) > 1 and self.left([whole], found) > policy.told_apart else []
+        return found if len(found) > 1 and self.p_value_given([whole], found) > policy.told_apart else []
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ def decide(names: CandidateTable, contest_of: Callable[[Sequence[Row]], Candidat
 def _without_equivalents(names: CandidateTable, best: int, policy: Policy) -> int:
     """Return the best of simpler effects that together explain more than the best candidate; this if they don't."""
     parts = names.parts(best, policy)
-    if not parts or names.left(parts, [best]) > policy.adds_nothing:
+    if not parts or names.p_value_given(parts, [best]) > policy.adds_nothing:
         return best
     return next((i for i in names.cheapest() if i in parts and accepted(names.rows[i], policy)), best)
 

@@ -140,8 +140,8 @@ class CurveSquares:
         alone = [eigvalsh(R * np.outer(self.sizes[at], self.sizes[at])) for at, R in zip(columns, bends, strict=True)]
         for _ in range(CURVES.moves):
             step, spent, traces = self._posterior(columns, bends, w, noise)
-            left = self.squares - 2.0 * float(self.rows.g @ step) + float(step @ self.rows.H @ step)
-            noise = max(left / max(self.readings - spent, 1.0), CURVES.least_noise)
+            residual = self.squares - 2.0 * float(self.rows.g @ step) + float(step @ self.rows.H @ step)
+            noise = max(residual / max(self.readings - spent, 1.0), CURVES.least_noise)
             before = w.copy()
             for j, (at, R, known, trace) in enumerate(zip(columns, bends, alone, traces, strict=True)):
                 x = self.values[at] + step[at]

@@ -82,7 +82,7 @@ def findings_of(
     final = trail.final
     excess = find_excess(final, measured)
     scatter = None if excess is None else excess.scattering
-    floor, left = _errors_of(final)
+    floor, unexplained = _errors_of(final)
     is_misfit = final.is_declared and chdtrc(final.solution.degrees, final.solution.chi2) < MISFIT
     periods = {trace.effect: period_of(trace) for trace in traces if trace.effect.is_nameless}
     effects = tuple(found for step in trail.steps for found in _found(fit, trail, step, gaps=gaps, periods=periods))
@@ -95,7 +95,7 @@ def findings_of(
         scatter=() if scatter is None else (scatter,),
         not_testable=tuple(Untestable.of(effect, reason=reason) for effect, reason in _not_testable(trail)),
         verdict=judge(None, left=is_misfit or excess is not None),
-        unexplained_mm=left,
+        unexplained_mm=unexplained,
         approach_from=approach_from,
         held_out=dict(held_out or {}),
     )
@@ -112,8 +112,8 @@ def _errors_of(fit: ModelFit) -> tuple[float, float]:
         to_mm = 1e3 * station.metres_per_reading(fit.values[places])
         of_noise_and_rest = np.array([sigma**2, max(found**2 - sigma**2, 0.0)])
         squares.append(of_noise_and_rest * station.sensor.blocks[0].size * to_mm**2)
-    floor, left = np.sqrt(np.average(squares, axis=0, weights=rows))
-    return float(floor), float(left)
+    floor, unexplained = np.sqrt(np.average(squares, axis=0, weights=rows))
+    return float(floor), float(unexplained)
 
 
 def _found(
@@ -223,7 +223,7 @@ def where_of(trail: History, excess: Excess | None, *, is_misfit: bool) -> tuple
     if excess:
         found.append(_left_along(trail.final, excess, sigma))
     elif is_misfit and not places:
-        statement = "the residuals follow no joint position, load or recorded column"
+        statement = "the residuals depend on no joint position, load or recorded column"
         found.append(Disagreement(statement, 1.0, region="whole workspace"))
     return tuple(found)
 
@@ -259,7 +259,7 @@ def _elastic(step: SearchStep, sigma: np.ndarray) -> Disagreement:
     whole = _excess(step.before, sigma)
     share = 1.0 - max(_excess(step.after, sigma), 0.0) / whole if whole > 0.0 else 0.0
     joint = significant_compliances(step.after, step.effects)[0].effect.locus.joint
-    statement = f"the residuals of the geometric model follow the static moments on the joints, mainly that on {joint}"
+    statement = f"the residuals of the geometric model follow the static moments on the joints, mainly on {joint}"
     return Disagreement(statement, float(np.clip(share, 0.0, 1.0)), joint)
 
 
