@@ -17,7 +17,7 @@ from pincal.discover.elastic import elastic_way, significant_compliances, with_f
 from pincal.discover.levers import missing_compliances
 from pincal.discover.loop import elastic_ways, single_compliance
 from pincal.discover.policy import POLICY
-from pincal.discover.steps import bent
+from pincal.discover.steps import elastic_step
 from pincal.identify.calibrate import Tolerance, refit, with_bearings
 from pincal.identify.fit import ModelFit
 from pincal.model.chain import MOMENT_FRAMES
@@ -44,7 +44,7 @@ def test_one_soft_bearing_enters_alone(tmp_path: Path) -> None:
     frame, way = single_compliance(elastic_ways(fit, MOMENT_FRAMES, POLICY), MOMENT_FRAMES, POLICY) or ("", None)
 
     assert frame == "before" and way is not None and way.effects == (BearingElasticity(("axis_3",)),) and way.is_single
-    step = bent(fit, way)
+    step = elastic_step(fit, way)
     assert elastic_way(step.after, POLICY) is None
     left = [
         joint

@@ -40,7 +40,7 @@ from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_from, situation_of
 from pincal.discover.policy import CURVES, TESTING, WAVES
 from pincal.discover.score_tests import GivenNuisances, score_test_given_nuisances
-from pincal.discover.steps import SearchState, SearchStep, decided, worded
+from pincal.discover.steps import SearchState, SearchStep, listed, named_step
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import ModelFit, without
 from pincal.model.catalogue.unnamed import nameless_candidates
@@ -70,7 +70,7 @@ def name_again(state: SearchState, search: Search) -> SearchState:
             equivalent = each_heading_once(rivals, effect, search.policy)
             state = state.with_replaced(step, replace(step, equivalent=equivalent, together=decision.together))
             continue
-        new = decided(rest, decision, search)
+        new = named_step(rest, decision, search)
         tests = score_test_given_nuisances(rest, [effect, new.effect], search.groups)
         if standard_errors(tests.gains_by_block([0]) - tests.gains_by_block([1])) > TESTING.predicts:
             continue
@@ -78,13 +78,13 @@ def name_again(state: SearchState, search: Search) -> SearchState:
         if is_near(effect, new.effect, WAVES.close):
             state = state.tuned(step, new)
             continue
-        log.info("%s is %s given what was found later", worded([effect]), worded([decision.effect]))
+        log.info("%s is %s given what was found later", listed([effect]), listed([decision.effect]))
         steps = state.with_replaced(step, replace(new, before=step.before, after=step.after)).steps
         state = state.changed(new.after, steps, (decision.effect,), (effect,))
     return state
 
 
-def drop_needless(state: SearchState, search: Search) -> SearchState:
+def drop_unneeded(state: SearchState, search: Search) -> SearchState:
     """Remove, one by one, steps that do not improve the prediction of held-out blocks given all others.
 
     The loss of the whole model without a step has to exceed its standard error over the blocks, as when the step entered,
@@ -102,7 +102,7 @@ def drop_needless(state: SearchState, search: Search) -> SearchState:
         if not failed:
             break
         least = min(failed, key=lambda step: (step.is_elastic, worth[step]))
-        log.info("dropped %s: the others predict held-out blocks as well without it", worded(least.effects))
+        log.info("dropped %s: the others predict held-out blocks as well without it", listed(least.effects))
         state = state.changed(without_it(least), state.without_step(least).steps, (), least.effects)
         removed, failed = least.effects, [step for step in failed if step is not least]
     steps = (replace(step, equivalent=tuple(missing_from(state.fit, step.equivalent))) for step in state.steps)
@@ -251,8 +251,8 @@ def judge_remainders(state: SearchState, search: Search) -> SearchState:
                 state = _with_whole(state, step, rest, search)
                 break
             else:
-                log.info("%s leaves %s", worded(step.effects), worded([rest.effect]))
-                state = state.with_step(decided(state.fit, rest, search))
+                log.info("%s leaves %s", listed(step.effects), listed([rest.effect]))
+                state = state.with_step(named_step(state.fit, rest, search))
         else:
             several = curves[:1] if simple.count(step.effect.locus.joint) > 1 else []
             equivalent = each_heading_once([*several, *step.equivalent, *hinted], step.effect, search.policy)
@@ -264,8 +264,8 @@ def _with_whole(state: SearchState, step: SearchStep, whole: Decision, search: S
     """Return the state with a simple curve replaced by the whole curve of the drive."""
     rest = without(state.fit, step.effect)
     score = score_test_given_nuisances(rest, [whole.effect]).score([0], int(whole.row.among))
-    new = decided(rest, replace(whole, row=replace(whole.row, score=score)), search)
-    log.info("%s is part of %s", worded(step.effects), worded(new.effects))
+    new = named_step(rest, replace(whole, row=replace(whole.row, score=score)), search)
+    log.info("%s is part of %s", listed(step.effects), listed(new.effects))
     others = each_heading_once([step.effect, *step.equivalent], new.effect, search.policy)
     by = replace(new, equivalent=others, before=step.before, after=step.after)
     return state.changed(new.after, state.with_replaced(step, by).steps, new.effects, step.effects)

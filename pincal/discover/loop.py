@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from pincal.discover.backward import drop_needless, judge_remainders, merge_parts, name_again
+from pincal.discover.backward import drop_unneeded, judge_remainders, merge_parts, name_again
 from pincal.discover.candidate_tests import Search, addable, has_compliance, is_small_table, sampled, table_of, variants
 from pincal.discover.decisions import Decision, Row, accepted, each_heading_once
 from pincal.discover.elastic import elastic_way, likeliest_fit
@@ -24,10 +24,10 @@ from pincal.discover.steps import (
     add_effects,
     add_hidden_waves,
     add_prior_elasticity,
-    bent,
-    judge_outliers_again,
-    settle,
-    worded,
+    elastic_step,
+    listed,
+    refine_time_constants,
+    reject_outliers_again,
 )
 from pincal.identify.calibrate import Tolerance, refit, reweighted_by_order
 from pincal.identify.choices import deviance
@@ -109,7 +109,7 @@ def withdraw_names_at_change(found: History) -> History:
     fit = refit(found.final, [e for e in found.final.options.effects if e.identity not in gone], start={})
     if not _is_changed_midway(fit):
         return found
-    log.info("withdrawn because of a change midway: %s", worded(effects))
+    log.info("withdrawn because of a change midway: %s", listed(effects))
     steps = tuple(step for step in found.steps if step.is_elastic)
     return found.changed(fit, steps, (), effects)
 
@@ -162,7 +162,7 @@ def start_in_likeliest_frame(state: SearchState, search: Search) -> SearchState:
     single = single_compliance(ways, search.frames, search.policy)
     if single is not None:
         fit = in_frame(state.fit, single[0])
-        return SearchState(fit).with_step(bent(fit, single[1]))
+        return SearchState(fit).with_step(elastic_step(fit, single[1]))
     every = missing_compliances(state.fit)
     whole = likeliest_fit(state.fit, every, search.frames)
     frame = whole.problem.chain.moment_frame
@@ -170,7 +170,7 @@ def start_in_likeliest_frame(state: SearchState, search: Search) -> SearchState:
     if way is None:
         return SearchState(fit)
     is_known = way.effects == every
-    return SearchState(fit).with_step(bent(fit, replace(way, effects=every), whole) if is_known else bent(fit, way))
+    return SearchState(fit).with_step(elastic_step(fit, way, whole if is_known else None))
 
 
 def compare_frames(state: SearchState, search: Search) -> SearchState:
@@ -293,13 +293,13 @@ _PASSES: tuple[Callable[[SearchState, Search], SearchState], ...] = (
     add_effects,
     compare_frames,
     name_again,
-    drop_needless,
+    drop_unneeded,
     judge_remainders,
     add_prior_elasticity,
     fit_all_rows,
-    settle,
+    refine_time_constants,
     merge_parts,
     add_hidden_waves,
-    judge_outliers_again,
+    reject_outliers_again,
     name_lines,
 )

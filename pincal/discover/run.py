@@ -37,7 +37,7 @@ from pincal.discover.findings import bootstrap_last, findings_of
 from pincal.discover.loop import discover_effects, withdraw_names_at_change
 from pincal.discover.policy import POLICY, TESTING, Policy
 from pincal.discover.shrink import PartialResidual, partial_residuals, stages_of
-from pincal.discover.steps import History, worded
+from pincal.discover.steps import History, listed
 from pincal.errors import BadInputError, PincalError
 from pincal.identify.calibrate import Tables, reads_places, refit, tables_of
 from pincal.identify.fit import ModelFit
@@ -221,7 +221,7 @@ def _search(
         *notes_on_repeats(problem.chain.robot, problem.conditions.q),
     ]
     if trail is not found:
-        names = worded(trail.changes[-1].left)
+        names = listed(trail.changes[-1].left)
         notes.append(
             f"withdrawn, since a change midway may look the same: {names}; make two stations of the table and run again"
         )

@@ -155,22 +155,22 @@ def add_effects(state: SearchState, search: Search) -> SearchState:
         if step is not None:
             yield Scored(step, -gain)
         called = required_features(state.fit, gain)
-        if called.gain > gain and (features := _that_predict(state.fit, called.effects, search)):
+        if called.gain > gain and (features := _predicting(state.fit, called.effects, search)):
             yield Scored(features, -called.gain)
 
     def taken(state: SearchState, found: SearchStep | tuple[Effect, ...]) -> SearchState:
         if isinstance(found, SearchStep):
             residuals = (1e3 * float(fit.solution.estimated[0]) for fit in (found.before, found.after))
-            log.info("found %s: residual %.4f -> %.4f mm", worded(found.effects), *residuals)
-            return _trusting_what_gathers(state.with_step(found))
-        log.info("bearings: %s", worded(found))
+            log.info("found %s: residual %.4f -> %.4f mm", listed(found.effects), *residuals)
+            return _trusting_clusters(state.with_step(found))
+        log.info("bearings: %s", listed(found))
         fit = refit(state.fit, [*state.fit.options.effects, *found], start={}, until=Tolerance.CLOSE)
-        return _trusting_what_gathers(state.changed(fit, state.steps, found, ()))
+        return _trusting_clusters(state.changed(fit, state.steps, found, ()))
 
-    return select_stepwise(_trusting_what_gathers(state), offers, taken, most=search.policy.most_steps)
+    return select_stepwise(_trusting_clusters(state), offers, taken, most=search.policy.most_steps)
 
 
-def _trusting_what_gathers(state: SearchState) -> SearchState:
+def _trusting_clusters(state: SearchState) -> SearchState:
     """Return the state in which outliers that cluster along a joint count, as they may be an effect."""
     fit, stations = state.fit, list[Station]()
     for station, places, _ in fit.stations:
@@ -190,7 +190,7 @@ def _trusting_what_gathers(state: SearchState) -> SearchState:
     return state.fitted_again(refit(fit.over(stations), fit.options.effects, start={}, until=Tolerance.CLOSE))
 
 
-def judge_outliers_again(state: SearchState, search: Search) -> SearchState:
+def reject_outliers_again(state: SearchState, search: Search) -> SearchState:
     """Reject clustered outliers again if the final model does not describe them."""
     fit = state.fit
     if all(station.trusted is None for station in fit.problem.stations):
@@ -212,7 +212,7 @@ def add_prior_elasticity(state: SearchState, search: Search) -> SearchState:
     tests = score_test_given_nuisances(fit, missing, search.groups, wider=1.0)
     if standard_errors(tests.gains_by_block(range(len(missing)))) < -TESTING.against:
         return state
-    log.info("few rows: held by priors, %s", worded(missing))
+    log.info("few rows: held by priors, %s", listed(missing))
     if len(search.frames) > 1:
         after = likeliest_fit(fit, missing, search.frames)
     else:
@@ -220,7 +220,7 @@ def add_prior_elasticity(state: SearchState, search: Search) -> SearchState:
     return state.changed(after, state.steps, missing, ())
 
 
-def _that_predict(fit: ModelFit, features: Sequence[Effect], search: Search) -> tuple[Effect, ...]:
+def _predicting(fit: ModelFit, features: Sequence[Effect], search: Search) -> tuple[Effect, ...]:
     """Return the bearing features that improve the prediction of held-out blocks."""
     if not features:
         return ()
@@ -242,8 +242,8 @@ def add_hidden_waves(state: SearchState, search: Search) -> SearchState:
 
     def offers(state: SearchState) -> Iterator[Scored[SearchStep]]:
         if (found := hidden_wave(state.fit, search)) is not None:
-            log.info("found %s behind the curves", worded(found.effects))
-            yield Scored(decided(state.fit, found, search, until=Tolerance.SETTLED), found.row.cost)
+            log.info("found %s behind the curves", listed(found.effects))
+            yield Scored(named_step(state.fit, found, search, until=Tolerance.SETTLED), found.row.cost)
 
     return select_stepwise(state, offers, SearchState.with_step, most=search.policy.most_steps)
 
@@ -252,18 +252,18 @@ def _next_step(fit: ModelFit, search: Search) -> SearchStep | None:
     # Elasticity given by the user is not extended.
     way = None if has_compliance(search.first.problem.effects) else elastic_way(fit, search.policy)
     if way is not None:
-        return bent(fit, way)
+        return elastic_step(fit, way)
     decision = choose(fit, search)
-    return None if decision is None else decided(fit, decision, search)
+    return None if decision is None else named_step(fit, decision, search)
 
 
-def bent(fit: ModelFit, way: Decision, after: ModelFit | None = None) -> SearchStep:
+def elastic_step(fit: ModelFit, way: Decision, after: ModelFit | None = None) -> SearchStep:
     """Return the step that adds compliances, with the fit after it if known."""
     after = refit(fit, [*fit.options.effects, *way.effects]) if after is None else after
     return SearchStep(way.effects, way.row.score, way.equivalent, fit, after, way.effect, np.zeros(0))
 
 
-def decided(fit: ModelFit, decision: Decision, search: Search, until: Tolerance = Tolerance.CLOSE) -> SearchStep:
+def named_step(fit: ModelFit, decision: Decision, search: Search, until: Tolerance = Tolerance.CLOSE) -> SearchStep:
     """Return the step that adds the effect of a decision, in the resolution that the data determine."""
     tested = decision.effect
     effect, start, estimate = resolved(fit, tested, search.groups)
@@ -274,8 +274,8 @@ def decided(fit: ModelFit, decision: Decision, search: Search, until: Tolerance 
     return SearchStep((effect,), decision.row.score, decision.equivalent, fit, after, tested, estimate, decision.together)
 
 
-def worded(effects: Sequence[Effect]) -> str:
-    """Return effects in words."""
+def listed(effects: Sequence[Effect]) -> str:
+    """Return the names and joints of effects, as a list in words."""
     return ", ".join(" ".join(filter(None, effect.heading[:2])) for effect in effects)
 
 
@@ -295,7 +295,7 @@ def linearised_about_itself(
     return fit, effect
 
 
-def settle(state: SearchState, search: Search) -> SearchState:
+def refine_time_constants(state: SearchState, search: Search) -> SearchState:
     """Linearise each effect with a time constant about its final parameters."""
     for step in state.steps:
         for effect in step.effects:
