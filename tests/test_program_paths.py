@@ -159,7 +159,7 @@ def test_a_line_that_takes_no_points_is_named(model: Path, tmp_path: Path, capsy
 
     assert run(model, tmp_path / name, "--out", tmp_path / f"via{name}", "--path-error", "0.02mm") == 0
     out = capsys.readouterr().out
-    assert "no points are inserted: no points are put into programs in FANUC LS" in out
+    assert "no points are inserted: none can be inserted into programs in FANUC LS" in out
     assert "line 4" in out and "leaves its path by" in out
 
 
@@ -169,7 +169,11 @@ def test_a_line_that_takes_no_points_is_named(model: Path, tmp_path: Path, capsy
         ("a.src", "DEF a( )\nPTP {A1 0\nEND\n", "a.src, line 2, column 10"),
         ("a.src", "DEF a( )\nLOOP\nPTP XP1\nEND\n", "a.src, line 4, column 1: 'END' within LOOP of line 2"),
         ("a.src", "MODULE a\nENDMODULE\n", "a.src, line 1, column 1: a statement outside of DEF"),
-        ("a.src", "DEF a( )\nPTP XP1\n", "a.src, line 3, column 1: the end of the file within DEF of line 1: is it cut?"),
+        (
+            "a.src",
+            "DEF a( )\nPTP XP1\n",
+            "a.src, line 3, column 1: the end of the file within DEF of line 1: is it",
+        ),
         ("a.mod", "MODULE a\nPROC b()\nENDPROC\n", "a.mod, line 4, column 1: the end of the file within MODULE of line 1"),
         ("a.mod", "DEF a( )\nEND\n", "a.mod, line 3, column 1: the end of the file, expected RAPID"),
         ("a.ls", "/PROG A\n/MN\n   1:J P[1] 10% FINE ;\n/POS\nP[1]{\n  GP1:\n  UF : 0, UT", "a.ls, line 7, column 13"),
@@ -193,12 +197,12 @@ _NULL = "$TOOL=$NULLFRAME\n$BASE=$NULLFRAME\n"
 LEFT = {
     "$BASE=$NULLFRAME\nLIN {X 1,Y 0,Z 2,A 0,B 0,C 0,S 2,T 0}": "$TOOL are not known: give --tool '$TOOL=X,Y,Z,...'",
     "$TOOL=$NULLFRAME\n$BASE=BASE_DATA[7]\nLIN {X 1,Y 0,Z 2,A 0,B 0,C 0,S 2,T 0}": "--base 'BASE_DATA[7]=X,Y,Z,...'",
-    "$BASE=$NULLFRAME\nIF $IN[1] THEN\n$TOOL=$NULLFRAME\nENDIF\nLIN {X 1,Y 0,Z 2,A 0,B 0,C 0}": "it is set on one way only",
+    "$BASE=$NULLFRAME\nIF $IN[1] THEN\n$TOOL=$NULLFRAME\nENDIF\nLIN {X 1,Y 0,Z 2,A 0,B 0,C 0}": "on some paths only",
     "$BASE=$NULLFRAME\nFOR\nLIN {X 1,Y 0,Z 2,A 0,B 0,C 0}\n$TOOL=$NULLFRAME\nENDFOR": "it is set within the loop of line 3",
     _NULL + "LIN {X 9000,Y 0,Z 2,A 0,B 0,C 0,S 2,T 0}": "no joint positions within the limits reach it",
-    _NULL + "LIN {X 1500,Y 0,Z 1500,A 0,B 90,C 0}": "nothing before it tells which arm reaches it",
+    _NULL + "LIN {X 1500,Y 0,Z 1500,A 0,B 90,C 0}": "nothing before it determines the arm configuration",
     "PTP {A1 0,A2 170,A3 0,A4 0,A5 0,A6 0}": "joint_2 is beyond its limits",
-    "PTP {A1 0,A2 17}": "not all of A1 A2 A3 A4 A5 A6 are there as numbers",
+    "PTP {A1 0,A2 17}": "not all of A1 A2 A3 A4 A5 A6 are given as numbers",
     _NULL + "LIN {X 1,Y 0,Z 2,A 0,B 0,C 0,E1 5.0}": "an external axis is not at 0",
     "PTP XP1 : {X 5}": "a computed position",
     "PTP_REL {A1 5}": "a relative motion",

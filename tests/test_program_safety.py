@@ -58,7 +58,7 @@ CASES: dict[str, tuple[tuple[str, str], set[str], str]] = {
     ),
     "a base is computed from a point": (
         krl(f"{FRAMES}A={P}\nB={P}\nPTP A\nBASE_DATA[3]=A\n$BASE=BASE_DATA[3]\nPTP B\n"),
-        {"B"}, "A: a tool or a base is computed from it",
+        {"B"}, "A: it is a tool or a base, or one is computed from it",
     ),
     "a routine calls another that sets the tool": (
         krl(f"{FRAMES}A={P}\nB={P}\nPTP A\nUP()\nPTP B\n", "DEF UP()\nUPPER()\nEND\nDEF UPPER()\n$TOOL=TOOL_DATA[2]\nEND\n"),
@@ -76,7 +76,7 @@ CASES: dict[str, tuple[tuple[str, str], set[str], str]] = {
     "a parameter has the name of a point": (
         krl(f"A={P}\nUP(B)\n", f"DEF UP(A:IN)\n{FRAMES}PTP A\nEND\n"), set(), "A: a parameter of the routine",
     ),
-    "a function may change a point": (krl(f"{FRAMES}A={P}\nK=CALC(A)\nPTP A\n"), set(), "line 5 hands it to CALC"),
+    "a function may change a point": (krl(f"{FRAMES}A={P}\nK=CALC(A)\nPTP A\n"), set(), "line 5 passes it to CALC"),
     "a routine takes its value": (
         krl(f"{FRAMES}A={P}\nCALC(A)\n$TOOL=$NULLFRAME\n$BASE=$WORLD\nPTP A\n", "DEF CALC(X:IN)\nY=X.X\nEND\n"), {"A"}, "",
     ),
@@ -84,7 +84,7 @@ CASES: dict[str, tuple[tuple[str, str], set[str], str]] = {
         krl(f"P[1]={P}\nP[2]={P}\n{FRAMES}PTP P[1]\n$TOOL=TOOL_DATA[5]\nPTP P[I]\n"), {"P[2]"}, "P[1]: used with other frames",
     ),
     "speeds are no frames": (krl(f"{FRAMES}BAS(#VEL_PTP,50)\nA={P}\nPTP A\n"), {"A"}, ""),
-    "positions are displaced": (rapid("PDispOn a,gun;\nMoveJ a,v1,fine,gun;\n"), set(), "A: a tool or a base is computed"),
+    "positions are displaced": (rapid("PDispOn a,gun;\nMoveJ a,v1,fine,gun;\n"), set(), "A: it is a tool or a base"),
     "positions are displaced by a frame": (rapid("PDispSet f;\nMoveJ a,v1,fine,gun;\n"), {"A"}, "line 6 displaces positions"),
     "positions are displaced no more": (rapid("PDispSet f;\nPDispOff;\nMoveJ a,v1,fine,gun;\n"), {"A"}, ""),
     "another routine displaces positions": (
@@ -99,7 +99,7 @@ CASES: dict[str, tuple[tuple[str, str], set[str], str]] = {
     "a statement behind a condition sets a tool": (
         rapid("IF x gun.tframe.trans.z:=3;\nMoveJ a,v1,fine,gun;\n"), {"A"}, "GUN: line 6 sets a part of it",
     ),
-    "an instruction may change a tool": (rapid("MToolTCPCalib j,gun,e;\nMoveJ a,v1,fine,gun;\n"), {"A"}, "hands it to MTOOL"),
+    "an instruction may change a tool": (rapid("MToolTCPCalib j,gun,e;\nMoveJ a,v1,fine,gun;\n"), {"A"}, "passes it to MTOOL"),
     "a tool is a parameter": (
         rapid("up gun;\n", more="PROC up(PERS tooldata gun)\nMoveJ a,v1,fine,gun;\nENDPROC\n"), {"A"}, "GUN is a parameter",
     ),
@@ -108,7 +108,7 @@ CASES: dict[str, tuple[tuple[str, str], set[str], str]] = {
     ),
     "a routine changes its parameter": (
         rapid("up b;\nMoveJ b,v1,fine,gun;\n", f"PERS robtarget b:={T};\n", "PROC up(PERS robtarget x)\nx.trans.x:=5;\nENDPROC\n"),
-        set(), "B: line 7 hands it to UP",
+        set(), "B: line 7 passes it to UP",
     ),
     "a routine moves to its parameter": (
         rapid("up b;\nMoveJ b,v1,fine,gun;\n", f"PERS robtarget b:={T};\n", "PROC up(PERS robtarget x)\nMoveL x,v1,fine,gun;\nENDPROC\n"),
@@ -121,7 +121,7 @@ CASES: dict[str, tuple[tuple[str, str], set[str], str]] = {
     "welding": (rapid("ArcLStart a,v1,s,w,fine,gun\\WObj:=table;\n"), {"A"}, ""),
     "a frame is computed from points": (
         rapid("MoveJ a,v1,fine,gun;\ntable.uframe:=DefFrame(a,b,c);\nMoveJ d,v1,fine,gun\\WObj:=table;\n", f"CONST robtarget d:={T};\n"),
-        {"D"}, "A: a tool or a base is computed from it",
+        {"D"}, "A: it is a tool or a base, or one is computed from it",
     ),
     "a position is set": (fanuc("   2:P[1,3]=R[1] ;\n"), {"P[2]"}, "P[1]: line 4 sets it"),
     "a position of a group is set": (fanuc("   2:P[GP1:1]=PR[GP1:3] ;\n"), {"P[2]"}, "P[1]: line 4 sets it"),
@@ -163,7 +163,7 @@ def test_a_point_that_the_program_may_set_is_left(name: str) -> None:
     corrector = Corrector(calibrated(0.0), LANGUAGES.known()[language](), ProgramCell(axes=ProgramAxes.parse(None, KUKA)))
     found = {point.name for point in program.points.values()}
     framed = [corrector.frames(point, program) for point in program.points.values() if point.kind == "pose"]
-    said = [f"{one.name}: {one.reason}" for one in program.left] + [why for why in framed if isinstance(why, str)]
+    said = [f"{one.name}: {one.reason}" for one in program.skipped] + [why for why in framed if isinstance(why, str)]
 
     assert found == points, said
     assert any(reason in one for one in said) if reason else not said
@@ -208,7 +208,7 @@ def test_configurations_that_are_switched_off_are_not_obeyed() -> None:
         for words in (("", *target), ("", target[0], junk), ("ConfL\\Off;\n", target[0], junk))
     )
 
-    assert not right[1] and "in the posture that it says" in obeyed[1][0].reason and not off[1]
+    assert not right[1] and "reach it in its posture" in obeyed[1][0].reason and not off[1]
     changes = [list(found[0].values())[1] for found in (right, off)]
     np.testing.assert_allclose(changes[1].values, changes[0].values, atol=1e-9)
     assert not corrector.turn_edits(changes[1])
@@ -229,7 +229,7 @@ def test_several_arms_that_are_as_near_are_not_chosen_from() -> None:
     cell = ProgramCell(axes=ProgramAxes.parse(None, KUKA), max_change=10.0)
     _, left = Corrector(calibrated(0.0), language, cell).changes(read("KRL", text))
 
-    assert "several arms reach it" in left[-1].reason
+    assert "several arm configurations reach it" in left[-1].reason
 
 
 def test_a_program_is_not_written_over_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

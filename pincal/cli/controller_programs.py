@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pincal.programs.correct import Change, ProgramCell
     from pincal.programs.language import ControllerLanguage
     from pincal.programs.paths import Deviation
-    from pincal.programs.program import Left, Program
+    from pincal.programs.program import Program, Skipped
     from pincal.robot.robot import Robot
 
 # Links of the controller's world and flange in URDFs of ROS-Industrial.
@@ -175,7 +175,7 @@ def _pose_of(robot: Robot, language: ControllerLanguage, text: str | None, *, us
 
 
 def _result(
-    program: Program, changes: Sequence[Change], left: Sequence[Left], deviations: Sequence[Deviation]
+    program: Program, changes: Sequence[Change], left: Sequence[Skipped], deviations: Sequence[Deviation]
 ) -> dict[str, Any]:
     """Return the result for ``--json``."""
     names = [source.name for source in program.sources]

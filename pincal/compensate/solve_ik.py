@@ -1,7 +1,7 @@
 """Which joint positions to command within the limits, and what prevents a pose from being reached.
 
 A row whose seed is already close to the wanted pose asks for a small correction: its joints stay within a few degrees of the
-seed. Where a small correction would take large joint motions, the arm is singular, and a program would make the wrist spin.
+seed. Where a small correction would need large joint motions, the arm is singular, and a program would make the wrist spin.
 Such a row is flagged, and its joints stay close to the seed; position has priority over orientation.
 """
 

@@ -1,6 +1,6 @@
-"""Programs of controllers: read, corrected and written so that nothing but their numbers changes.
+"""Programs of robot controllers: read, corrected and written so that nothing but their numbers changes.
 
-A controller is one module here that registers a :class:`pincal.programs.language.ControllerLanguage`.
+Each controller's language is one module that registers a :class:`pincal.programs.language.ControllerLanguage`.
 """
 
 import pkgutil

@@ -1,7 +1,7 @@
-"""Which of the arms that reach a pose a controller takes: by the posture that the program names, else the nearest.
+"""The arm configuration in which a controller reaches a pose: the posture that the program specifies, else the nearest one.
 
-A program's flags are those of the arm's shape, whatever a maker calls them: on which side of axis 1 the wrist is, whether
-the elbow is above or below, to which side the wrist is bent. They change only where the arm is singular.
+The flags of a program describe the shape of the arm, whatever each manufacturer calls them: on which side of axis 1 the
+wrist is, whether the elbow is up or down, to which side the wrist is bent. They change only at singularities.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from pincal.programs.program import Posture, Turn
 from pincal.robot.robot import Robot
 from pincal.units import plain_number
 
-# Random arms among which starts for the search are chosen; starts where the posture is known, and where it is not.
+# Random configurations among which starts of the search are chosen; starts where the posture is known, and where it is not.
 _POOL, _STARTS, _MORE_STARTS = 30_000, 12, 64
-# ArmSearch that differ by less are one [rad or m].
+# Solutions that differ by less are the same [rad or m].
 _SAME = 1e-5
 # A joint this close to where its turn number changes may have either [rad].
 _ON_EDGE = 1e-4
-# Poses are searched for in pieces of this many.
+# Poses searched for at once.
 _PIECE = 64
 _TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
 class ProgramAxes:
-    """How the axes of a program follow from the joints of the URDF: axes = matrix joints + zeros.
+    """The axes of a program as functions of the joints of the URDF: axes = matrix joints + zeros.
 
     Attributes:
         matrix: shape (n, n).
-        zeros: shape (n,), axes where all joints are at zero [rad or m].
+        zeros: shape (n,), axes with all joints at zero [rad or m].
     """
 
     matrix: np.ndarray
@@ -46,12 +46,12 @@ class ProgramAxes:
 
     @classmethod
     def parse(cls, text: str | None, robot: Robot) -> ProgramAxes:
-        """Return the axes that a text says, one sum of joints and degrees for each, such as ``q1, -q2+90, q3-q2``.
+        """Return the axes of a text, each a sum of joints and degrees, such as ``q1, -q2+90, q3-q2``.
 
-        The joints of the text are those that the controller reports, which are the axes if there is none.
+        The joints of the text are those reported by the controller; without a text they are the axes.
 
         Raises:
-            BadInputError: for other text, or axes from which the joints don't follow.
+            BadInputError: for any other text, or axes that do not determine the joints.
 
         Example:
             >>> ProgramAxes.parse("q1, 90-q2, q3-q2, q4, q5, q6", Robot.from_urdf("ur10")).matrix[2].tolist()
@@ -88,19 +88,14 @@ class ProgramAxes:
 
 @dataclass(frozen=True)
 class ArmSearch:
-    """The nominal arm, searched for joint positions.
-
-    Attributes:
-        robot: the arm.
-        axes: the axes of the programs.
-    """
+    """Inverse kinematics of the nominal arm, given the axes of the programs."""
 
     robot: Robot
     axes: ProgramAxes
 
     @cached_property
     def model(self) -> Model:
-        """The nominal arm, its target the tip."""
+        """The nominal arm with the tip as its target."""
         return Model(Chain.of(self.robot), ())
 
     @cached_property
@@ -114,7 +109,7 @@ class ArmSearch:
 
     @property
     def has_sides(self) -> bool:
-        """Whether the arm has the shape that flags are for: six joints that turn."""
+        """Whether flags apply to the arm: it has six revolute joints."""
         return self.robot.joint_types == ("revolute",) * 6
 
     def tips(self, q: np.ndarray) -> np.ndarray:
@@ -126,11 +121,11 @@ class ArmSearch:
         if not self.has_sides:
             return np.zeros((len(q), 3))
         axes = self._axes(q)
-        looks, wrist, elbow = self._shape(q, axes)
+        faces, wrist, elbow = self._shape(q, axes)
         p1, p2, p3 = (axes[:, i, :3, 3] for i in range(3))
-        lies = axes[:, 1, :3, 2] * self._signs[0]
-        front = _dot(wrist - p1, looks)
-        up = _dot(np.cross(p3 - p2, wrist - p2), lies)
+        across = axes[:, 1, :3, 2] * self._signs[0]
+        front = _dot(wrist - p1, faces)
+        up = _dot(np.cross(p3 - p2, wrist - p2), across)
         forearm = axes[:, 3, :3, 2] * np.sign(_dot(wrist - elbow, axes[:, 3, :3, 2]))[:, None]
         bent = np.cross(forearm, axes[:, 5, :3, 2] * self._signs[2])
         down = _dot(bent, axes[:, 4, :3, 2] * self._signs[1])
@@ -143,33 +138,33 @@ class ArmSearch:
         return np.asarray(np.einsum("nijk,ikl->nijl", frames[:, :-1], self.robot.kinematics.before))
 
     def _shape(self, q: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return where the arm looks, and its wrist and its elbow, shape (N, 3) each."""
+        """Return the direction that the arm faces, and its wrist and its elbow, shape (N, 3) each."""
         z, turn = axes[:, 0, :3, 2], (q[:, 0] - self._zero[0, 0])[:, None]
         x = np.array([1.0, 0.0, 0.0])
-        looks = x * np.cos(turn) + np.cross(z, x) * np.sin(turn)
-        return looks, _nearest(axes[:, 4], axes[:, 3]), axes[:, 2, :3, 3]
+        faces = x * np.cos(turn) + np.cross(z, x) * np.sin(turn)
+        return faces, _nearest(axes[:, 4], axes[:, 3]), axes[:, 2, :3, 3]
 
     @cached_property
     def _signs(self) -> np.ndarray:
         """Signs that direct axes 2 and 5 to up x front where axis 4 is at zero, and axis 6 outwards."""
         q = self._zero
         axes = self._axes(q)
-        looks, wrist, _ = self._shape(q, axes)
-        lies = np.cross([0.0, 0.0, 1.0], looks[0])
+        faces, wrist, _ = self._shape(q, axes)
+        across = np.cross([0.0, 0.0, 1.0], faces[0])
         tip = self.robot.forward_kinematics(q)[0, :3, 3] - wrist[0]
-        signs = np.array([axes[0, 1, :3, 2] @ lies, axes[0, 4, :3, 2] @ lies, axes[0, 5, :3, 2] @ tip])
+        signs = np.array([axes[0, 1, :3, 2] @ across, axes[0, 4, :3, 2] @ across, axes[0, 5, :3, 2] @ tip])
         return np.where(signs < 0.0, -1.0, 1.0)
 
     def find(self, tips: np.ndarray, postures: list[Posture], near: np.ndarray | None) -> list[np.ndarray]:
-        """Return the joint positions that reach poses of the tip in a posture, whole turns left open.
+        """Return the joint positions, up to whole turns, that reach poses of the tip in given postures.
 
         Args:
             tips: shape (N, 3, 4), in the base frame.
             postures: of each.
-            near: shape (n,), joint positions from which to start, too.
+            near: shape (n,), joint positions from which to start as well.
 
         Returns:
-            Of each pose, shape (k, n).
+            For each pose, shape (k, n).
         """
         found: list[np.ndarray] = []
         for start in range(0, len(tips), _PIECE):
@@ -186,7 +181,7 @@ class ArmSearch:
         return found
 
     def reach(self, q: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return joint positions at poses of the tip, shape (N, 3, 4), nearest to others, (N, n), and which are reached."""
+        """Return the joint positions closest to q, shape (N, n), at poses of the tip, (N, 3, 4), and which are reached."""
         problem = IkProblem.of(self.model, np.zeros(0), conditions=Conditions.at(q), wanted=tips, with_orientation=True)
         own = q[:, self.robot.own_joints]
         found, reached = newton(problem, own, seed=own)
@@ -196,16 +191,15 @@ class ArmSearch:
         q, tips, sides = self._pool
         distance = np.linalg.norm(tips[:, :, 3] - tip[:, 3], axis=1) / self.robot.reach
         distance += 0.5 * np.arccos(np.clip(0.5 * (np.einsum("nij,ij->n", tips[:, :, :3], tip[:, :3]) - 1.0), -1.0, 1.0))
-        is_known = self.has_sides and None not in posture.sides
         for side, wanted in enumerate(posture.sides if self.has_sides else ()):
             if wanted is not None:
                 distance = np.where((sides[:, side] > 0.0) == wanted, distance, np.inf)
-        count = _STARTS if is_known else _MORE_STARTS
+        count = _STARTS if self.has_sides and posture.is_whole else _MORE_STARTS
         best = np.argpartition(distance, count)[:count]
         return np.concatenate([q[best], near[None]]) if near is not None else q[best]
 
     def _distinct(self, q: np.ndarray) -> np.ndarray:
-        """Return joint positions, each once: whole turns make no difference."""
+        """Return joint positions without duplicates, which may differ by whole turns."""
         turns = np.array([kind != "prismatic" for kind in self.robot.joint_types])
         kept: list[np.ndarray] = []
         for row in q:
@@ -216,15 +210,15 @@ class ArmSearch:
         return np.array(kept).reshape(-1, self.robot.n_joints)
 
     def turned(self, q: np.ndarray, posture: Posture, near: np.ndarray) -> np.ndarray | None:
-        """Return joint positions moved by whole turns into the limits, as the turn numbers say and else near others.
+        """Return joint positions moved by whole turns to within the limits, by the turn numbers and otherwise near others.
 
         Args:
             q: shape (n,).
-            posture: its turn numbers.
+            posture: has the turn numbers.
             near: shape (n,).
 
         Returns:
-            Shape (n,), or None if no turn brings them there.
+            Shape (n,), or None if no turns lead there.
         """
         out = q.copy()
         for joint, kind in enumerate(self.robot.joint_types):
@@ -245,14 +239,14 @@ class ArmSearch:
         return all(self._counts(q[None], turn)[0] for turn in posture.turns)
 
     def _counts(self, q: np.ndarray, turn: Turn) -> np.ndarray:
-        """Return whether a turn number holds at joint positions, shape (N, n), or hardly beside them, shape (N,)."""
+        """Return whether a turn number holds at, or next to, joint positions, shape (N, n); shape (N,)."""
         asides = np.array([[-_ON_EDGE], [0.0], [_ON_EDGE]]) * (np.arange(q.shape[1]) == turn.joint)
         angles = [self.axes.to_program(q + aside)[:, turn.joint] for aside in asides]
         return np.array([any(turn.counted(angle) == turn.value for angle in row) for row in np.transpose(angles).tolist()])
 
 
 def rigid_pose(robot: Robot, link: str, seen_from: str) -> np.ndarray | None:
-    """Return the pose of a link, shape (4, 4), as seen from another that never moves against it; None if there is none."""
+    """Return the pose of a link, shape (4, 4), in the frame of another that is rigidly connected; None if it is not."""
     import pinocchio as pin
 
     model = robot.pinocchio_model()
@@ -269,7 +263,7 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _nearest(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the points of lines, along z of frames of shape (N, 4, 4), that are nearest to other lines, shape (N, 3)."""
+    """Return the points of lines, along z of frames of shape (N, 4, 4), nearest to other lines, shape (N, 3)."""
     p, u, r, v = first[:, :3, 3], first[:, :3, 2], second[:, :3, 3], second[:, :3, 2]
     cosine = _dot(u, v)
     apart = 1.0 - cosine**2

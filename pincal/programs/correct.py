@@ -1,9 +1,9 @@
-"""A program whose points are corrected: the real arm, told the new ones by a nominal controller, arrives at the old ones.
+"""Correction of a program's points: sent the new ones by a nominal controller, the real arm reaches the old ones.
 
-A pose P of the tool T in the base B means the tip at W = B P T^-1. Of the nominal arm's joint positions q that reach W,
-those of the program's posture are taken; the calibrated model gives the joints q' at which the real tip is at W. What the
-program is then to say is the joints q', or the pose B^-1 FK(q') T where the nominal arm is at q'. A point is corrected as a
-whole or left as it was, with a reason.
+A pose P of the tool T in the base B places the tip at W = B P T^-1. Of the nominal arm's joint positions q that reach W, the
+ones in the program's posture are used; the calibrated model gives the joint positions q' at which the real tip is at W. The
+corrected point is q', or the pose B^-1 FK(q') T of the nominal arm at q'. A point is corrected as a whole or, with a reason,
+not at all.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from pincal.compensate.robot_frames import false_targets
 from pincal.model.conditions import Conditions
 from pincal.programs.arms import ArmSearch, ProgramAxes
 from pincal.programs.language import ControllerLanguage
-from pincal.programs.program import Edit, Frame, Left, Point, PointKey, Posture, Program
+from pincal.programs.program import Edit, Frame, Point, PointKey, Posture, Program, Skipped
 from pincal.robot.se3 import compose, inverse, rotation_vectors, transform
 
-# Of several arms that reach a pose one is meant if it is nearer than this part of the way to the next.
+# The nearest of several solutions is used if it is nearer than this fraction of the distance to the next.
 _CLEARLY = 0.5
-# A correction below this changes nothing in the program [m and rad].
+# Corrections below this do not change the program [m and rad].
 _NOTHING = 1e-8
 _REASONS = {
-    "singular": "the arm is singular there: a small correction would take large joint motions",
+    "singular": "the arm is singular there: a small correction would need large joint motions",
     "joint_limit": "an axis would leave its limits",
     "unreachable": "no joint positions were found",
 }
@@ -36,17 +36,17 @@ _REASONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class ProgramCell:
-    """What a program does not say of the cell that it runs in.
+    """What a program does not contain of the cell in which it runs.
 
     Attributes:
-        tools, bases: poses of tools and bases by the names that programs use, shape (4, 4) [m].
+        tools, bases: poses of tools and bases by their names in programs, shape (4, 4) [m].
         world: shape (4, 4), the controller's world in the robot's base.
         flange: shape (4, 4), the controller's flange in the robot's tip.
         axes: the program's axes.
         seed: shape (n,), positions of the URDF's joints near which the program starts.
         payload: mass at the tip [kg].
         limits: whether axes have to stay within their limits.
-        max_change: the most that a joint may move by a correction [rad or m].
+        max_change: largest joint motion by a correction [rad or m].
     """
 
     axes: ProgramAxes
@@ -65,14 +65,14 @@ class Change:
     """A corrected point.
 
     Attributes:
-        point: what it was.
-        values: the numbers that it has now, before they are rounded.
+        point: the point as programmed.
+        values: its corrected numbers, before rounding.
         q: shape (n,), the nominal arm's joint positions at the point as programmed.
         commanded: shape (n,), at the point as corrected.
-        frames: the poses of base and tool, as one before and one behind the pose of a point, shape (4, 4) each.
-        shift: how far the point moves [m].
-        turn: by what angle [rad].
-        has_posture: whether the arm has the posture and the turns that the program says, which a line may not obey.
+        frames: the transforms before and after the pose of a point, from base and tool, shape (4, 4) each.
+        shift: translation of the point [m].
+        turn: its rotation [rad].
+        has_posture: whether the arm has the programmed posture and turns, which a line may not obey.
     """
 
     point: Point
@@ -87,13 +87,7 @@ class Change:
 
 @dataclass(frozen=True)
 class _Use:
-    """How a program first comes to a point.
-
-    Attributes:
-        start: the point before it, if it is known.
-        is_line: whether the way there is a line or a circle.
-        takes_posture: see :class:`pincal.programs.program.Motion`.
-    """
+    """How a program first reaches a point: from which, if known, and whether along a line or a circle."""
 
     start: PointKey | None = None
     is_line: bool = False
@@ -104,7 +98,7 @@ class Corrector:
     """Corrects points of programs by a calibrated model."""
 
     def __init__(self, calibrated: CalibratedModel, language: ControllerLanguage, cell: ProgramCell) -> None:
-        # Within, joints are those of the URDF; the program's axes know what the controller reports.
+        # Internally, joints are those of the URDF; the program's axes convert from what the controller reports.
         chain = calibrated.model.chain
         robot = replace(chain.robot, couplings=())
         calibrated = replace(calibrated, model=calibrated.model.with_chain(replace(chain, robot=robot)))
@@ -119,7 +113,7 @@ class Corrector:
         return self.calibrated.conditions_at(q, payload=self.cell.payload)
 
     def frames(self, point: Point, program: Program) -> tuple[np.ndarray, np.ndarray] | str:
-        """Return what stands before and behind a point's pose between base and tip, or why that is not known."""
+        """Return the transforms before and after a point's pose between base and tip, or why they are not known."""
         found = []
         places = (("base", point.base, self.cell.bases, program.bases), ("tool", point.tool, self.cell.tools, program.tools))
         for option, frame, given, declared in places:
@@ -129,9 +123,9 @@ class Corrector:
             found.append(pose)
         return self.cell.world @ found[0], np.linalg.inv(self.cell.flange @ found[1])
 
-    def changes(self, program: Program) -> tuple[dict[PointKey, Change], list[Left]]:
-        """Return the corrections of a program's points, and what is left as it was."""
-        left, joints = list(program.left), dict[PointKey, np.ndarray]()
+    def changes(self, program: Program) -> tuple[dict[PointKey, Change], list[Skipped]]:
+        """Return the corrections of a program's points, and what is not corrected."""
+        skipped, joints = list(program.skipped), dict[PointKey, np.ndarray]()
         framed: dict[PointKey, tuple[np.ndarray, np.ndarray]] = {}
         poses: dict[PointKey, Point] = {}
         nowhere = (self.cell.world, np.linalg.inv(self.cell.flange))
@@ -139,14 +133,14 @@ class Corrector:
             frames = self.frames(point, program) if point.kind == "pose" else nowhere
             reason = frames if isinstance(frames, str) else self._refusal(point)
             if reason:
-                left.append(Left(point.name, point.source, point.line, str(reason)))
+                skipped.append(point.skip(str(reason)))
                 continue
             framed[key] = frames  # type: ignore[assignment]
             if point.kind == "pose":
                 poses[key] = point
         tips = {key: framed[key][0] @ self.language.pose(point.values) @ framed[key][1] for key, point in poses.items()}
         uses = _first_uses(program)
-        # Where the program's word on the posture does not count, all arms that reach a pose are looked for.
+        # Where the programmed posture is not obeyed, all solutions are searched for.
         postures = [point.posture if uses[key].takes_posture else Posture() for key, point in poses.items()]
         reached = np.array(list(tips.values())).reshape(-1, 4, 4)[:, :3]
         found = dict(zip(poses, self.arms.find(reached, postures, self.cell.seed), strict=True))
@@ -155,11 +149,11 @@ class Corrector:
                 continue
             q = self.joints(point) if point.kind == "joints" else self._chosen(point, found[key], uses[key], joints)
             if isinstance(q, str):
-                left.append(Left(point.name, point.source, point.line, q))
+                skipped.append(point.skip(q))
             else:
                 joints[key] = q
-        changed = self._corrected({key: (program.points[key], q, framed[key]) for key, q in joints.items()}, left)
-        return self._with_turns(program, changed, left), left
+        changed = self._corrected({key: (program.points[key], q, framed[key]) for key, q in joints.items()}, skipped)
+        return self._with_turns(program, changed, skipped), skipped
 
     def _refusal(self, point: Point) -> str:
         if reason := self.language.refusal(point):
@@ -173,7 +167,7 @@ class Corrector:
                 return f"{self.robot.joint_names[int(beyond.argmax())]} is beyond its limits in the model"
             return ""
         if self.robot.n_joints != 6:
-            return f"a pose does not tell the joints of an arm with {self.robot.n_joints} joints"
+            return f"a pose does not determine the joints of an arm with {self.robot.n_joints} joints"
         return ""
 
     def joints(self, point: Point, values: np.ndarray | None = None) -> np.ndarray:
@@ -186,9 +180,9 @@ class Corrector:
         return self.language.joint_units(turns)
 
     def _chosen(self, point: Point, found: np.ndarray, use: _Use, joints: Mapping[PointKey, np.ndarray]) -> np.ndarray | str:
-        """Return the joint positions by which a controller reaches a pose, or why they are not known.
+        """Return the joint positions with which a controller reaches a pose, or why they are not known.
 
-        On a line or a circle an arm keeps the posture that it has at the start, unless it passes through a singular pose.
+        On a line or a circle an arm keeps its posture, unless it passes through a singular pose.
         """
         start, posture = joints.get(use.start) if use.start else None, point.posture
         known = start
@@ -198,24 +192,24 @@ class Corrector:
             front, up, down = (bool(side > 0.0) if side else None for side in self.arms.sides(start[None])[0])
             posture = Posture(front, up, down)
         near = known if known is not None else list(joints.values())[-1] if joints else self.cell.seed
-        is_told = known is not None or (self.arms.has_sides and posture.is_whole)
-        if near is None and not is_told:
-            return "nothing before it tells which arm reaches it: give joint positions to start from (--seed-joints)"
+        is_determined = known is not None or (self.arms.has_sides and posture.is_whole)
+        if near is None and not is_determined:
+            return "nothing before it determines the arm configuration: give joint positions to start from (--seed-joints)"
         near = np.zeros(self.robot.n_joints) if near is None else near
         arms = found[[posture.allows(sides) for sides in self.arms.sides(found)]] if len(found) else found
         turned = [self.arms.turned(q, posture, near) for q in arms]
         reached = sorted((q for q in turned if q is not None), key=lambda q: float(np.sum((q - near) ** 2)))
         if not reached:
-            return "no joint positions within the limits reach it in the posture that it says, by the nominal model"
-        if not is_told and len(reached) > 1:
+            return "no joint positions within the limits reach it in its posture, by the nominal model"
+        if not is_determined and len(reached) > 1:
             first, second = (float(np.abs(q - near).max()) for q in reached[:2])
             if first > _CLEARLY * second:
-                return "several arms reach it, and the motion before it does not tell which (--seed-joints)"
+                return "several arm configurations reach it, and the motion before it does not determine one (--seed-joints)"
         return reached[0]
 
     def solve(self, q: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, list[str]]:
-        """Return the joints at which the real tip is at poses, shape (N, 3, 4), near q, shape (N, n), and why not."""
-        wanted = compose(tips, np.repeat(self.target, len(tips), axis=0))
+        """Return the joints near q, shape (N, n), with the real tip at poses, shape (N, 3, 4), and reasons or ""."""
+        wanted = compose(tips, self.target)
         found = compensate_poses(self.calibrated, wanted, self.conditions(q), frame="base", limits=self.cell.limits)
         reasons = [_REASONS.get(str(status), "") for status in found.status]
         moved = np.abs(found.q - q)
@@ -229,7 +223,7 @@ class Corrector:
         return found.q, reasons
 
     def _corrected(
-        self, rows: Mapping[PointKey, tuple[Point, np.ndarray, tuple[np.ndarray, np.ndarray]]], left: list[Left]
+        self, rows: Mapping[PointKey, tuple[Point, np.ndarray, tuple[np.ndarray, np.ndarray]]], skipped: list[Skipped]
     ) -> dict[PointKey, Change]:
         if not rows:
             return {}
@@ -240,7 +234,7 @@ class Corrector:
         changes = {}
         for i, (key, (point, _, frames)) in enumerate(rows.items()):
             if reasons[i]:
-                left.append(Left(point.name, point.source, point.line, reasons[i]))
+                skipped.append(point.skip(reasons[i]))
                 continue
             ends = (transform(T[i, :, :3], T[i, :, 3]) for T in (tips, moved))
             before, after = (np.linalg.inv(frames[0]) @ T @ np.linalg.inv(frames[1]) for T in ends)
@@ -250,21 +244,21 @@ class Corrector:
                 values = self.cell.axes.to_program(commanded[i : i + 1])[0] / self._units()
             turn = float(np.linalg.norm(rotation_vectors((after[:3, :3] @ before[:3, :3].T)[None])))
             shift = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
-            said = point.posture
-            is_so = said.allows(self.arms.sides(q[i : i + 1])[0]) and self.arms.has_turns(q[i], said)
-            changes[key] = Change(point, values, q[i], commanded[i], frames, shift, turn, is_so)
+            posture = point.posture
+            has_it = posture.allows(self.arms.sides(q[i : i + 1])[0]) and self.arms.has_turns(q[i], posture)
+            changes[key] = Change(point, values, q[i], commanded[i], frames, shift, turn, has_it)
         return changes
 
-    def _with_turns(self, program: Program, changes: dict[PointKey, Change], left: list[Left]) -> dict[PointKey, Change]:
-        """Return the changes without those that need another turn number where points share it."""
+    def _with_turns(
+        self, program: Program, changes: dict[PointKey, Change], skipped: list[Skipped]
+    ) -> dict[PointKey, Change]:
+        """Return the changes except those that would change a turn number shared by several points."""
         shared = Counter((p.source, n) for p in program.points.values() for n in {t.number for t in p.posture.turns})
         kept = {}
         for key, change in changes.items():
-            point = change.point
-            new = {(edit.source, edit.start) for edit in self.turn_edits(change)}
-            numbers = {turn.number for turn in point.posture.turns if (point.source, turn.number.start) in new}
-            if any(shared[point.source, number] > 1 for number in numbers):
-                left.append(Left(point.name, point.source, point.line, "it shares a turn number, which would change"))
+            point, new = change.point, {edit.start for edit in self.turn_edits(change)}
+            if any(shared[point.source, t.number] > 1 for t in point.posture.turns if t.number.start in new):
+                skipped.append(point.skip("it shares a turn number, which would change"))
             else:
                 kept[key] = change
         return kept
@@ -291,7 +285,7 @@ class Corrector:
 
 
 def _first_uses(program: Program) -> dict[PointKey, _Use]:
-    """Return how a program first comes to each of its points."""
+    """Return how a program first reaches each of its points."""
     uses = dict.fromkeys(program.points, _Use())
     before: tuple[int, int] | None = None
     seen, at = set[PointKey](), None

@@ -1,4 +1,4 @@
-"""FANUC's listings of programs: motions in ``/MN``, positions in ``/POS``, each with its frames and its configuration."""
+"""FANUC's program listings: motions in ``/MN``, positions in ``/POS``, each with its frames and its configuration."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from pincal.programs.draft import Draft
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.program import Frame, Left, Motion, Point, Posture, Program, Turn
+from pincal.programs.program import Frame, Motion, Point, Posture, Program, Skipped, Turn
 from pincal.programs.syntax import Source, Statement, number_at
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ UNIT: "mm" | "deg"
 """
 _WORDS = "a FANUC listing: /PROG, /MN with motions, /POS with positions, /END"
 _JUMPS = ("LBL", "JMP", "IF", "ELSE", "SELECT", "FOR", "CALL", "END", "SKIP")
-# What makes a motion's target something else than its position.
+# Options by which the target of a motion is not its position.
 _MOVED = ("OFFSET", "TOOL_OFFSET", "VOFFSET", "COORD", "RTCP", "PTH_OFFSET")
 
 
@@ -80,14 +80,14 @@ class FanucLs(ControllerLanguage):
         return draft.finish()
 
     def _declare(self, draft: Draft, i: int, source: Source, block: Tree[Token]) -> None:
-        """Take note of a position."""
+        """Note a position."""
         place, *groups = block.children
         name, line = _place(str(place)), source.place(place.start_pos)[0]  # type: ignore[union-attr, arg-type]
         point = self._point(i, name, line, groups[0].children)  # type: ignore[union-attr]
-        draft.take(name, Left(name, i, line, point) if isinstance(point, str) else point)
+        draft.take(Skipped(name, i, line, point) if isinstance(point, str) else point)
 
     def _point(self, i: int, name: str, line: int, group: Sequence[Any]) -> Point | str:
-        """Return the point that a group is, or why it is none."""
+        """Return the point of a group, or why it can't be used."""
         label, user, tool, *rest = group
         if label != "GP1:":
             return "it has no group 1"
@@ -109,8 +109,8 @@ class FanucLs(ControllerLanguage):
         return "neither X Y Z W P R nor joints"
 
     def _move(self, draft: Draft, i: int, lines: Sequence[Tree[Token]]) -> None:
-        """Take note of the motions."""
-        run, via, empty = 0, "", Frame("")
+        """Note the motions."""
+        run, via, unstated = 0, "", Frame("")
         for line in lines:
             parts = {token.type: token for token in line.children if not hasattr(token, "data")}
             rest = str(parts.get("REST", parts.get("OTHER", "")))
@@ -134,14 +134,14 @@ class FanucLs(ControllerLanguage):
                 continue
             words = [word.partition("[")[0] for word in rest.replace(",", " ").replace(";", " ").upper().split()]
             moved = next((word for word in words if word in _MOVED), "")
-            target: str | Left = name
+            target: str | Skipped = name
             if name.startswith("PR["):
-                target = Left(name, i, at, "a position register")
+                target = Skipped(name, i, at, "a position register")
             elif "INC" in words:
-                target = Left(name, i, at, f"a relative motion (INC), line {at}")
+                target = Skipped(name, i, at, f"a relative motion (INC), line {at}")
                 draft.write(name, target.reason)
             elif moved:
-                target = Left(name, i, at, f"moved by an offset ({moved})")
+                target = Skipped(name, i, at, f"moved by an offset ({moved})")
                 draft.read([name])
             draft.read(set(_places_in(rest)) - {name})
             if kind == "C" and not words:
@@ -151,13 +151,13 @@ class FanucLs(ControllerLanguage):
                 continue
             path = "circle" if via else {"J": "joint", "L": "line"}.get(kind, "joint")
             span = (place.start_pos or 0, place.end_pos or 0)
-            stops = (via, target) if via else (target,)
-            draft.motions.append(Motion(path, stops, Statement((), *span, at), i, empty, empty, span, run))  # type: ignore[arg-type]
+            stops, statement = (via, target) if via else (target,), Statement((), *span, at)
+            draft.motions.append(Motion(path, stops, statement, i, unstated, unstated, span, run))  # type: ignore[arg-type]
             via = ""
 
 
 def _place(text: str) -> str:
-    """Return a position's name without its comment: ``P[1:"App"]`` is P[1], ``P[R[1]]`` any position."""
+    """Return a position's name without its comment: ``P[1:"App"]`` is P[1]; ``P[R[1]]``, any position, is P[*]."""
     kind, _, index = text.partition("[")
     first, _, more = index.removesuffix("]").partition(":")
     number = (more if first.strip().startswith("GP") else first).partition(",")[0].strip()
@@ -165,14 +165,14 @@ def _place(text: str) -> str:
 
 
 def _places_in(text: str) -> Iterator[str]:
-    """Yield the positions that a text names."""
+    """Yield the positions named in a text."""
     for k, piece in enumerate(text.split("P[")[1:], 1):
         if not text.split("P[")[k - 1][-1:].isalpha():
             yield _place("P[" + piece.split("]")[0] + "]")
 
 
 def _posture(configuration: Sequence[Token]) -> Posture:
-    """Return what a configuration says: flip or not, up or down, front (T) or back; turns of axes 1, 4 and 6."""
+    """Return the posture of a configuration: flip or not, up or down, front (T) or back, and turns of axes 1, 4 and 6."""
     sides = {str(token) for token in configuration if token.type == "SIDE"}
     turns = [number for token in configuration if token.type == "TURN" and (number := number_at(token)) is not None]
     counted = tuple(Turn(j, "whole", int(number.value), number) for j, number in zip((0, 3, 5), turns, strict=True))

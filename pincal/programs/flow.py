@@ -1,7 +1,7 @@
-"""Which statement has set a variable when another one runs, as far as that can be read from the text.
+"""Which statement has set a variable by the time another one runs, as far as the text determines it.
 
-A variable that is set in one branch of several, within a loop, before a label that may be jumped to, or by a routine that is
-called, has no one value there: it counts as not known, so that no point is corrected with a tool that it may not have.
+A variable that is set in one of several branches, within a loop, before a label that may be jumped to, or by a called
+routine has no single value there: it counts as unknown, so that no point is corrected with a tool that may not be its own.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from dataclasses import dataclass
 from pincal.programs.syntax import Source, Statement
 
 OUTSIDE = "is not in these files and may set it"
-"""What is said of a routine that is in none of the files."""
+"""Reason given for a routine that is in none of the files."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """What a statement means to the order in which a program runs.
+    """The effect of a statement on the control flow.
 
     Attributes:
         opens: the word that opens a block here, or "".
         closes: the words of blocks that it may close.
-        routine: name of the routine that the block is, in which nothing is known at first; "" if it is none.
-        is_loop: whether the block is run again.
+        routine: name of the routine that the block defines, at whose start nothing is known; "" for other blocks.
+        is_loop: whether the block is repeated.
         is_jump: whether it may be reached from elsewhere: a label, or another branch of its block.
         sets: variables that it sets.
         clears: variables that it may set.
@@ -47,10 +47,10 @@ class InForce:
     """What is known before a statement.
 
     Attributes:
-        setters: index of the statement that has set a variable, or the reason why it is not known, by variable.
-        blocks: indices of the statements that have opened the blocks that it is in.
-        run: number that changes wherever the statement before in the text may not be the one before as the program runs.
-        routine: index of the statement that opens the routine, -1 outside of all.
+        setters: by variable, the index of the statement that has set it, or the reason why that is not known.
+        blocks: indices of the statements that opened the blocks around it.
+        run: number that changes wherever the previous statement in the text may not be the one executed before.
+        routine: index of the statement that opens the routine, -1 outside any.
     """
 
     setters: Mapping[str, int | str]
@@ -60,7 +60,7 @@ class InForce:
 
     @property
     def depth(self) -> int:
-        """Number of blocks that are open."""
+        """Number of open blocks."""
         return len(self.blocks)
 
 
@@ -70,8 +70,8 @@ def followed(
     """Return what is known before each statement of each file.
 
     Args:
-        files: the files, their statements, and what these mean.
-        outside: variables that a routine which is in none of the files may set.
+        files: the files, their statements, and the effects of these.
+        outside: variables that a routine in none of the files may set.
 
     Raises:
         ProgramError: if a block is not closed, or closed without being open.
@@ -114,7 +114,7 @@ def _followed(
             state, routine = {}, i
         if step.closes or step.is_jump:
             block = stack[-1] if stack else i
-            where = f"it is set on one way only through the block of line {statements[block].line}"
+            where = f"it is set on some paths only through the block of line {statements[block].line}"
             state = state | dict.fromkeys(inside.get(block, ()), where)
         if step.is_loop:
             state = state | dict.fromkeys(inside[i], f"it is set within the loop of line {line}")
@@ -134,7 +134,7 @@ def _followed(
 
 
 def _effects(files: Sequence[Sequence[Step]]) -> dict[str, frozenset[str]]:
-    """Return the variables that each routine may set, by itself or by those that it calls, by its name."""
+    """Return the variables that each routine may set, directly or by its calls, by its name."""
     own, calls = dict[str, set[str]](), dict[str, set[str]]()
     for steps in files:
         stack: list[str] = []
@@ -160,7 +160,7 @@ def _effects(files: Sequence[Sequence[Step]]) -> dict[str, frozenset[str]]:
 def _set_within(
     source: Source, statements: Sequence[Statement], steps: Sequence[Step], *, changed: Sequence[frozenset[str]]
 ) -> dict[int, set[str]]:
-    """Return the variables that are set within each block, by the statement that opens it."""
+    """Return the variables set within each block, by the index of the statement that opens it."""
     inside: dict[int, set[str]] = {}
     stack: list[int] = []
     for i, step in enumerate(steps):
@@ -184,5 +184,5 @@ def _set_within(
             inside[stack[-1]] |= changed[i]
     if stack:
         opens, line = steps[stack[-1]].opens, statements[stack[-1]].line
-        raise source.error(f"the end of the file within {opens} of line {line}: is it cut?", len(source.content))
+        raise source.error(f"the end of the file within {opens} of line {line}: is it truncated?", len(source.content))
     return inside

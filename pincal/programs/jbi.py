@@ -1,4 +1,4 @@
-"""Yaskawa's jobs: positions in pulses or Cartesian in the head, motions after ``//INST``."""
+"""Yaskawa's jobs: positions in the head, Cartesian or in pulses, and motions after ``//INST``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.programs.draft import Draft
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.program import Frame, Left, Motion, Path, Point, Posture, Program, Turn
+from pincal.programs.program import Frame, Motion, Path, Point, Posture, Program, Skipped, Turn
 from pincal.programs.syntax import Number, Source, Statement, number_at
 
 _GRAMMAR = r"""
@@ -50,7 +50,7 @@ class Jbi(ControllerLanguage):
     """Yaskawa's jobs.
 
     Attributes:
-        pulses: pulses of each axis for a degree; None if they are not known.
+        pulses: pulses per degree of each axis; None if they are not known.
     """
 
     pulses: tuple[float, ...] | None = None
@@ -60,27 +60,27 @@ class Jbi(ControllerLanguage):
     digits = (4, 6, 0)
 
     def with_pulses(self, text: str) -> Jbi:
-        """Return the language with pulses for a degree, one number an axis.
+        """Return the language with pulses per degree, one number per axis.
 
         Raises:
-            BadInputError: for other text.
+            BadInputError: for any other text.
         """
         try:
             found = tuple(float(word) for word in text.replace(",", " ").split())
         except ValueError:
             found = ()
         if not found or not all(math.isfinite(number) and number != 0.0 for number in found):
-            raise BadInputError(f"pulses {text!r}; expected pulses for a degree, one number an axis, none of them 0")
+            raise BadInputError(f"pulses {text!r}; expected pulses per degree, one number per axis, none of them 0")
         return Jbi(found)
 
     def joint_units(self, turns: np.ndarray) -> np.ndarray:
-        """Return a pulse of each axis [rad]."""
+        """Return the angle of a pulse of each axis [rad]."""
         return np.deg2rad(1.0 / np.array(self.pulses or (1.0,) * len(turns)))
 
     def refusal(self, point: Point) -> str:
-        """Return why a point in pulses is not understood."""
+        """Return why a point in pulses can't be interpreted, or ""."""
         if point.kind == "joints" and self.pulses is None:
-            return "it is in pulses: give the pulses for a degree (--pulses)"
+            return "it is in pulses: give the pulses per degree (--pulses)"
         if point.kind == "joints" and len(self.pulses or ()) != len(point.numbers):
             return f"{len(point.numbers)} axes, but --pulses has {len(self.pulses or ())}"
         return ""
@@ -93,13 +93,13 @@ class Jbi(ControllerLanguage):
             parts = [part for part in tree.children if hasattr(part, "data")]
             others = [str(part.children[0]).split() for part in parts if part.data == "other"]
             if not others or others[-1][:1] != ["END"]:
-                raise source.error("the end of the file without END: is it cut?", len(source.content))
+                raise source.error("the end of the file without END: is it truncated?", len(source.content))
             self._positions(draft, i, source, parts)
             self._motions(draft, i, parts)
         return draft.finish()
 
     def _positions(self, draft: Draft, i: int, source: Source, parts: Sequence[Any]) -> None:
-        """Take note of positions, each by the tags that stand before it."""
+        """Note the positions, each with the tags before it."""
         tags = {"TOOL": "", "USER": "", "POSTYPE": ""}
         posture = Posture()
         expected, seen = 0, 0
@@ -118,14 +118,14 @@ class Jbi(ControllerLanguage):
                 name = _name(str(place))
                 point = self._point(i, name, place.line, [number_at(token) for token in values], tags, posture)
                 if point:
-                    draft.take(name, Left(name, i, place.line, point) if isinstance(point, str) else point)
+                    draft.take(Skipped(name, i, place.line, point) if isinstance(point, str) else point)
         if "NPOS" in tags and seen != expected:
             raise source.error(f"{seen} positions; expected the {expected} of ///NPOS", 0)
 
     def _point(
         self, i: int, name: str, line: int, values: Sequence[Number | None], tags: dict[str, str], posture: Posture
     ) -> Point | str:
-        """Return the point of a position, or why it is none; an empty text for one of another axis."""
+        """Return the point of a position, or why it can't be used; "" for one of an external axis."""
         numbers = tuple(number for number in values if number is not None)
         kind = tags["POSTYPE"]
         if name.startswith(("BC", "EC", "BP", "EX")):
@@ -140,52 +140,51 @@ class Jbi(ControllerLanguage):
         return Point(name, i, line, "pose", numbers[:6], posture, Frame(tags["TOOL"] or "TOOL"), base)
 
     def _motions(self, draft: Draft, i: int, parts: Sequence[Any]) -> None:
-        """Take note of motions, and of positions that instructions change."""
+        """Note the motions, and the positions that instructions change."""
         run, arc = 0, list[str]()
         for part in parts:
             if part.data == "other":
                 text = str(part.children[0]).upper()
                 run += text.startswith(_JUMPS)
-                at = part.children[0].line
+                line = part.children[0].line
                 for word in text.replace(",", " ").replace("(", " ").split():
                     if word[:1] == "P" and word.lstrip("PX").isdigit():
-                        draft.write(_name(f"P{word.lstrip('PX')}"), f"line {at} may set it")
+                        draft.write(_name(f"P{word.lstrip('PX')}"), f"line {line} may set it")
                 if text.startswith(_SHIFTS):
                     for name in draft.names():
-                        draft.write(name, f"line {at} shifts positions, or computes a frame from them")
+                        draft.write(name, f"line {line} shifts positions, or computes a frame from them")
             if part.data != "motion":
                 continue
             kind, place = str(part.children[0]), part.children[1]
             name = _name(str(place))
-            statement = Statement((), place.start_pos, place.end_pos, place.line)
-            target: str | Left = name
+            span = place.start_pos, place.end_pos
+            target: str | Skipped = name
             if kind == "IMOV":
                 draft.write(name, f"line {place.line} moves by it (IMOV)")
-                target = Left(name, i, place.line, "a relative motion")
+                target = Skipped(name, i, place.line, "a relative motion")
             elif "[" in name:
-                target = Left(name, i, place.line, "a computed position")
+                target = Skipped(name, i, place.line, "a computed position")
             arc = [*arc, name] if kind == "MOVC" else []
             path = _PATHS.get(kind, "joint")
-            targets: tuple[str | Left, ...] = (target,)
+            targets: tuple[str | Skipped, ...] = (target,)
             if len(arc) == 1:
                 path = "line"
             elif len(arc) == 2:
                 continue
             elif len(arc) == 3:
                 path, targets = "circle", (arc[1], target)
-            draft.motions.append(
-                Motion(path, targets, statement, i, Frame(""), Frame(""), (place.start_pos, place.end_pos), run)
-            )
+            statement, unstated = Statement((), *span, place.line), Frame("")
+            draft.motions.append(Motion(path, targets, statement, i, unstated, unstated, span, run))
 
 
 def _name(text: str) -> str:
-    """Return the name of a position with five digits, as many as jobs have in their head: P001 is P00001."""
+    """Return the name of a position with five digits, as in the heads of jobs: P001 is P00001."""
     number = text.lstrip("BCEPX")
     return f"{text.removesuffix(number)}{number.rjust(5, '0')}" if number.isdigit() else text
 
 
 def _posture(values: Sequence[Number | None]) -> Posture:
-    """Return what a configuration says: not flipped, lower arm, rear, and axes R, T and S beyond 180 deg."""
+    """Return the posture of a configuration: not flipped, lower arm, rear, and axes R, T and S beyond 180 deg."""
     numbers = [number for number in values if number is not None]
     if len(numbers) < 6 or any(number.value not in (0.0, 1.0) for number in numbers[:6]):
         return Posture()

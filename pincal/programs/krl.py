@@ -11,7 +11,7 @@ import numpy as np
 from pincal.programs.draft import Draft
 from pincal.programs.flow import OUTSIDE, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.program import Frame, Left, Motion, Path, Point, Posture, Program, Turn
+from pincal.programs.program import Frame, Motion, Path, Point, Posture, Program, Skipped, Turn
 from pincal.programs.statement_reader import Reader
 from pincal.programs.syntax import (
     Brackets,
@@ -25,7 +25,7 @@ from pincal.programs.syntax import (
     is_token,
     nested,
     number_of,
-    place_of,
+    span_of,
     split,
     text_of_items,
     word,
@@ -58,17 +58,18 @@ _POSE, _JOINTS = ("X", "Y", "Z", "A", "B", "C"), ("A1", "A2", "A3", "A4", "A5", 
 _EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
 _NULL = ("$NULLFRAME", "$WORLD", "TOOL_DATA[0]", "BASE_DATA[0]")
 _FRAMES = frozenset({"$TOOL", "$BASE"})
-# What BAS sets by its first argument: tool, base, both from FDAT_ACT, none, and otherwise perhaps both.
+# What BAS sets, by its first argument: both frames from FDAT_ACT, or none; by any other than #TOOL and #BASE perhaps both.
 _BY_DATA = ("#PTP_PARAMS", "#CP_PARAMS", "#FRAMES", "#PTP_DAT", "#CP_DAT")
 _SPEEDS = ("#VEL_PTP", "#VEL_CP", "#ACC_PTP", "#ACC_CP", "#OUT_SYNC")
-# What stands before round brackets and changes neither a point nor a frame.
-_HARMLESS = (
+# Words before round brackets that change neither a point nor a frame.
+_HARMLESS_WORDS = (
     "IF WHILE UNTIL FOR WHEN SWITCH CASE AND OR NOT EXOR B_AND B_OR B_NOT B_EXOR RETURN WAIT SEC TO STEP DO DEF DEFFCT EXT "
     "EXTFCT BAS STOOL STOOL2 SBASE SIPO_MODE SVEL_JOINT SVEL_CP SACC_JOINT SACC_CP SAPO SAPO_PTP SGEAR_JERK SJERK SORI_TYP "
     "SLOAD ABS SQRT SIN COS TAN ACOS ATAN2 INVERSE FORWARD INV_POS VARSTATE PULSE SIGN ROUND CAST_TO CAST_FROM SREAD SWRITE "
     "CREAD CWRITE COPEN CCLOSE CIOCTL STRLEN STRDECLLEN STRCLEAR STRADD STRFIND STRCOMP STRCOPY MSGNOTIFY MSGSTATE MSGQUIT "
     "MSGACKNOWLEDGE MSGDIALOG MSGLOOP SET_KRLMSG EXISTS_KRLMSG CLEAR_KRLMSG SET_KRLDLG EXISTS_KRLDLG IR_STOPM"
 )
+_HARMLESS = frozenset(_HARMLESS_WORDS.split())
 
 
 @LANGUAGES.register
@@ -91,9 +92,8 @@ class Krl(ControllerLanguage):
             statements = source.statements(_TOKENS, _WORDS)
             files.append((source, statements, [_step(statement) for statement in statements]))
         flows = followed(files, outside=_FRAMES)
-        by_value = [step.routine for _, statements, steps in files for statement, step in zip(statements, steps, strict=True)
-                    if _takes_values(statement, step)]  # fmt: skip
-        harmless = _harmless() | set(by_value)
+        by_value = {step.routine for _, statements, steps in files for statement, step in zip(statements, steps, strict=True)
+                    if _takes_values(statement, step)}  # fmt: skip
         readers = []
         for i, (source, statements, steps) in enumerate(files):
             outside = [s for k, s in enumerate(statements) if not flows[i][k].depth and not steps[k].opens]
@@ -101,7 +101,7 @@ class Krl(ControllerLanguage):
                 raise source.error(
                     "a statement outside of DEF or DEFDAT; expected " + _WORDS, outside[0].start if outside else 0
                 )
-            readers.append(_Reader(draft, i, statements, steps, flows[i], harmless, self))
+            readers.append(_Reader(draft, i, statements, steps, flows[i], _HARMLESS | by_value, self))
         data = _Data()
         for reader in readers:
             for k in range(len(reader.statements)):
@@ -112,9 +112,9 @@ class Krl(ControllerLanguage):
         return draft.finish()
 
     def statement(self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture) -> str:
-        """Return the motion with a pose in the place of its target, passed without a stop."""
+        """Return the motion with its target replaced by a pose, passed without a stop."""
         start, end = motion.span
-        # Angles near those of the end may be more than half a turn, which no pendant shows.
+        # Angles near those of the end point may exceed half a turn, which no teach pendant displays.
         numbers = [*values[:3], *(angle - 360.0 * round(angle / 360.0) for angle in values[3:])]
         pose = ",".join(f"{name} {value:.{4 if name in 'XYZ' else 6}f}" for name, value in zip(_POSE, numbers, strict=True))
         after = source.text[end : motion.statement.end]
@@ -131,15 +131,10 @@ class Krl(ControllerLanguage):
 
 @dataclass
 class _Data:
-    """What is known over all files.
-
-    Attributes:
-        frames: tool and base of points' frame data (FDAT), None where they are not known.
-        is_held: whether the tool stands in the cell.
-    """
+    """Tools and bases by the names of frame data (FDAT), None if unknown, and whether the tool is fixed in the cell."""
 
     frames: dict[str, tuple[str, str] | None] = field(default_factory=dict)
-    is_held: bool = False
+    is_fixed: bool = False
 
 
 @dataclass(frozen=True)
@@ -147,7 +142,7 @@ class _Reader(Reader):
     language: Krl
 
     def declare(self, k: int, data: _Data) -> None:
-        """Take note of what a statement sets."""
+        """Note what a statement sets."""
         statement = self.statements[k]
         items, line = statement.items, statement.line
         while items and word(items[0]) in ("GLOBAL", "DECL", "CONST"):
@@ -157,7 +152,7 @@ class _Reader(Reader):
             return
         if len(items) > 1 and first and word(items[1]):
             items = items[1:]
-        self.hand(line, items)
+        self.pass_arguments(line, items)
         for part in split(items):
             sides = split(part, "=")
             name, is_part = element_name(sides[0])
@@ -167,7 +162,7 @@ class _Reader(Reader):
             group = aggregate(sides[1], "{")
             fields = _fields(group) if group is not None else None
             if name == "$IPO_MODE" and text_of_items(sides[1]) == "#TCP":
-                data.is_held = True
+                data.is_fixed = True
             if fields is not None and "TOOL_NO" in fields and "BASE_NO" in fields:
                 data.frames[name] = None if name in data.frames else _frame_data(fields)
                 continue
@@ -176,18 +171,18 @@ class _Reader(Reader):
             self._set(line, name, is_part, sides[1])
 
     def _set(self, line: int, name: str, is_part: bool, value: Sequence[Any]) -> None:
-        """Take note of a value: poses may be tools and bases, and those of a controller are no points."""
+        """Note a value: poses may be tools and bases, and those of the controller are no points."""
         point = None if is_part or "*" in name else self.literal(line, name, value)
         is_frame = name.startswith(("TOOL_DATA[", "BASE_DATA[", "$"))
         if isinstance(point, Point) and point.kind == "pose" and not name.startswith("$"):
             self.draft.frame(name, self.language.pose(point.values), ["tool", "base"])
         if not is_frame or point is None:
             self.assign(line, name, is_part, value)
-        elif isinstance(point, Left):
+        elif isinstance(point, Skipped):
             self.draft.write(name, point.reason)
 
-    def literal(self, line: int, name: str, items: Sequence[Any]) -> Point | Left | None:
-        """Return the point of an aggregate; None if it is none."""
+    def literal(self, line: int, name: str, items: Sequence[Any]) -> Point | Skipped | None:
+        """Return the point of an aggregate; None if there is none."""
         group = aggregate(items, "{")
         fields = _fields(group) if group is not None else None
         keys = next((keys for keys in (_POSE, _JOINTS) if fields is not None and set(keys) & set(fields)), None)
@@ -196,24 +191,24 @@ class _Reader(Reader):
         numbers = [number_of(fields.get(key, ())) for key in keys]
         found = tuple(number for number in numbers if number is not None)
         if len(found) < len(keys):
-            return self.left(name, line, f"not all of {' '.join(keys)} are there as numbers")
+            return self.skip(name, line, f"not all of {' '.join(keys)} are given as numbers")
         if keys == _JOINTS:
             return Point(name, self.file, line, "joints", found)
         external = [number_of(fields[key]) for key in _EXTERNAL if key in fields]
         if any(number is None or number.value != 0.0 for number in external):
-            return self.left(name, line, "an external axis is not at 0")
+            return self.skip(name, line, "an external axis is not at 0")
         posture = _posture(fields)
         if posture is None:
-            return self.left(name, line, "S or T is no number")
+            return self.skip(name, line, "S or T is not a number")
         return Point(name, self.file, line, "pose", found, posture)
 
     def move(self, k: int, data: _Data) -> None:
-        """Take note of a motion."""
+        """Note a motion."""
         statement, known = self.statements[k], self.flow[k]
         items, first = statement.items, word(statement.items[0])
         if first in _RELATIVE:
             self.draft.read(self.words(items[1:]))
-            lost = self.left(text_of_items(items)[:40], statement.line, "a relative motion")
+            lost = self.skip(text_of_items(items)[:40], statement.line, "a relative motion")
             self.draft.motions.append(Motion("joint", (lost,), statement, self.file, run=known.run))
             return
         if first not in _MOTIONS or len(items) < 2 or is_token(items[1], "SIGN", "="):
@@ -226,17 +221,16 @@ class _Reader(Reader):
             return
         tool, base = self._frame("$TOOL", k, data), self._frame("$BASE", k, data)
         targets = tuple(self.target(k, part) for part in parts)
-        span = (place_of(parts[-1][0])[0], place_of(parts[-1][-1])[1])
         path = "joint" if arcs or len(parts) != 1 + (_MOTIONS[first] == "circle") else _MOTIONS[first]
-        in_spline = any(self.steps[j].opens.endswith("SPLINE") for j in known.blocks)
-        can_insert = path == "line" and not in_spline
+        can_insert = path == "line" and not any(self.steps[j].opens.endswith("SPLINE") for j in known.blocks)
+        span, takes_posture = span_of(parts[-1]), first in _BY_POSTURE
         self.draft.motions.append(
-            Motion(path, targets, statement, self.file, tool, base, span, known.run, can_insert, first in _BY_POSTURE)
+            Motion(path, targets, statement, self.file, tool, base, span, known.run, can_insert, takes_posture)
         )
 
     def _frame(self, variable: str, k: int, data: _Data) -> Frame:
         """Return $TOOL or $BASE before a statement."""
-        if data.is_held:
+        if data.is_fixed:
             return Frame(variable, reason="the tool is fixed in the cell ($IPO_MODE=#TCP)")
         items = self.statements[k].items
         with_ = next((j + 1 for j, item in enumerate(items) if word(item) == "WITH"), len(items))
@@ -247,8 +241,8 @@ class _Reader(Reader):
         found = self.flow[k].setters.get(variable)
         if not isinstance(found, int):
             hint = f" (--with its file, or --{variable[1:].lower()} '{variable}=X,Y,Z,...')"
-            said = f"{variable}: {found}{hint if found is not None and OUTSIDE in found else ''}"
-            return Frame(variable, reason=said if found is not None else "")
+            why = f"{variable}: {found}{hint if found is not None and OUTSIDE in found else ''}"
+            return Frame(variable, reason=why if found is not None else "")
         setter = self.statements[found].items
         call, sides = call_of(setter), split(setter, "=")
         if len(sides) == 2:
@@ -265,7 +259,7 @@ class _Reader(Reader):
         return _frame_of_data(variable, text_of_items(split(self.statements[source].items, "=")[1]), data)
 
     def _frame_of(self, variable: str, k: int, items: Sequence[Any], data: _Data) -> Frame:
-        """Return the frame that an expression is."""
+        """Return the frame of an expression."""
         found = self.literal(0, variable, items)
         if isinstance(found, Point) and found.kind == "pose":
             return Frame(variable, self.language.pose(found.values))
@@ -274,10 +268,6 @@ class _Reader(Reader):
             return _frame_of_data(variable, text_of_items(call[1].items).partition(".")[0], data)
         frame = self.frame(k, items, f"{variable} is computed")
         return frame if frame.reason else _frame_named(frame.name)
-
-
-def _harmless() -> frozenset[str]:
-    return frozenset(_HARMLESS.split())
 
 
 def _takes_values(statement: Statement, step: Step) -> bool:
@@ -299,7 +289,7 @@ def _frame_of_data(variable: str, name: str, data: _Data) -> Frame:
 
 
 def _frame_data(fields: Mapping[str, tuple[Any, ...]]) -> tuple[str, str] | None:
-    """Return the names of tool and base that frame data are; None if they are not known, or the tool stands in the cell."""
+    """Return the names of tool and base in frame data; None if they are not known, or the tool is fixed in the cell."""
     tool, base = number_of(fields["TOOL_NO"]), number_of(fields["BASE_NO"])
     if tool is None or base is None or text_of_items(fields.get("IPO_FRAME", ())) not in ("", "#BASE"):
         return None
@@ -307,7 +297,7 @@ def _frame_data(fields: Mapping[str, tuple[Any, ...]]) -> tuple[str, str] | None
 
 
 def _fields(group: Brackets) -> dict[str, tuple[Any, ...]] | None:
-    """Return the values of an aggregate by their names; None if it is none."""
+    """Return the values of an aggregate by their names; None if it is not one."""
     found = dict[str, tuple[Any, ...]]()
     for k, part in enumerate(group.parts):
         if k == 0 and len(part) > 2 and word(part[0]) and is_token(part[1], "SIGN", ":"):
@@ -319,19 +309,19 @@ def _fields(group: Brackets) -> dict[str, tuple[Any, ...]] | None:
 
 
 def _bits(items: tuple[Any, ...]) -> Number | None:
-    """Return a number that may be written in bits."""
+    """Return a number that may be written as bits."""
     if len(items) == 1 and is_token(items[0], "BITS"):
         text = str(items[0])
         digits = text[2:-1]
         if text[1] in "Bb" and digits.strip("01"):
             return None
-        return Number(int(digits, 2 if text[1] in "Bb" else 16), *place_of(items[0]), text)
+        return Number(int(digits, 2 if text[1] in "Bb" else 16), *span_of(items), text)
     number = number_of(items)
     return number if number is not None and number.text.isdigit() else None
 
 
 def _posture(fields: Mapping[str, tuple[Any, ...]]) -> Posture | None:
-    """Return what S and T say: bits of S are overhead, elbow up, axis 5 below 0; those of T axes below 0."""
+    """Return the posture of S and T: the bits of S are overhead, elbow up, axis 5 below 0; the bits of T axes below 0."""
     status, number = (_bits(fields[name]) if name in fields else None for name in ("S", "T"))
     if (status is None and "S" in fields) or (number is None and "T" in fields):
         return None
@@ -345,19 +335,18 @@ def _posture(fields: Mapping[str, tuple[Any, ...]]) -> Posture | None:
 
 
 def _by_bas(items: Sequence[Any]) -> str:
-    """Return what a call of BAS is for, an empty text for other items."""
+    """Return the first argument of a call of BAS, "" for other items."""
     call = call_of(items)
     return text_of_items(call[1].parts[0]) if call is not None and call[0].upper() == "BAS" and call[1].parts else ""
 
 
 def _step(statement: Statement) -> Step:
-    """Return what a statement does to the order of others and to the frames."""
+    """Return the effect of a statement on the control flow and the frames."""
     items, first = statement.items, word(statement.items[0])
     opens = word(items[1]) if first == "GLOBAL" and len(items) > 1 else first
     if opens in _ROUTINES:
         return Step(opens=opens, routine=[word(item) for item in items if word(item)][-1])
-    harmless = _harmless()
-    calls = tuple(name.upper() for name, _ in calls_in(items) if name.upper() not in harmless)
+    calls = tuple(name.upper() for name, _ in calls_in(items) if name.upper() not in _HARMLESS)
     if any(word(item) == "DO" for item in items):
         return Step(starts=calls)
     if first in _LOOPS or first in _BLOCKS:

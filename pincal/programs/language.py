@@ -1,4 +1,4 @@
-"""What a controller's language is to the rest: suffixes, units, and how a program is read from its files."""
+"""The interface of a controller's language: suffixes, units, and how a program is read from its files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pincal.programs.syntax import Number, Source
 from pincal.robot.se3 import exponentials, rotation_matrices, rotation_of_rpy, transform
 from pincal.units import plain_numbers
 
-# How far the length of a quaternion may be from 1: what is left of four digits.
+# How far the length of a quaternion may be from 1: the rounding of four digits.
 _UNIT = 2e-3
 
 
@@ -26,16 +26,16 @@ class ControllerLanguage(ABC):
     """A controller's language.
 
     Attributes:
-        name: how messages call it.
-        suffixes: of its files; those of one program that consists of several stand in this order.
+        name: its name in messages.
+        suffixes: of its files; the files of a program are in this order.
         is_pair: whether files of one name and different suffixes are one program.
-        reads_others: whether its files use what is declared in others.
+        reads_others: whether its files use declarations of other files.
         length: its unit of length [m].
         convention: its orientation, see :mod:`pincal.measure.orientation`.
-        in_degrees: whether joints that turn are in degrees.
-        digits: digits behind the point of a position, an orientation and a joint: what a tenth of a micrometre takes.
-        can_insert: whether statements can be put into a program.
-        grammars: by which its files are read; the page of ``export --page`` holds their tables.
+        in_degrees: whether revolute joints are in degrees.
+        digits: decimal places of a position, an orientation and a joint, for a tenth of a micrometre.
+        can_insert: whether statements can be inserted into a program.
+        grammars: of its files; the page of ``export --page`` holds their tables.
     """
 
     name: ClassVar[str]
@@ -54,15 +54,15 @@ class ControllerLanguage(ABC):
         """Return the program of some files.
 
         Raises:
-            ProgramError: if one is cut or of another dialect.
+            ProgramError: if one is truncated or in another dialect.
         """
 
     def statement(self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture) -> str:
-        """Return a motion's statement with a pose, shape (6,) or (7,), in the place of its target."""
+        """Return a motion's statement with its target replaced by a pose, shape (6,) or (7,)."""
         raise NotImplementedError
 
     def pose(self, values: np.ndarray) -> np.ndarray:
-        """Return the pose, shape (4, 4) [m], that numbers of the language are."""
+        """Return the pose, shape (4, 4) [m], of numbers in the language."""
         kind, rest = CONVENTIONS[self.convention].kind, np.asarray(values[3:], float)
         if kind == "quaternion":
             R = rotation_matrices(rest[None, [1, 2, 3, 0]])[0]
@@ -73,11 +73,11 @@ class ControllerLanguage(ABC):
         return transform(R, self.length * np.asarray(values[:3], float))
 
     def is_pose(self, values: np.ndarray) -> bool:
-        """Return whether numbers are a pose: a quaternion has the length 1."""
+        """Return whether numbers are a pose: a quaternion has unit length."""
         return len(values) != 7 or abs(float(np.linalg.norm(values[3:])) - 1.0) < _UNIT
 
     def numbers(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """Return the numbers of a pose, those of all that mean it that are nearest to others."""
+        """Return the numbers of a pose; of equivalent orientations the one nearest to other numbers."""
         R, near = pose[:3, :3], np.asarray(near, float)
         rest = CONVENTIONS[self.convention].values(R)
         if len(rest) == 4:
@@ -93,7 +93,7 @@ class ControllerLanguage(ABC):
         return np.concatenate([pose[:3, 3] / self.length, rest])
 
     def _by_axis(self, angles: np.ndarray) -> np.ndarray:
-        """Return angles about x, y and z in their order in the language, or the other way round."""
+        """Return angles about x, y and z in the language's order, or the reverse."""
         order = CONVENTIONS[self.convention].order
         return np.asarray(angles[[order.index(axis) for axis in "xyz"]])
 
@@ -101,45 +101,45 @@ class ControllerLanguage(ABC):
         """Return the pose, shape (4, 4), of a tool or a base given as numbers in the language's units.
 
         Raises:
-            BadInputError: for other text.
+            BadInputError: for any other text.
         """
         values = np.array(plain_numbers(text.replace(";", ",").split(",")))
         columns = CONVENTIONS[self.convention].columns
         if len(values) != 3 + len(columns) or not np.isfinite(values).all() or not self.is_pose(values):
             unit = "m" if self.length == 1.0 else "mm"
-            raise BadInputError(f"{text!r} is no frame in {self.name}; expected X,Y,Z [{unit}],{','.join(columns)}")
+            raise BadInputError(f"{text!r} is not a frame in {self.name}; expected X,Y,Z [{unit}],{','.join(columns)}")
         return self.pose(values)
 
     def key(self, name: str) -> str:
-        """Return the name of a tool or a base as a program's reader has it."""
+        """Return the name of a tool or a base as a program's reader spells it."""
         return name.upper()
 
     def with_pulses(self, text: str) -> ControllerLanguage:
-        """Return the language with pulses for a degree, one number an axis.
+        """Return the language with pulses per degree, one number per axis.
 
         Raises:
-            BadInputError: for other text, or a language without pulses.
+            BadInputError: for any other text, or a language without pulses.
         """
         raise BadInputError(f"pulses {text!r}: a program in {self.name} has none; leave --pulses out")
 
     def joint_units(self, turns: np.ndarray) -> np.ndarray:
-        """Return the units of axes [rad or m], shape (n,), of those that turn and those that slide."""
+        """Return the unit of each axis [rad or m], shape (n,), given which are revolute."""
         return np.where(turns, np.pi / 180.0 if self.in_degrees else 1.0, self.length)
 
     def refusal(self, point: Point) -> str:
-        """Return why the values of a point are not understood, or an empty text."""
-        return "" if point.kind == "joints" or self.is_pose(point.values) else "its quaternion has not the length 1"
+        """Return why the values of a point can't be interpreted, or ""."""
+        return "" if point.kind == "joints" or self.is_pose(point.values) else "its quaternion is not of unit length"
 
     def point_numbers(self, point: Point, values: np.ndarray) -> list[str]:
-        """Return the texts that take the places of a point's numbers."""
+        """Return the texts that replace a point's numbers."""
         length, angle, joint = self.digits
         least = [joint if point.kind == "joints" else length if k < 3 else angle for k in range(len(point.numbers))]
         return [number_text(number, float(values[k]), least[k]) for k, number in enumerate(point.numbers)]
 
     def turn_text(self, turns: Sequence[Turn], axes: np.ndarray, before: np.ndarray) -> str:
-        """Return the text of a number that some turns are, at axes and at those before, shape (n,) each.
+        """Return the text of the number of some turns, for new and previous axes, shape (n,) each.
 
-        A turn that was counted from the other side of an edge stays as it was, as long as nothing moves over the edge.
+        A turn counted from the other side of an edge is kept unless the axis crosses the edge.
         """
         number = turns[0].number
         counts = [turn.counted(float(axes[turn.joint])) for turn in turns]
@@ -155,14 +155,14 @@ class ControllerLanguage(ABC):
         return self.bits(number, value)
 
     def bits(self, number: Number, value: int) -> str:
-        """Return the text of bits that take the place of others."""
+        """Return the text of bits that replace others."""
         return str(value)
 
 
 def _nearest_angles(angles: np.ndarray, near: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Return the angles about x, y, z [deg] of a rotation, of all that mean it the nearest to others.
+    """Return the angles about x, y, z [deg] of a rotation; of equivalent ones the nearest to others.
 
-    Where the angle about y is 90 deg, those about x and z are not two: the one about x stays.
+    Where the angle about y is 90 deg, the other two are not unique: the one about x is kept.
     """
     if np.hypot(R[2, 1], R[2, 2]) < 1e-9:
         x, y = near[0], np.sign(-R[2, 0]) * 90.0
@@ -180,7 +180,7 @@ LANGUAGES: Registry[ControllerLanguage] = Registry("language", group="pincal.lan
 
 
 def language_of(path: str | os.PathLike[str]) -> ControllerLanguage | None:
-    """Return the language of a file by its suffix, or None if it is none of a program."""
+    """Return the language of a file by its suffix, or None if it is no program."""
     suffix = Path(path).suffix.lower()
     for language in LANGUAGES.known().values():
         if suffix in language.suffixes:
@@ -189,11 +189,11 @@ def language_of(path: str | os.PathLike[str]) -> ControllerLanguage | None:
 
 
 def files_of(path: Path, language: ControllerLanguage) -> list[Path]:
-    """Return the files that a program consists of: those beside one of a pair, too."""
+    """Return the files of a program: for one of a pair, the other as well."""
     if not language.is_pair:
         return [path]
-    beside = [other for other in sorted(path.parent.glob("*")) if other.stem == path.stem] if path.parent.is_dir() else []
-    found = {other.suffix.lower(): other for other in beside} | {path.suffix.lower(): path}
+    found = {other.suffix.lower(): other for other in sorted(path.parent.glob("*")) if other.stem == path.stem}
+    found[path.suffix.lower()] = path
     return [found[suffix] for suffix in language.suffixes if suffix in found]
 
 

@@ -1,4 +1,4 @@
-"""How far the real arm leaves a straight line or a circle between corrected ends, and points that keep it there."""
+"""How far the real arm deviates from lines and circles between corrected points, and intermediate points against that."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ import numpy as np
 
 from pincal.compensate.robot_frames import in_base_frame
 from pincal.programs.correct import Change, Corrector
-from pincal.programs.program import Edit, Left, Motion, PointKey, Program
+from pincal.programs.program import Edit, Motion, PointKey, Program, Skipped
 from pincal.robot.se3 import compose, exponentials, inverse, rotation_vectors, transform
 
-# Places along a motion at which it is looked at, its ends left out.
-_LOOKS = 15
-# Parts into which a motion is divided at most.
+# Number of places along a motion, without its ends, at which the deviation is evaluated.
+_SAMPLES = 15
+# Largest number of parts into which a motion is divided.
 _MOST_PARTS = 64
-# Three points of a circle on a line [m].
+# Three points of a circle count as collinear within this [m].
 _STRAIGHT = 1e-6
 
 
 @dataclass(frozen=True)
 class Leg:
-    """A motion along a line or a circle between corrected points, tool poses in the base of shape (3, 4).
+    """A motion along a line or a circle between corrected points.
 
     Attributes:
         motion: the motion.
-        ends: the corrections of its points, the start first.
-        tool: shape (4, 4), from the tip to the tool.
+        ends: the corrections of its points, from its start.
+        tool: shape (4, 4), the tool in the tip.
     """
 
     motion: Motion
@@ -37,14 +37,14 @@ class Leg:
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far the tool is from where it should be along a motion: ``size`` [m], NaN where the arm can't follow."""
+    """Largest distance of the tool from its path along a motion: ``size`` [m], NaN where the arm can't follow."""
 
     motion: Motion
     size: float
 
 
 def legs_of(program: Program, changes: Mapping[PointKey, Change]) -> list[Leg]:
-    """Return the lines and circles of which all points are corrected and the start is known."""
+    """Return the lines and circles whose points are all corrected, the start included."""
     found = []
     for (before, starts), (motion, keys) in zip(program.motions, program.motions[1:], strict=False):
         if motion.path == "joint" or not starts or (before.source, before.run) != (motion.source, motion.run):
@@ -57,34 +57,33 @@ def legs_of(program: Program, changes: Mapping[PointKey, Change]) -> list[Leg]:
 
 
 class Follower:
-    """Follows lines and circles as a nominal controller does, with the real arm."""
+    """Follows lines and circles with the real arm, as commanded by a nominal controller."""
 
     def __init__(self, corrector: Corrector) -> None:
         self.corrector = corrector
         self.placed = in_base_frame(corrector.calibrated)
 
     def deviations(self, legs: Sequence[Leg]) -> list[Deviation]:
-        """Return how far the tool is from lines and circles between points as corrected."""
-        sizes = np.array([])
-        if legs:
-            ends = [np.array([[end.q, end.commanded] for end in leg.ends]) for leg in legs]
-            sizes = self._sizes(ends, np.array([leg.tool for leg in legs]))
+        """Return how far the tool deviates from lines and circles between corrected points."""
+        if not legs:
+            return []
+        ends = [np.array([[end.q, end.commanded] for end in leg.ends]) for leg in legs]
+        sizes = self._sizes(ends, np.array([leg.tool for leg in legs]))
         return [Deviation(leg.motion, float(size)) for leg, size in zip(legs, sizes, strict=True)]
 
     def _sizes(self, ends: Sequence[np.ndarray], tools: np.ndarray) -> np.ndarray:
         """Return the largest deviations [m] between ends of shape (2 or 3, 2, n), joints as meant and as commanded."""
         tips = [self.corrector.arms.tips(end.reshape(-1, end.shape[-1])).reshape(*end.shape[:2], 3, 4) for end in ends]
-        stops = [np.array([compose(tip[:, k], np.repeat(tool[None, :3], len(tip), axis=0)) for k in (0, 1)])
+        stops = [[compose(tip[:, k], tool[None, :3])[[0, -2, -1]] for k in (0, 1)]
                  for tip, tool in zip(tips, tools, strict=True)]  # fmt: skip
-        # All have three poses; the second of a line is NaN.
-        meant, told = (np.array([stop[k, [0, -2, -1]] for stop in stops]) for k in (0, 1))
+        # Three poses each; the second one of a line is NaN.
+        meant, commanded = np.array(stops).swapaxes(0, 1)
         is_line = np.array([len(end) == 2 for end in ends])
-        meant[is_line, 1], told[is_line, 1] = np.nan, np.nan
+        meant[is_line, 1], commanded[is_line, 1] = np.nan, np.nan
         q, back = np.array([end[0, 1] for end in ends]), inverse(tools[:, :3])
         worst, follows = np.zeros(len(ends)), np.ones(len(ends), bool)
-        for look in range(1, _LOOKS + 1):
-            s = look / (_LOOKS + 1)
-            q, reached = self.corrector.arms.reach(q, compose(_between(told, s), back))
+        for s in np.arange(1, _SAMPLES + 1) / (_SAMPLES + 1):
+            q, reached = self.corrector.arms.reach(q, compose(_between(commanded, s), back))
             follows &= reached
             here, ahead = (_between(meant, t)[:, :, 3] for t in (s, s + 1e-4))
             off = compose(self._real_tips(q), tools[:, :3])[:, :, 3] - here
@@ -97,17 +96,16 @@ class Follower:
     def _real_tips(self, q: np.ndarray) -> np.ndarray:
         conditions = self.placed.of_its_day(self.corrector.conditions(q))
         targets = self.placed.model.predict(self.placed.model_values, conditions)
-        return compose(targets, np.repeat(inverse(self.corrector.target), len(q), axis=0))
+        return compose(targets, inverse(self.corrector.target))
 
     def divided(self, leg: Leg, limit: float) -> list[np.ndarray] | str:
-        """Return the poses of the tool, shape (4, 4), to pass so that a line is kept within a limit [m], or why not.
+        """Return intermediate poses of the tool that keep a line within a limit [m], or why there are none.
 
-        The poses are those to be commanded, in the base of the motion.
+        The poses, shape (4, 4), are to be commanded in the base of the motion.
         """
         start, end = leg.ends
-        parts, why = 2, f"not kept with {_MOST_PARTS} parts"
-        back = inverse(leg.tool[None, :3])
-        ends = compose(self.corrector.arms.tips(np.array([start.q, end.q])), np.repeat(leg.tool[None, :3], 2, axis=0))
+        parts, back = 2, inverse(leg.tool[None, :3])
+        ends = compose(self.corrector.arms.tips(np.array([start.q, end.q])), leg.tool[None, :3])
         stop = np.array([[ends[0], np.full((3, 4), np.nan), ends[1]]])
         while parts <= _MOST_PARTS:
             q, meant = start.q[None], []
@@ -126,11 +124,11 @@ class Follower:
                 base = np.linalg.inv(end.frames[0])
                 return [base @ transform(tip[:, :3], tip[:, 3]) @ leg.tool for tip in tips]
             parts *= 2
-        return why
+        return f"not kept with {_MOST_PARTS} parts"
 
-    def inserted(self, program: Program, legs: Sequence[Leg], limit: float) -> tuple[list[Edit], list[Left], int]:
-        """Return statements that keep lines within a limit [m], the motions for which there are none, and how many."""
-        language, edits, left, count = self.corrector.language, list[Edit](), list[Left](), 0
+    def inserted(self, program: Program, legs: Sequence[Leg], limit: float) -> tuple[list[Edit], list[Skipped], int]:
+        """Return inserted statements that keep lines within a limit [m], motions without any, and the number of points."""
+        language, edits, skipped, count = self.corrector.language, list[Edit](), list[Skipped](), 0
         for leg, deviation in zip(legs, self.deviations(legs), strict=True):
             if deviation.size <= limit:
                 continue
@@ -141,42 +139,38 @@ class Follower:
             indent = source.text[begin : motion.statement.start]
             reason = ""
             if not language.can_insert:
-                reason = f"no points are put into programs in {language.name}"
+                reason = f"none can be inserted into programs in {language.name}"
             elif motion.path == "circle":
-                reason = "no points are put into circles"
+                reason = "none can be inserted into circles"
             elif not motion.can_insert or indent.strip(" \t"):
                 reason = "no statement can stand before it"
             poses = reason or self.divided(leg, limit)
             if isinstance(poses, str):
                 words = f"leaves its path by {1e3 * deviation.size:.3f} mm, and no points are inserted: {poses}"
-                left.append(Left(name, motion.source, motion.statement.line, words))
+                skipped.append(Skipped(name, motion.source, motion.statement.line, words))
                 continue
-            end = leg.ends[-1]
-            near = end.point.values
-            ending = _line_end(source.text, begin)
-            text = ""
+            point, ending, text = leg.ends[-1].point, _line_end(source.text, begin), ""
+            near = point.values
             for pose in poses:
                 near = language.numbers(pose, near)
-                statement = language.statement(motion, source, values=near, posture=end.point.posture)
+                statement = language.statement(motion, source, values=near, posture=point.posture)
                 text += indent + statement + ending
             edits.append(Edit(motion.source, begin, begin, text))
             count += len(poses)
-        return edits, left, count
+        return edits, skipped, count
 
 
 def _line_end(text: str, at: int) -> str:
-    """Return the line end in force at a place."""
+    """Return the line end before a position."""
     if at >= 2 and text[at - 2 : at] == "\r\n":
         return "\r\n"
     return text[at - 1] if at else "\n"
 
 
 def _between(stops: np.ndarray, s: float) -> np.ndarray:
-    """Return the poses, shape (N, 3, 4), at a part of the way from the first of three poses to the last.
+    """Return the poses, shape (N, 3, 4), at the fraction s of the way from the first of three poses to the last.
 
-    Args:
-        stops: shape (N, 3, 3, 4); the second is one of a circle, or NaN for a line.
-        s: the part.
+    The second of each three, shape (N, 3, 3, 4), is on a circle, or NaN for a line.
     """
     first, via, last = stops[:, 0], stops[:, 1], stops[:, 2]
     turn = rotation_vectors(last[:, :, :3] @ first[:, :, :3].swapaxes(1, 2))
@@ -188,7 +182,7 @@ def _between(stops: np.ndarray, s: float) -> np.ndarray:
 
 
 def _on_circle(a: np.ndarray, via: np.ndarray, b: np.ndarray, s: float) -> np.ndarray:
-    """Return the point at a part of the way from a over another point to b on the circle of the three."""
+    """Return the point at the fraction s of the way from a via another point to b on the circle through the three."""
     u, v = via - a, b - a
     normal = np.cross(u, v)
     area = float(normal @ normal)

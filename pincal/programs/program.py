@@ -1,4 +1,4 @@
-"""A program as all languages have it: points with the places of their numbers, motions between them, and frames."""
+"""A program in any language: points with the positions of their numbers in the text, motions between them, and frames."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pincal.programs.syntax import Number, Source, Statement
 PointKind = Literal["pose", "joints"]
 Path = Literal["joint", "line", "circle"]
 FrameKind = Literal["tool", "base"]
-# File and place of the first number, which tell a point from all others.
+# File and position of the first number, which identify a point.
 PointKey = tuple[int, int]
 # What a turn number counts: 1 for angles below 0; quarters from 0; whole turns from -180 deg; 1 from 180 deg either way.
 TurnKind = Literal["negative", "quarter", "whole", "half"]
@@ -22,14 +22,14 @@ TurnKind = Literal["negative", "quarter", "whole", "half"]
 
 @dataclass(frozen=True)
 class Turn:
-    """A number in a program that tells where in its range a joint is.
+    """A number in a program that determines in which turn of its range a joint is.
 
     Attributes:
         joint: index of the joint.
         kind: what it counts.
-        value: the number.
-        number: where it stands.
-        bit: which bit of the number it is; None if it is the whole number.
+        value: the count.
+        number: the number in the text.
+        bit: the bit of the number that is the count; None if it is the whole number.
     """
 
     joint: int
@@ -39,7 +39,7 @@ class Turn:
     bit: int | None = None
 
     def counted(self, angle: float) -> int:
-        """Return the number where the joint is at an angle [rad]."""
+        """Return the count at a joint angle [rad]."""
         if self.kind == "negative":
             return int(angle < 0.0)
         if self.kind == "half":
@@ -49,12 +49,12 @@ class Turn:
 
 @dataclass(frozen=True)
 class Posture:
-    """Which of the arms that reach a pose is meant, as far as the program says.
+    """The arm configuration of a pose, as far as the program specifies it.
 
     Attributes:
-        front: the wrist is on the side of axis 1 to which the arm looks at zero.
-        up: the elbow is above the line from shoulder to wrist, of an arm that looks to the front.
-        down: the wrist is bent downwards, where axis 4 is at zero and the arm looks to the front.
+        front: the wrist is on the side of axis 1 that the arm faces at zero.
+        up: the elbow is above the line from shoulder to wrist, of an arm that faces the front.
+        down: the wrist is bent downwards, where axis 4 is at zero and the arm faces the front.
         turns: numbers of turns.
     """
 
@@ -70,23 +70,23 @@ class Posture:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all three are made."""
+        """Whether all three are specified."""
         return None not in self.sides
 
     def allows(self, sides: np.ndarray) -> bool:
-        """Return whether an arm is meant, by its sides as 1 or -1, shape (3,), 0 where it is on neither."""
+        """Return whether an arm with these sides, 1 or -1 or 0 where it is on neither, shape (3,), is in this posture."""
         pairs = zip(self.sides, sides, strict=True)
         return all(wanted is None or not side or (side > 0.0) == wanted for wanted, side in pairs)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A tool or a base as a program names it: by a name, by its values, or in a way that can't be followed.
+    """A tool or a base as a program specifies it: by a name, by its values, or in a way that can't be followed.
 
     Attributes:
         name: its name; for messages, and to look it up if it has no pose.
-        pose: shape (4, 4), if the program says it.
-        reason: why it is not known, in words.
+        pose: shape (4, 4), if the program contains it.
+        reason: why it is not known.
     """
 
     name: str
@@ -109,15 +109,14 @@ class Point:
     """A position in a program.
 
     Attributes:
-        name: as the program calls it; where it stands if it has none.
+        name: its name in the program, or its line if it has none.
         source: index of the file.
-        line: where it stands.
+        line: its line.
         kind: "pose" or "joints".
-        numbers: the numbers that are it, in the language's order.
-        posture: which arm is meant.
-        tool: of a pose; None if the motions that use it tell.
-        base: likewise.
-        near: joint positions from which the controller starts to search, as it stands in the program.
+        numbers: its numbers, in the language's order.
+        posture: the arm configuration.
+        tool, base: of a pose; None if they are those of the motions to it.
+        near: joint positions from which the controller starts its search, in the program's units.
     """
 
     name: str
@@ -132,7 +131,7 @@ class Point:
 
     @property
     def key(self) -> PointKey:
-        """What tells it from all others: where its first number stands."""
+        """What identifies it: file and position of its first number."""
         return self.source, self.numbers[0].start
 
     @property
@@ -140,10 +139,13 @@ class Point:
         """The numbers' values."""
         return np.array([number.value for number in self.numbers])
 
+    def skip(self, reason: str) -> Skipped:
+        return Skipped(self.name, self.source, self.line, reason)
+
 
 @dataclass(frozen=True)
-class Left:
-    """Something that is left as it was, and why."""
+class Skipped:
+    """A point or a motion that is not corrected, and why."""
 
     name: str
     source: int
@@ -153,22 +155,22 @@ class Left:
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion to a point, and before it through others.
+    """A motion to a point, perhaps through others.
 
     Attributes:
-        path: how.
-        targets: names of points in the program, points that stand in the motion, or reasons why one is not known.
-        statement: the statement that it is.
+        path: its kind of path.
+        targets: names of points, points stated in the motion itself, or reasons why one is not known.
+        statement: its statement.
         source: index of the file.
         tool, base: the frames in force.
         span: start and end of the last target in the text.
-        takes_posture: whether the controller obeys what the target says of the arm's posture; else it keeps the one it has.
-        run: motions of one file and one run follow each other as they stand in the text.
-        can_insert: whether a statement can be put before it.
+        run: motions of one file and one run are executed in the order of the text.
+        can_insert: whether a statement can be inserted before it.
+        takes_posture: whether the controller obeys the target's posture; else the arm keeps its own.
     """
 
     path: Path
-    targets: tuple[str | Point | Left, ...]
+    targets: tuple[str | Point | Skipped, ...]
     statement: Statement
     source: int
     tool: Frame = field(default_factory=lambda: Frame(""))
@@ -186,9 +188,9 @@ class Program:
     Attributes:
         sources: its files.
         tools, bases: poses by name, shape (4, 4), or why they are not known.
-        points: by where they stand, in the order in which motions use them.
-        motions: with the keys of their points, None for those that are not known.
-        left: what is not understood.
+        points: the points to correct by their keys, in the order in which motions use them.
+        motions: with the keys of their points, None for unknown ones.
+        skipped: what can't be corrected.
     """
 
     sources: Sequence[Source]
@@ -196,21 +198,21 @@ class Program:
     bases: Mapping[str, np.ndarray | str]
     points: dict[PointKey, Point] = field(default_factory=dict)
     motions: list[tuple[Motion, tuple[PointKey | None, ...]]] = field(default_factory=list)
-    left: list[Left] = field(default_factory=list)
+    skipped: list[Skipped] = field(default_factory=list)
 
     def leave(self, only_read: Collection[int]) -> None:
-        """Correct nothing in some files, and name those of their points that motions of the others use."""
+        """Correct nothing in some files; their points that motions of other files use are skipped."""
         used = {key for motion, keys in self.motions if motion.source not in only_read for key in keys}
-        self.left = [left for left in self.left if left.source not in only_read]
+        self.skipped = [one for one in self.skipped if one.source not in only_read]
         for key in [key for key in self.points if key[0] in only_read]:
             point = self.points.pop(key)
             if key in used:
-                self.left.append(Left(point.name, point.source, point.line, "it stands in a file that is only read"))
+                self.skipped.append(point.skip("it is in a file that is only read"))
 
 
 @dataclass(frozen=True)
 class Edit:
-    """A text that takes the place of another: from start to end in a file."""
+    """A text that replaces what is from start to end in a file."""
 
     source: int
     start: int
@@ -219,7 +221,7 @@ class Edit:
 
 
 def spliced(source: Source, index: int, edits: Iterable[Edit]) -> bytes:
-    """Return a file with edits; all other bytes are as they were."""
+    """Return a file with edits applied; all other bytes are unchanged."""
     out, at = [], 0
     for edit in sorted((edit for edit in edits if edit.source == index), key=lambda edit: (edit.start, edit.end)):
         out += [source.content[at : edit.start], edit.text.encode("latin-1")]
@@ -228,12 +230,12 @@ def spliced(source: Source, index: int, edits: Iterable[Edit]) -> bytes:
 
 
 def number_text(number: Number, value: float, least: int) -> str:
-    """Return a value as it stands in the place of a number: its own text if this says the same.
+    """Return the text of a value that replaces a number: the old text if the value is the same.
 
     Args:
-        number: what stands there.
+        number: what is replaced.
         value: the new value.
-        least: digits behind the point that it takes; there are as many as before, if these were more.
+        least: decimal places; as many as before if these were more.
 
     Example:
         >>> number_text(Number(100.5, 0, 5, "100.5"), 100.50001, 3), number_text(Number(-1.0, 0, 2, "-1"), -0.99, 3)
@@ -241,10 +243,10 @@ def number_text(number: Number, value: float, least: int) -> str:
     """
     if abs(value - number.value) < 0.5 * 10.0**-least:
         return number.text
-    # Adding 0 makes a zero of a negative zero.
+    # Adding 0 turns a negative zero into zero.
     digits = f"{round(value, max(number.decimals, least)) + 0.0:.{max(number.decimals, least)}f}"
     sign = "+" if number.text.startswith("+") and not digits.startswith("-") else ""
-    # A number that starts with its point goes on doing so.
+    # A number without a digit before its point keeps that style.
     if number.text.lstrip("+-").startswith(".") and digits.lstrip("-").startswith("0."):
         digits = digits.replace("0.", ".", 1)
     return sign + digits

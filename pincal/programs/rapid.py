@@ -1,4 +1,4 @@
-"""ABB's language: modules with targets declared or standing in the motions, tools, and work objects."""
+"""ABB's language: modules with targets, declared or within the motions, tools, and work objects."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.program import Frame, Left, Motion, Point, Posture, Program, Turn
+from pincal.programs.program import Frame, Motion, Point, Posture, Program, Skipped, Turn
 from pincal.programs.rapid_blocks import ENDS_IT, GRAMMAR, MOTIONS, OF_OPTIONS, ONCE, SWITCHES, check_blocks, statements_of
 from pincal.programs.statement_reader import Reader, formal_names
 from pincal.programs.syntax import (
@@ -23,7 +23,7 @@ from pincal.programs.syntax import (
     calls_in,
     element_name,
     numbers_of,
-    place_of,
+    span_of,
     split,
     text_of_items,
     word,
@@ -35,12 +35,13 @@ _STORAGE = ("CONST", "PERS", "VAR")
 _TARGETS = ("ROBTARGET", "JOINTTARGET")
 _DATA = (*_TARGETS, "TOOLDATA", "WOBJDATA")
 # Functions that change none of their arguments.
-_HARMLESS = (
+_HARMLESS_WORDS = (
     "OFFS RELTOOL POSEMULT POSEINV POSEVECT DEFFRAME DEFACCFRAME CROBT CJOINTT CPOS CTOOL CWOBJ CALCJOINTT CALCROBT "
     "ORIENTZYX EULERZYX DISTANCE VECTMAGN DOTPROD NORIENT MIRPOS ROBOS ABS SQRT SIN COS TAN ACOS ASIN ATAN ATAN2 ROUND "
     "TRUNC POW EXP NUMTOSTR VALTOSTR DIM AND OR NOT XOR DIV MOD RETURN IF WHILE"
 )
-# No external axis: 9E9 stands for none.
+_HARMLESS = frozenset(_HARMLESS_WORDS.split())
+# From here on a number stands for no external axis: it is written 9E9.
 _NONE = 8.9e9
 
 
@@ -66,34 +67,31 @@ class Rapid(ControllerLanguage):
             parts = statements_of(source)
             files.append((source, [statement for statement, _ in parts], [step for _, step in parts]))
         flows = followed(files)
-        harmless = frozenset(_HARMLESS.split())
         changing, routines, switched = set[str](), set[str](), set[str]()
         for (source, statements, steps), flow in zip(files, flows, strict=True):
             check_blocks(source, statements, steps, flow)
-            changing |= set(_that_change_parameters(statements, steps, flow, harmless))
+            changing |= set(_that_change_parameters(statements, steps, flow))
             routines |= {step.routine for step in steps if step.routine}
             switched = switched.union(*(step.sets for step in steps))
         for i, (_, statements, steps) in enumerate(files):
-            reader = _Reader(draft, i, statements, steps, flows[i], harmless | (routines - changing), self, switched)
+            reader = _Reader(draft, i, statements, steps, flows[i], _HARMLESS | (routines - changing), self, switched)
             for k in range(len(statements)):
                 reader.statement(k)
         return draft.finish()
 
     def statement(self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture) -> str:
-        """Return the motion with a target in the place of its own, passed in zone z0."""
+        """Return the motion with its target replaced by another, passed in zone z0."""
         start, end = motion.span
         position = ",".join(f"{value:.4f}" for value in values[:3])
         turn = ",".join(f"{value:.9f}" for value in values[3:])
         shape = 4 * (not posture.front) + 2 * (not posture.up) + (not posture.down)
         conf = ",".join([*(str(turn.value) for turn in posture.turns), str(shape)])
         target = f"[[{position}],[{turn}],[{conf}],[9E9,9E9,9E9,9E9,9E9,9E9]]"
-        text = source.text[motion.statement.start : motion.statement.end]
-        at = motion.statement.start
-        text = text[: start - at] + target + text[end - at :]
+        text = source.text[motion.statement.start : start] + target + source.text[end : motion.statement.end]
         return _in_zone(text) + ";"
 
     def tool(self, group: Brackets | None) -> np.ndarray | str:
-        """Return the pose of a tool that the robot holds, or why it is not known."""
+        """Return the pose of a tool held by the robot, or why it is not known."""
         parts = group.parts if group is not None else []
         if len(parts) != 3 or text_of_items(parts[0]) != "TRUE":
             return "the robot does not hold it, or its values are computed"
@@ -101,7 +99,7 @@ class Rapid(ControllerLanguage):
         return pose if pose is not None else "its values are computed"
 
     def work_object(self, group: Brackets | None) -> np.ndarray | str:
-        """Return the pose of a work object that stands still and that the robot does not hold, or why it is not known."""
+        """Return the pose of a stationary work object that the robot does not hold, or why it is not known."""
         parts = group.parts if group is not None else []
         if len(parts) != 5 or text_of_items(parts[0]) != "FALSE" or text_of_items(parts[1]) != "TRUE":
             return "the robot holds it, it moves, or its values are computed"
@@ -109,7 +107,7 @@ class Rapid(ControllerLanguage):
         return user @ own if user is not None and own is not None else "its values are computed"
 
     def _frame(self, part: Sequence[Any]) -> np.ndarray | None:
-        """Return the pose that an aggregate of position and quaternion is."""
+        """Return the pose of an aggregate of position and quaternion."""
         group = aggregate(part, "[")
         lists = _lists(group) if group is not None else None
         if lists is None or [len(each) for each in lists] != [3, 4]:
@@ -120,35 +118,31 @@ class Rapid(ControllerLanguage):
 
 @dataclass(frozen=True)
 class _Reader(Reader):
-    """Reads one file.
-
-    Attributes:
-        switched: what is switched in any of the files, see ``SWITCHES``.
-    """
+    """Reads one file; ``switched`` are the values of ``SWITCHES`` that any of the files sets."""
 
     language: Rapid
-    switched: frozenset[str] | set[str]
+    switched: set[str]
 
-    def literal(self, line: int, name: str, items: Sequence[Any]) -> Point | Left | None:
-        """Return the target that an aggregate is."""
+    def literal(self, line: int, name: str, items: Sequence[Any]) -> Point | Skipped | None:
+        """Return the target of an aggregate."""
         group = aggregate(items, "[")
         if group is None:
             return None
         lists = _lists(group)
         sizes = [len(each) for each in lists] if lists is not None else []
         if lists is None or sizes not in ([3, 4, 4, 6], [6, 6]):
-            return self.left(name, line, "not all of its values are numbers")
+            return self.skip(name, line, "not all of its values are numbers")
         if sizes == [6, 6]:
             return Point(name, self.file, line, "joints", lists[0])
         if any(number.value != 0.0 and number.value < _NONE for number in lists[3]):
-            return self.left(name, line, "an external axis is not at 0")
+            return self.skip(name, line, "an external axis is not at 0")
         posture = _posture(lists[2])
         if posture is None:
-            return self.left(name, line, "its configuration is none")
+            return self.skip(name, line, "its configuration is invalid")
         return Point(name, self.file, line, "pose", (*lists[0], *lists[1]), posture)
 
     def statement(self, k: int) -> None:
-        """Take note of a statement."""
+        """Note what a statement declares, moves or changes."""
         statement, step = self.statements[k], self.steps[k]
         items, line, first = statement.items, statement.line, word(statement.items[0])
         if step.opens or step.closes or step.is_jump:
@@ -158,7 +152,7 @@ class _Reader(Reader):
         if first in MOTIONS:
             self._move(k)
             return
-        self.hand(line, items)
+        self.pass_arguments(line, items)
         storage = [j for j, item in enumerate(items[:2]) if word(item) in _STORAGE]
         sides = split(items, ":=")
         name, is_part = element_name(sides[0])
@@ -167,16 +161,16 @@ class _Reader(Reader):
         elif len(sides) == 2:
             self.assign(line, name, is_part, sides[1])
         elif first in _SEARCHES:
-            self.draft.left.append(self.left(f"search of line {line}", line, "it ends where a signal comes"))
+            self.draft.skipped.append(self.skip(f"search of line {line}", line, "it ends when a signal arrives"))
             stops = [part for part in (split(part, "\\")[0] for part in split(items[1:])) if part]
-            self.draft.hand([element_name(part)[0] for part in stops[1:2]], line, first)
+            self.draft.pass_to(first, [element_name(part)[0] for part in stops[1:2]], line)
             self.draft.read(self.words(items))
             self.draft.motions.append(Motion("joint", (), statement, self.file, run=-1))
         else:
             if first in SWITCHES:
                 self.draft.derive("displacement", self.words(items[1:]))
             elif first not in self.harmless:
-                self.draft.hand(self.words(items[1:]), line, first or "a routine")
+                self.draft.pass_to(first or "a routine", self.words(items[1:]), line)
             self.draft.read(self.words(items))
 
     def _declare(self, line: int, items: Sequence[Any], *, is_constant: bool) -> None:
@@ -205,17 +199,17 @@ class _Reader(Reader):
             self.draft.write(stem, "an array of targets whose values are not all there")
 
     def _value(self, line: int, name: str, kind: str, value: Sequence[Any]) -> None:
-        """Take note of the value that a target is declared with."""
+        """Note the value with which a target is declared."""
         target = self.literal(line, name, value)
         if isinstance(target, Point) and (target.kind == "joints") != (kind == "JOINTTARGET"):
-            target = self.left(name, line, "it is another kind of target")
+            target = self.skip(name, line, "it is another kind of target")
         if target is not None:
-            self.draft.take(name, target)
+            self.draft.take(target)
         else:
             self.draft.write(name, "a computed value" if value else "it is set while the program runs")
 
     def _move(self, k: int) -> None:
-        """Take note of a motion: its targets, tool and work object."""
+        """Note a motion: its targets, tool and work object."""
         statement, known = self.statements[k], self.flow[k]
         first = word(statement.items[0])
         path, plain, options = MOTIONS[first], [], {}
@@ -230,47 +224,32 @@ class _Reader(Reader):
         places = plain[:count]
         if len(places) < count:
             name = f"{first} of line {statement.line}"
-            self.draft.left.append(self.left(name, statement.line, "not understood"))
+            self.draft.skipped.append(self.skip(name, statement.line, "not understood"))
             return
         targets = tuple(self.target(k, part) for part in places)
-        # Behind speed and zone; of motions of options the last.
+        # After speed and zone; the last argument of motions of options.
         tools = plain[-1:] if first in OF_OPTIONS else plain[count + 2 : count + 3]
         tool = self.frame(k, tools[0] if tools else (), "its tool is computed")
         base = self.frame(k, options["WOBJ"], "its work object is computed") if "WOBJ" in options else Frame("WOBJ0")
-        displaced = self._displaced(known)
+        displaced = self.displaced(k, [name for name in ("PDISP", "EOFFS", "CORR") if name in self.switched], ENDS_IT)
         if "CORR" in options or displaced:
             base = Frame("displacement", reason=displaced or "the motion is corrected by a sensor (Corr)")
-        span = (place_of(places[-1][0])[0], place_of(places[-1][-1])[1])
         can_insert = first == "MOVEL" and self.steps[k - 1].opens != ONCE
-        takes_posture = self._takes_posture(known, "CONFJ" if path == "joint" else "CONFL")
+        span, takes_posture = span_of(places[-1]), self._takes_posture(known, "CONFJ" if path == "joint" else "CONFL")
         self.draft.motions.append(
             Motion(path, targets, statement, self.file, tool, base, span, known.run, can_insert, takes_posture)
         )
 
-    def _displaced(self, known: InForce) -> str:
-        """Return by what positions are displaced, or may be, or an empty text."""
-        for name in ("PDISP", "EOFFS", "CORR"):
-            found = known.setters.get(name)
-            if isinstance(found, int):
-                statement = self.statements[found]
-                if word(statement.items[0]) not in ENDS_IT:
-                    return f"line {statement.line} displaces positions ({statement.items[0]})"
-            elif found is not None or name in self.switched:
-                return f"positions may be displaced: {found if found is not None else 'another routine does so'} ({name})"
-        return ""
-
     def _takes_posture(self, known: InForce, switch: str) -> bool:
-        """Return whether configurations are obeyed: not where they are switched off, or where that is not known."""
+        """Return whether configurations are monitored: not where that is, or may be, switched off."""
         found = known.setters.get(switch)
         if isinstance(found, int):
             return "OFF" not in self.words(self.statements[found].items)
         return found is None and switch not in self.switched
 
 
-def _that_change_parameters(
-    statements: Sequence[Statement], steps: Sequence[Step], flow: Sequence[InForce], harmless: frozenset[str]
-) -> list[str]:
-    """Return the names of routines that may change what is handed to them."""
+def _that_change_parameters(statements: Sequence[Statement], steps: Sequence[Step], flow: Sequence[InForce]) -> list[str]:
+    """Return the names of routines that may change their arguments."""
     found = []
     for k, statement in enumerate(statements):
         step, routine, first = steps[k], flow[k].routine, word(statement.items[0])
@@ -279,7 +258,7 @@ def _that_change_parameters(
         sides = split(statement.items, ":=")
         touched = {element_name(sides[0])[0]} if len(sides) == 2 else set(words_in(statement.items[1:]))
         for name, group in calls_in(statement.items):
-            if name.upper() not in harmless:
+            if name.upper() not in _HARMLESS:
                 touched |= {element_name(part)[0] for part in group.parts}
         if touched & set(formal_names(statements[routine], _DATA)):
             found.append(steps[routine].routine)
@@ -287,15 +266,14 @@ def _that_change_parameters(
 
 
 def _lists(group: Brackets) -> list[tuple[Number, ...]] | None:
-    """Return the lists of numbers that an aggregate is of, None if it is another one."""
+    """Return the lists of numbers in an aggregate, None if it contains anything else."""
     inner = [aggregate(part, "[") for part in group.parts]
     lists = [numbers_of(each.parts) if each is not None else None for each in inner]
-    found = [each for each in lists if each is not None]
-    return found if len(found) == len(lists) else None
+    return [each for each in lists if each is not None] if None not in lists else None
 
 
 def _posture(conf: Sequence[Number]) -> Posture | None:
-    """Return what confdata say: quarters of axes 1, 4 and 6, and the number of one of eight postures."""
+    """Return the posture of confdata: quarters of axes 1, 4 and 6, and the number of one of eight arm configurations."""
     if any(number.value != round(number.value) for number in conf) or not 0 <= conf[3].value <= 7:
         return None
     shape = int(conf[3].value)

@@ -1,4 +1,4 @@
-"""The statements of ABB's language: what stands before one semicolon, and what it means to the order in which they run."""
+"""The statements of ABB's language: the text up to each semicolon, and the effect of each statement on the control flow."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pincal.programs.syntax import (
     calls_in,
     is_token,
     nested,
-    place_of,
+    span_of,
     split,
     text_of_items,
     word,
@@ -36,7 +36,7 @@ _ROUTINES = {"PROC": "ENDPROC", "FUNC": "ENDFUNC", "TRAP": "ENDTRAP"}
 _LOOPS = {"WHILE": "ENDWHILE", "FOR": "ENDFOR"}
 _BLOCKS = {"MODULE": "ENDMODULE", "RECORD": "ENDRECORD", "IF": "ENDIF", "TEST": "ENDTEST", **_ROUTINES, **_LOOPS}
 _CLOSES = {end: (opens,) for opens, end in _BLOCKS.items()}
-# Words behind which a statement may follow without a semicolon, the last of these heads, and words that stand by themselves.
+# Words after which a statement may follow without a semicolon, with the ends of these heads, and words that stand alone.
 _HEADS = {"IF": "THEN", "ELSEIF": "THEN", "FOR": "DO", "WHILE": "DO", "CASE": ":", "DEFAULT": ":"}
 _JUMPS = ("ELSE", "ELSEIF", "CASE", "DEFAULT", "ERROR", "UNDO", "BACKWARD")
 _ALONE = (*_CLOSES, "ELSE", "ERROR", "UNDO", "BACKWARD")
@@ -53,7 +53,7 @@ OF_OPTIONS = {
     for kind in kinds for more in ends
 }  # fmt: skip
 MOTIONS: dict[str, Path] = {**_PLAIN, **OF_OPTIONS}  # type: ignore[dict-item]
-# Instructions by what they switch: displacements of positions, and whether configurations are obeyed.
+# Instructions by what they switch: displacements of positions, and whether configurations are monitored.
 SWITCHES = {"PDISPON": "PDISP", "PDISPSET": "PDISP", "PDISPOFF": "PDISP", "EOFFSON": "EOFFS", "EOFFSSET": "EOFFS",
              "EOFFSOFF": "EOFFS", "CORRCON": "CORR", "CORRDISCON": "CORR", "CORRCLEAR": "CORR",
              "CONFL": "CONFL", "CONFJ": "CONFJ"}  # fmt: skip
@@ -61,16 +61,16 @@ ENDS_IT = ("PDISPOFF", "EOFFSOFF", "CORRCLEAR")
 
 
 def statements_of(source: Source) -> list[tuple[Statement, Step]]:
-    """Return the statements of a file with what they mean to the order in which they run.
+    """Return the statements of a file with their effects on the control flow.
 
     Raises:
-        ProgramError: for text that is not of the language.
+        ProgramError: for text in another language.
     """
     return [part for whole in source.statements(_TOKENS, _WORDS) for part in _divided(whole)]
 
 
 def _divided(whole: Statement) -> Iterator[tuple[Statement, Step]]:
-    """Yield the statements that stand before one semicolon, with what they mean to the order in which they run."""
+    """Yield the statements before one semicolon, with their effects on the control flow."""
     items, k = whole.items, 0
     while k < len(items):
         first, end = word(items[k]), len(items)
@@ -102,7 +102,7 @@ def _divided(whole: Statement) -> Iterator[tuple[Statement, Step]]:
 
 
 def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, Step]]:
-    """Yield a condition and the one statement that it is for: its motion, its assignment, or all."""
+    """Yield a condition and its only statement: a motion, an assignment, or all that follows."""
     motions = [k for k in range(1, len(items)) if word(items[k]) in MOTIONS]
     k = motions[-1] if motions else 1
     sides = split(items, ":=")
@@ -122,11 +122,11 @@ def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, S
 
 def _part(whole: Statement, items: Sequence[Any]) -> Statement:
     line = whole.line if isinstance(items[0], Brackets) else items[0].line
-    return Statement(tuple(items), place_of(items[0])[0], place_of(items[-1])[1], line)
+    return Statement(tuple(items), *span_of(items), line)
 
 
 def _step(statement: Statement, opening: str, *, is_label: bool) -> Step:
-    """Return what a statement does to the order of others and to what is switched."""
+    """Return the effect of a statement on the control flow and on switches."""
     items, first = statement.items, word(statement.items[0])
     if opening in _BLOCKS:
         names = [word(item) for item in items if word(item)]
@@ -142,7 +142,7 @@ def _step(statement: Statement, opening: str, *, is_label: bool) -> Step:
 
 
 def check_blocks(source: Source, statements: Sequence[Statement], steps: Sequence[Step], flow: Sequence[InForce]) -> None:
-    """Refuse a file that is not of modules, or with routines within others."""
+    """Refuse a file that does not consist of modules, or has nested routines."""
     if not any(step.opens == "MODULE" for step in steps):
         raise source.error("the end of the file, expected " + _WORDS, len(source.content))
     for statement, step, known in zip(statements, steps, flow, strict=True):

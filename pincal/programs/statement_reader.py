@@ -1,4 +1,4 @@
-"""What all readers of a language of nested brackets do alike: targets, assignments, and names that are handed on."""
+"""What all readers of a language of nested brackets share: targets, frames, assignments, and arguments of routines."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step
-from pincal.programs.program import Frame, Left, Point
+from pincal.programs.program import Frame, Point, Skipped
 from pincal.programs.syntax import Brackets, Statement, calls_in, element_name, split, text_of_items, words_in
 
 PARAMETER = "a parameter of the routine"
@@ -19,13 +19,13 @@ class Reader:
     """Reads one file of a program.
 
     Attributes:
-        draft: what is found.
+        draft: collects what is found.
         file: index of the file.
         statements: its statements.
-        steps: what they mean to the order in which they run.
+        steps: the effect of each on the control flow.
         flow: what is known before each.
-        harmless: names of functions and routines that change nothing of what is handed to them.
-        case: whether capitals make a difference.
+        harmless: names of functions and routines that change none of their arguments.
+        case: whether names are case-sensitive.
     """
 
     draft: Draft
@@ -36,66 +36,76 @@ class Reader:
     harmless: frozenset[str]
     case: ClassVar[bool] = False
 
-    def literal(self, line: int, name: str, items: Sequence[Any]) -> Point | Left | None:
-        """Return the point whose values stand there in numbers, why it is none, or None for another expression."""
+    def literal(self, line: int, name: str, items: Sequence[Any]) -> Point | Skipped | None:
+        """Return the point that items state in numbers, why it can't be used, or None for another expression."""
         raise NotImplementedError
 
-    def left(self, name: str, line: int, reason: str) -> Left:
-        """Return something that is left as it was."""
-        return Left(name, self.file, line, reason)
+    def skip(self, name: str, line: int, reason: str) -> Skipped:
+        return Skipped(name, self.file, line, reason)
 
     def words(self, items: Sequence[Any]) -> set[str]:
         """Return the names in items."""
         return set(words_in(items, case=self.case))
 
     def parameters(self, k: int) -> set[str]:
-        """Return the names of the parameters of the routine that a statement is in."""
+        """Return the names of the parameters of the routine around a statement."""
         routine = self.flow[k].routine
         return set(formal_names(self.statements[routine], case=self.case)) if routine >= 0 else set()
 
-    def target(self, k: int, part: Sequence[Any]) -> str | Point | Left:
-        """Return what a motion goes to: a name, a point in numbers, or something that is left."""
+    def target(self, k: int, part: Sequence[Any]) -> str | Point | Skipped:
+        """Return the target of a motion: a name, a point in numbers, or something that can't be corrected."""
         line = self.statements[k].line
         found = self.literal(line, f"target of line {line}", part)
         if found is not None:
             return found
         name, is_part = element_name(part, case=self.case)
         if name and not is_part and not name.startswith("$"):
-            return self.left(name, line, PARAMETER) if name in self.parameters(k) else name
+            return self.skip(name, line, PARAMETER) if name in self.parameters(k) else name
         self.draft.read(self.words(part))
-        self.hand(line, part)
-        return self.left(text_of_items(part, case=self.case)[:40], line, "a computed position")
+        self.pass_arguments(line, part)
+        return self.skip(text_of_items(part, case=self.case)[:40], line, "a computed position")
 
     def frame(self, k: int, items: Sequence[Any], computed: str) -> Frame:
-        """Return the tool or the base that a name is, or why it is none."""
+        """Return the tool or base that items name, or why it is not known."""
         name, is_part = element_name(items, case=self.case)
         if not name or is_part or "*" in name:
             return Frame("", reason=computed)
         return Frame(name, reason=f"{name} is {PARAMETER}" if name in self.parameters(k) else "")
 
     def assign(self, line: int, name: str, is_part: bool, value: Sequence[Any]) -> None:
-        """Take note of what a name is set to."""
+        """Note the value that a name is set to."""
         found = None if is_part or "*" in name else self.literal(line, name, value)
         if found is not None:
-            self.draft.take(name, found)
+            self.draft.take(found)
             return
         self.draft.write(name, f"line {line} sets {'a part of it' if is_part else 'it'} while the program runs")
         self.draft.derive(name, self.words(value))
 
-    def hand(self, line: int, items: Sequence[Any]) -> None:
-        """Take note of the names that calls within items may change."""
+    def pass_arguments(self, line: int, items: Sequence[Any]) -> None:
+        """Note the names that calls within items may change."""
         for called, group in calls_in(items):
             if (called if self.case else called.upper()) not in self.harmless:
-                self.draft.hand([element_name(part, case=self.case)[0] for part in group.parts], line, called)
+                self.draft.pass_to(called, [element_name(part, case=self.case)[0] for part in group.parts], line)
+
+    def displaced(self, k: int, kinds: Sequence[str], ended_by: Sequence[str]) -> str:
+        """Return why positions are, or may be, displaced at a statement, "" if not: by kinds that these words end."""
+        for kind in kinds:
+            found = self.flow[k].setters.get(kind)
+            if not isinstance(found, int):
+                return f"positions may be displaced ({kind}): {found if found is not None else 'another routine does so'}"
+            called = str(self.statements[found].items[0])
+            if (called if self.case else called.upper()) not in ended_by:
+                return f"line {self.statements[found].line} displaces positions ({called})"
+        return ""
 
 
 def formal_names(statement: Statement, kinds: Sequence[str] = (), *, case: bool = False) -> list[str]:
-    """Return the names of the parameters of a routine, of some kinds or all, by the statement that opens it."""
+    """Return the names of a routine's parameters, of some kinds or all, from the statement that opens it."""
     found = []
     for item in statement.items:
         for part in item.parts if isinstance(item, Brackets) else ():
             for piece in split(part, "\\"):
-                # ``NAME:IN`` has its kind behind the name, ``PERS kind NAME`` before.
+                # ``NAME:IN`` has its kind after the name, ``PERS kind NAME`` before it.
                 words = list(words_in(split(piece, ":")[0], case=case))
                 if words and (not kinds or set(kinds) & set(words)):
                     found.append(words[-1])

@@ -1,8 +1,8 @@
-"""The text of a program as a tree of tokens that know their places in it, by a grammar of its language.
+"""The text of a program as a tree of tokens with their positions, by a grammar of its language.
 
-Bytes are taken one by one as characters, so that a place in the text is a place in the file whatever its encoding. Three of
-the languages share a grammar: statements of words, numbers, texts and signs, nested in brackets, whose tokens and ends of
-statements each language gives. What is in a statement is for the language's module to say.
+Bytes are decoded one to one as characters, so that a position in the text is a position in the file whatever its encoding.
+Three of the languages share a grammar: statements of words, numbers, strings and symbols, nested in brackets; each language
+adds its tokens and the ends of its statements. Its module interprets the statements.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pincal.errors import ProgramError, needed
 
 if TYPE_CHECKING:
     from lark import Lark, Token
 
-# A program larger than this is none [bytes].
+# No program is larger [bytes].
 LARGEST_PROGRAM = 50_000_000
 # Statements of nested brackets; a language adds its tokens, and ``_END``, which ends a statement.
 _NESTED = r"""
@@ -33,14 +33,14 @@ CLOSE: ")" | "]" | "}"
 NUMBER.2: /(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?/
 WORD.1: /[A-Za-z_$#\x80-\xff][A-Za-z0-9_$\x80-\xff]*/
 """
-# What stands behind the last statement.
+# Appended to the last statement.
 _END_OF_FILE = "\n\x04"
 _PAIRS = {"(": ")", "[": "]", "{": "}"}
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number in a program: its value, where it stands, and its text."""
+    """A number in a program: its value, its position, and its text."""
 
     value: float
     start: int
@@ -49,18 +49,19 @@ class Number:
 
     @property
     def decimals(self) -> int:
-        """Number of digits behind the point."""
+        """Number of decimal places."""
         return len(self.text.lower().partition("e")[0].partition(".")[2])
 
 
 @dataclass(frozen=True)
 class Brackets:
-    """What stands in a pair of brackets, with the brackets."""
+    """A pair of brackets and its content."""
 
     kind: str
     items: tuple[Any, ...]
-    start: int
-    end: int
+    start_pos: int
+    end_pos: int
+    type: ClassVar[str] = "BRACKETS"
 
     @cached_property
     def parts(self) -> list[tuple[Any, ...]]:
@@ -70,7 +71,7 @@ class Brackets:
 
 @dataclass(frozen=True)
 class Statement:
-    """One statement: its items, tokens and groups, and where it stands."""
+    """One statement: its items (tokens and brackets) and its position."""
 
     items: tuple[Any, ...]
     start: int
@@ -101,18 +102,18 @@ class Source:
         return "   " + text[3:] if text.startswith("\xef\xbb\xbf") else text
 
     def place(self, at: int) -> tuple[int, int]:
-        """Return line and column, from 1, of a place in the text."""
+        """Return line and column, from 1, of a position in the text."""
         line = bisect.bisect_right(self._lines, at)
         return line, at - self._lines[line - 1] + 1
 
     @cached_property
     def _lines(self) -> list[int]:
-        """Where lines begin."""
+        """Positions at which lines begin."""
         text = self.content.replace(b"\r\n", b" \n").replace(b"\r", b"\n")
         return [0, *(k + 1 for k, byte in enumerate(text) if byte == 10)]
 
     def error(self, what: str, at: int) -> ProgramError:
-        """Return the error that something is wrong at a place."""
+        """Return an error that names line and column of a position in the text."""
         line, column = self.place(at)
         return ProgramError(f"{self.name}, line {line}, column {column}: {what}")
 
@@ -121,11 +122,11 @@ class Source:
 
         Args:
             grammar: the grammar.
-            words: what the file should be, for messages.
-            part: start and end of the text to be read; default: all. Lines of tokens are then none.
+            words: what is expected of the file, for messages.
+            part: start and end of the text to be read; default: all. Tokens of a part have no valid line numbers.
 
         Raises:
-            ProgramError: if the text is not of the grammar: cut, or of another dialect.
+            ProgramError: if the text does not match the grammar: truncated, or another dialect.
         """
         text = self.text if part is None else " " * part[0] + self.text[part[0] : part[1]]
         with needed("lark", "programs of controllers", error=ProgramError):
@@ -136,23 +137,23 @@ class Source:
             at = min(error.pos_in_stream if error.pos_in_stream is not None else len(text), len(text))
             is_end = isinstance(error, UnexpectedToken) and error.token.type == "$END"
             if is_end or at == len(text):
-                raise self.error(f"the end of the file; expected more of {words}: is it cut?", len(text)) from None
+                raise self.error(f"the end of the file; expected more of {words}: is it truncated?", len(text)) from None
             found = text[at] if isinstance(error, UnexpectedCharacters) else str(error.token)  # type: ignore[attr-defined]
             raise self.error(f"{found[:30]!r}; expected {words}", at) from None
 
     def statements(self, tokens: str, words: str, *, over_lines: bool = False) -> list[Statement]:
-        """Return the statements of a language of nested brackets, by its tokens.
+        """Return the statements of a language of nested brackets.
 
         Args:
             tokens: the language's own terminals.
-            words: what the file should be, for messages.
-            over_lines: whether brackets go on over what ends statements outside.
+            words: what is expected of the file, for messages.
+            over_lines: whether brackets may contain what ends statements outside them.
         """
         found = []
         for tree in self.parse(nested(tokens, over_lines=over_lines), words).children:
             items = tuple(self._items(tree.children, words))
             if items:
-                start, end = place_of(items[0])[0], place_of(items[-1])[1]
+                start, end = span_of(items)
                 line = self.place(start)[0] if isinstance(items[0], Brackets) else items[0].line
                 found.append(Statement(items, start, end, line or 0))
         return found
@@ -169,7 +170,7 @@ class Source:
 
 
 def nested(tokens: str, *, over_lines: bool = False) -> str:
-    """Return the grammar of a language of nested brackets by its tokens."""
+    """Return the grammar of a language of nested brackets with these tokens."""
     return _NESTED.replace("_inner: _item", "_inner: _item | _END" if over_lines else "_inner: _item") + tokens
 
 
@@ -181,18 +182,16 @@ def parser_of(grammar: str) -> Lark:
     return Lark(grammar, parser="lalr", lexer="contextual", propagate_positions=True)
 
 
-def place_of(item: Token | Brackets) -> tuple[int, int]:
-    """Return start and end of an item in the text."""
-    if isinstance(item, Brackets):
-        return item.start, item.end
-    return item.start_pos or 0, item.end_pos or 0
+def span_of(items: Sequence[Any]) -> tuple[int, int]:
+    """Return start and end of items, at least one, in the text."""
+    return items[0].start_pos, items[-1].end_pos
 
 
 def split(items: Iterable[Any], sign: str = ",") -> list[tuple[Any, ...]]:
-    """Return the items between signs."""
+    """Return the items between occurrences of a sign."""
     parts: list[list[Any]] = [[]]
     for item in items:
-        if not isinstance(item, Brackets) and item.type == "SIGN" and item == sign:
+        if item.type == "SIGN" and item == sign:
             parts.append([])
         else:
             parts[-1].append(item)
@@ -200,7 +199,7 @@ def split(items: Iterable[Any], sign: str = ",") -> list[tuple[Any, ...]]:
 
 
 def number_of(items: Sequence[Any]) -> Number | None:
-    """Return the number that items are, with its sign; None if they are something else."""
+    """Return the number that items form, with its sign; None if they form something else."""
     if len(items) == 2 and is_token(items[0], "SIGN", "+", "-") and items[0].end_pos == items[1].start_pos:
         sign, number = str(items[0]), items[1]
     elif len(items) == 1:
@@ -215,7 +214,7 @@ def number_of(items: Sequence[Any]) -> Number | None:
 
 
 def number_at(token: Token) -> Number | None:
-    """Return the number that a token of a grammar with signed numbers is; None if it is something else."""
+    """Return the number of a token in a grammar with signed numbers; None if it is something else."""
     text = str(token)
     try:
         return Number(float(text), token.start_pos or 0, token.end_pos or 0, text)
@@ -224,35 +223,35 @@ def number_at(token: Token) -> Number | None:
 
 
 def numbers_of(parts: Sequence[Sequence[Any]]) -> tuple[Number, ...] | None:
-    """Return the numbers that parts are; None if one of them is something else."""
+    """Return the numbers that parts form; None if one of them is something else."""
     found = [number_of(part) for part in parts]
     return tuple(number for number in found if number is not None) if None not in found else None
 
 
 def aggregate(items: Sequence[Any], kind: str) -> Brackets | None:
-    """Return the brackets of a kind that items are, None if they are something else."""
+    """Return the only item if it is a pair of brackets of a kind, else None."""
     return items[0] if len(items) == 1 and isinstance(items[0], Brackets) and items[0].kind == kind else None
 
 
 def call_of(items: Sequence[Any]) -> tuple[str, Brackets] | None:
-    """Return name and arguments of the call that items are, None if they are none."""
+    """Return name and arguments of the call that items form, None if they form none."""
     if len(items) == 2 and is_token(items[0], "WORD") and isinstance(items[1], Brackets) and items[1].kind == "(":
         return str(items[0]), items[1]
     return None
 
 
 def is_token(item: Any, kind: str, text: str = "", other: str = "") -> bool:
-    """Return whether an item is a token of a kind, and of one of some texts."""
-    return not isinstance(item, Brackets) and item.type == kind and (not text or str(item).upper() in (text, other))
+    """Return whether an item is a token of a kind and, if texts are given, spells one of them in any case."""
+    return bool(item.type == kind) and (not text or str(item).upper() in (text, other))
 
 
 def word(item: Any) -> str:
-    """Return an item in capitals if it is a word, else an empty text."""
+    """Return an item in capitals if it is a word, else ""."""
     return str(item).upper() if is_token(item, "WORD") else ""
 
 
 def text_of_items(items: Iterable[Any], *, case: bool = False) -> str:
-    """Return what items spell, without blanks and, unless capitals make a difference, in capitals: ``P [ 3 ]`` is P[3]."""
+    """Return the text of items without blanks and, unless case is significant, in capitals: ``P [ 3 ]`` is P[3]."""
     found = ""
     for item in items:
         if isinstance(item, Brackets):
@@ -263,13 +262,13 @@ def text_of_items(items: Iterable[Any], *, case: bool = False) -> str:
 
 
 def element_name(items: Sequence[Any], *, case: bool = False) -> tuple[str, bool]:
-    """Return the name that items spell and whether only a part of it is meant; an empty text if they spell none.
+    """Return the name that items spell, "" if they spell none, and whether they refer to a component of it only.
 
-    An element of an array is ``P[3]``, and ``P[*]`` if its index is computed.
+    An element of an array is ``P[3]``, or ``P[*]`` if its index is computed.
 
     Args:
-        items: a word, perhaps an index, perhaps a part: ``P[I].X``.
-        case: whether capitals make a difference.
+        items: a word, optionally an index, optionally a component: ``P[I].X``.
+        case: whether names are case-sensitive.
     """
     if not items or not is_token(items[0], "WORD"):
         return "", False
@@ -282,7 +281,7 @@ def element_name(items: Sequence[Any], *, case: bool = False) -> tuple[str, bool
 
 
 def calls_in(items: Sequence[Any]) -> Iterator[tuple[str, Brackets]]:
-    """Yield the words that stand before round brackets, with these, those within brackets too."""
+    """Yield each word before round brackets with these brackets, at any depth."""
     for k, item in enumerate(items):
         if isinstance(item, Brackets):
             if item.kind == "(" and k and is_token(items[k - 1], "WORD"):
@@ -291,12 +290,12 @@ def calls_in(items: Sequence[Any]) -> Iterator[tuple[str, Brackets]]:
 
 
 def words_in(items: Sequence[Any], *, case: bool = False) -> Iterator[str]:
-    """Yield all words of items, those in brackets too, and the elements of arrays that they name: P and P[3].
+    """Yield all words of items at any depth, and the array elements that they name: both P and P[3].
 
-    The names of an aggregate's fields are none of them: ``{X A.Z, Y 5}`` has A and Z.
+    The field names of an aggregate are left out: ``{X A.Z, Y 5}`` yields A and Z.
     """
     for k, item in enumerate(items):
-        is_index = k > 0 and not isinstance(items[k - 1], Brackets) and items[k - 1].type == "WORD"
+        is_index = k > 0 and items[k - 1].type == "WORD"
         if isinstance(item, Brackets):
             for part in item.parts:
                 yield from words_in(part[1:] if item.kind == "{" and not is_index else part, case=case)

@@ -11,9 +11,10 @@ import numpy as np
 from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.program import Frame, Left, Motion, Path, Point, Posture, Program
+from pincal.programs.program import Frame, Motion, Path, Point, Posture, Program, Skipped
 from pincal.programs.statement_reader import Reader
 from pincal.programs.syntax import (
+    Brackets,
     Source,
     Statement,
     aggregate,
@@ -23,7 +24,7 @@ from pincal.programs.syntax import (
     is_token,
     nested,
     numbers_of,
-    place_of,
+    span_of,
     split,
 )
 
@@ -73,7 +74,7 @@ class UrScript(ControllerLanguage):
         flows = followed(files)
         displaced = {name for _, _, steps in files for step in steps for name in step.sets if name != "tcp"}
         for i, (_, statements, steps) in enumerate(files):
-            # What is handed to a function is a copy.
+            # Arguments are passed by value.
             harmless = frozenset(name for statement in statements for name, _ in calls_in(statement.items))
             reader = _Reader(draft, i, statements, steps, flows[i], harmless, self, sorted(displaced))
             for k in range(len(statements)):
@@ -81,11 +82,11 @@ class UrScript(ControllerLanguage):
         return draft.finish()
 
     def key(self, name: str) -> str:
-        """Return a name as it is."""
+        """Return the name unchanged."""
         return name
 
     def statement(self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture) -> str:
-        """Return the motion with a pose in the place of its target."""
+        """Return the motion with its target replaced by a pose."""
         start, end = motion.span
         pose = ",".join(f"{value:.{7 if k < 3 else 8}f}" for k, value in enumerate(values))
         return source.text[motion.statement.start : start] + f"p[{pose}]" + source.text[end : motion.statement.end]
@@ -93,18 +94,14 @@ class UrScript(ControllerLanguage):
 
 @dataclass(frozen=True)
 class _Reader(Reader):
-    """Reads one file.
-
-    Attributes:
-        displaced: what displaces positions in any of the files.
-    """
+    """Reads one file; ``displacements`` are the kinds that any of the files uses."""
 
     language: UrScript
-    displaced: Sequence[str]
+    displacements: Sequence[str]
     case = True
 
-    def literal(self, line: int, name: str, items: Sequence[Any]) -> Point | Left | None:
-        """Return the pose or the joints that stand there in numbers."""
+    def literal(self, line: int, name: str, items: Sequence[Any]) -> Point | Skipped | None:
+        """Return the pose or the joint positions that items state in numbers."""
         is_pose = len(items) == 2 and is_token(items[0], "WORD") and str(items[0]) == "p"
         group = aggregate(items[1:] if is_pose else items, "[")
         numbers = numbers_of(group.parts) if group is not None else None
@@ -113,14 +110,14 @@ class _Reader(Reader):
         return Point(name, self.file, line, "pose" if is_pose else "joints", numbers)
 
     def statement(self, k: int) -> None:
-        """Take note of a statement."""
+        """Note what a statement sets or moves."""
         statement, known = self.statements[k], self.flow[k]
         items, line, call = statement.items, statement.line, call_of(statement.items)
         if call is not None and call[0] in _MOTIONS:
-            self._move(k)
+            self._move(k, *call)
             return
         if call is not None and call[0] in _ENDLESS:
-            lost = self.left(f"{call[0]} of line {line}", line, "a motion without an end of its own")
+            lost = self.skip(f"{call[0]} of line {line}", line, "a motion without an end point of its own")
             self.draft.motions.append(Motion("joint", (lost,), statement, self.file, run=known.run))
         rest = items[1:] if is_token(items[0], "WORD", "GLOBAL", "LOCAL") else items
         sides = split(rest, "=")
@@ -131,7 +128,7 @@ class _Reader(Reader):
             self.draft.read(self.words(items))
 
     def assign(self, line: int, name: str, is_part: bool, value: Sequence[Any]) -> None:
-        """Take note of what a name is set to, perhaps a list of poses."""
+        """Note the value that a name is set to, perhaps a list of poses."""
         group = aggregate(value, "[")
         if group is not None and not is_part and "[" not in name and self.literal(line, name, value) is None:
             points = [self.literal(line, f"{name}[{k}]", part) for k, part in enumerate(group.parts)]
@@ -140,12 +137,12 @@ class _Reader(Reader):
                     self.draft.declare(point)  # type: ignore[arg-type]
                 return
         if "[" in name:
-            # Of a pose an element is a part of it, of a list of poses one of them.
+            # An element of a pose is a part of it, an element of a list is a pose.
             self.draft.write(name.partition("[")[0], f"line {line} sets a part of it")
         super().assign(line, name, is_part or "[" in name, value)
 
-    def target(self, k: int, part: Sequence[Any]) -> str | Point | Left:
-        """Return what a motion goes to, perhaps by inverse kinematics near joint positions."""
+    def target(self, k: int, part: Sequence[Any]) -> str | Point | Skipped:
+        """Return the target of a motion, perhaps by inverse kinematics near joint positions."""
         call = call_of(part)
         if call is None or call[0] != "get_inverse_kin" or not call[1].items:
             return super().target(k, part)
@@ -157,33 +154,32 @@ class _Reader(Reader):
             self.draft.near[found] = near[-1]
         return found
 
-    def _move(self, k: int) -> None:
-        """Take note of a motion."""
+    def _move(self, k: int, called: str, arguments: Brackets) -> None:
+        """Note a motion."""
         statement, known = self.statements[k], self.flow[k]
-        call = call_of(statement.items)
-        if call is None:
-            return
         named, plain = dict[str, tuple[Any, ...]](), []
-        for part in call[1].parts:
+        for part in arguments.parts:
             if len(part) > 2 and is_token(part[1], "SIGN", "="):
                 named[str(part[0])] = part[2:]
             elif part:
                 plain.append(part)
-        path = _MOTIONS[call[0]]
+        path = _MOTIONS[called]
         count = 2 if path == "circle" else 1
         places = plain[:count]
         if len(places) < count:
             places = [named[key] for key in ("pose_via", "pose_to", "pose", "q") if key in named]
         if len(places) < count:
-            self.draft.left.append(self.left(f"{call[0]} of line {statement.line}", statement.line, "not understood"))
+            self.draft.skipped.append(self.skip(f"{called} of line {statement.line}", statement.line, "not understood"))
             return
         targets = tuple(self.target(k, part) for part in places)
-        span = (place_of(places[-1][0])[0], place_of(places[-1][-1])[1])
-        tool, base = self._tool(known), self._base(known)
-        self.draft.motions.append(Motion(path, targets, statement, self.file, tool, base, span, known.run, path == "line"))
+        displaced = self.displaced(k, self.displacements, _ENDS_IT)
+        base, span = Frame("", reason=displaced) if displaced else Frame("base", np.eye(4)), span_of(places[-1])
+        self.draft.motions.append(
+            Motion(path, targets, statement, self.file, self._tool(known), base, span, known.run, path == "line")
+        )
 
     def _tool(self, known: InForce) -> Frame:
-        """Return the tool in force at a statement."""
+        """Return the tool in force before a statement."""
         found = known.setters.get("tcp")
         if not isinstance(found, int):
             return Frame("tcp", reason=f"set_tcp: {found}" if found is not None else "")
@@ -193,28 +189,16 @@ class _Reader(Reader):
             return Frame("tcp", self.language.pose(point.values))
         return Frame("tcp", reason=f"line {self.statements[found].line} sets a computed tool")
 
-    def _base(self, known: InForce) -> Frame:
-        """Return the base of a motion, which is not known where something displaces positions."""
-        for kind in self.displaced:
-            found = known.setters.get(kind)
-            called = str(self.statements[found].items[0]) if isinstance(found, int) else ""
-            if isinstance(found, int) and called not in _ENDS_IT:
-                return Frame("", reason=f"line {self.statements[found].line} displaces positions ({called})")
-            if not isinstance(found, int):
-                why = found if found is not None else "another routine does so"
-                return Frame("", reason=f"positions may be displaced ({kind}): {why}")
-        return Frame("base", np.eye(4))
-
 
 def _step(statement: Statement) -> Step:
-    """Return what a statement does to the order of others and to the tool."""
+    """Return the effect of a statement on the control flow and the tool."""
     items = statement.items
     first = str(items[0]) if is_token(items[0], "WORD") else ""
     kind = _OPENS.get(first, "")
     calls = tuple(name for name, _ in calls_in(items))
     if kind == "routine":
         name = next((str(item) for item in items[1:] if is_token(item, "WORD")), first)
-        # A thread runs beside all that follows.
+        # A thread runs in parallel with all that follows.
         return Step(opens=first, routine=name, starts=(name,) if first == "thread" else ())
     if kind:
         return Step(opens=first, is_loop=kind == "loop", calls=calls)

@@ -4,7 +4,7 @@
 const np = { eye: () => [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0], array: (values) => values };
 const ORIENTATIONS = { kuka: CONVENTIONS[0], fanuc: CONVENTIONS[1], abb: CONVENTIONS[2], ur: CONVENTIONS[4] };
 const TURN = 2 * Math.PI, ON_EDGE = 1e-4, SAME = 1e-5, NOTHING = 1e-8, CLEARLY = 0.5, POOL = 6000, MOST_STARTS = 64;
-const REASONS = { singular: "the arm is singular there: a small correction would take large joint motions",
+const REASONS = { singular: "the arm is singular there: a small correction would need large joint motions",
   joint_limit: "an axis would leave its limits", unreached: "no joint positions were found" };
 const dot = (a, b) => a.reduce((sum, x, i) => sum + x * b[i], 0), minus = (a, b) => a.map((x, i) => x - b[i]);
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
@@ -34,7 +34,7 @@ Object.assign(MODULES.language.ControllerLanguage.prototype, {
   frame(text) {
     const values = text.split(/[,;]/).map((part) => readNumber(part.trim(), false)), turn = ORIENTATIONS[this.convention];
     if (values.length !== 3 + turn.columns.length || !values.every(Number.isFinite) || !this.is_pose(values)) {
-      throw new Refused(`"${text}" is no frame in ${this.name}; expected X,Y,Z [${this.length === 1 ? "m" : "mm"}],${turn.columns.join(",")}`);
+      throw new Refused(`"${text}" is not a frame in ${this.name}; expected X,Y,Z [${this.length === 1 ? "m" : "mm"}],${turn.columns.join(",")}`);
     }
     return this.pose(values);
   },
@@ -180,15 +180,15 @@ class ProgramCorrector {
   refusal(point) {
     const reason = this.language.refusal(point), n = JOINTS.length;
     if (reason) return reason;
-    if (point.kind !== "joints") return n === 6 ? "" : `a pose does not tell the joints of an arm with ${n} joints`;
+    if (point.kind !== "joints") return n === 6 ? "" : `a pose does not determine the joints of an arm with ${n} joints`;
     if (point.numbers.length !== n) return `${point.numbers.length} axes; the model has ${n}`;
     const beyond = this.joints(point.values).findIndex((x, i) => x < (ABOUT.lower[i] ?? -Infinity) - 1e-6 || x > (ABOUT.upper[i] ?? Infinity) + 1e-6);
     return beyond < 0 ? "" : `${JOINTS[beyond]} is beyond its limits in the model`;
   }
   // Corrections of a program's points, and what is left as it was.
   changes(program) {
-    const { Left } = MODULES.program, left = program.left.slice(), joints = new py.Dict(), changed = [], uses = this.uses(program);
-    const leave = (point, reason) => left.push(new Left(point.name, point.source, point.line, reason));
+    const left = program.skipped.slice(), joints = new py.Dict(), changed = [], uses = this.uses(program);
+    const leave = (point, reason) => left.push(point.skip(reason));
     this.asked = [];
     for (const [key, point] of program.points.items()) {
       const frames = point.kind === "pose" ? this.frames(point, program) : [this.cell.world, inverted(this.cell.flange)];
@@ -239,13 +239,13 @@ class ProgramCorrector {
       posture = new Posture(...this.arm.sides(start).map((side) => (side ? side > 0 : null)));
     }
     const all = joints.values(), guess = known ?? (all.length ? all[all.length - 1] : this.cell.seed), is_told = Boolean(known) || (ARM.has_sides && posture.is_whole);
-    if (!guess && !is_told) return "nothing before it tells which arm reaches it: set the joints that the first point starts from";
+    if (!guess && !is_told) return "nothing before it determines the arm configuration: set the joints that the first point starts from";
     const near = guess ?? JOINTS.map(() => 0), found = this.arm.find(tip, posture, near);
     const reached = found.filter((q) => posture.allows(this.arm.sides(q))).map((q) => this.turned(q, posture, near)).filter((q) => q);
-    if (!reached.length) return "no joint positions within the limits reach it in the posture that it says, by the nominal model";
+    if (!reached.length) return "no joint positions within the limits reach it in its posture, by the nominal model";
     reached.sort((a, b) => norm(minus(a, near)) - norm(minus(b, near)));
     if (!is_told && reached.length > 1 && largest(minus(reached[0], near)) > CLEARLY * largest(minus(reached[1], near))) {
-      return "several arms reach it, and the motion before it does not tell which: set the joints that the first point starts from";
+      return "several arm configurations reach it, and the motion before it does not determine one: set the joints that the first point starts from";
     }
     return reached[0];
   }

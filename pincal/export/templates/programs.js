@@ -30,18 +30,18 @@ class Source {
     const text = part ? " ".repeat(part[0]) + this.text.slice(...part) : this.text, table = GRAMMARS[grammar];
     const fail = (at, found) => {
       at = Math.min(at, text.length);
-      if (at === text.length) throw this.error(`the end of the file; expected more of ${words}: is it cut?`, text.length);
+      if (at === text.length) throw this.error(`the end of the file; expected more of ${words}: is it truncated?`, text.length);
       throw this.error(`${py.repr(found.slice(0, 30))}; expected ${words}`, at);
     };
     return parsed(table, `${text}\n\x04`, fail);
   }
   statements(tokens, words, over_lines = false) {
-    const found = [], { Statement, place_of } = MODULES.syntax;
+    const found = [], { Statement, span_of } = MODULES.syntax;
     for (const tree of this.parse(MODULES.syntax.nested(tokens, over_lines), words).children) {
       const items = this.items(tree.children, words);
       if (!items.length) continue;
-      const start = place_of(items[0])[0], line = items[0].line ?? this.place(start)[0];
-      found.push(new Statement(items, start, place_of(items[items.length - 1])[1], line));
+      const [start, end] = span_of(items);
+      found.push(new Statement(items, start, end, items[0].line ?? this.place(start)[0]));
     }
     return found;
   }
