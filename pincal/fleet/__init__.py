@@ -1,1 +1,1 @@
-"""Many robots of a type: what they have in common, what changed on which, and the store of their measurements."""
+"""Many robots of one type: what they have in common, which of them changed and how, and the store of their measurements."""

@@ -1,21 +1,21 @@
-r"""What has changed on which robot since when, over many robots and months, with a bound on false discoveries.
+r"""Which robots have changed, how and since when, over many robots and months, with a bound on false discoveries.
 
-A robot is known from its calibration and all checks since. For each round s of checks the hypothesis is that something on it
-changed just before: one parameter, one element (joint) or everything. How much likelier that makes the readings from s to t
-is a ratio of marginal likelihoods, which is a test martingale in t; weighted with the chance h of a change in each round
-these add up to an e-process (Ramdas, Gruenwald, Vovk and Shafer 2023),
+A robot is known from its calibration and all checks since. For each round s of checks the hypothesis is that one parameter,
+one element (joint) or everything on it changed just before. The likelihood ratio of the readings from s to t, of marginal
+likelihoods, is a test martingale in t; weighted with the probability h of a change in each round these ratios add up to an
+e-process (Ramdas, Gruenwald, Vovk and Shafer 2023),
 
 .. math:: E_t = \sum_{s \le t} h (1 - h)^{s - 1} E_{s,t} + (1 - h)^t ,
 
-whose mean is at most 1 at any time on a robot that has not changed. A robot has changed if E is at least
-:math:`N / (\alpha k)` where it is the k-th of N robots. Then each of R alarms has an e-value of at least
+whose mean is at most 1 at any time on a robot that has not changed. A robot is reported as changed if E is at least
+:math:`N / (\alpha k)` where it is the k-th largest of N robots. Then each of R alarms has an e-value of at least
 :math:`N / (\alpha R)`, so that the false discovery rate of all alarms, whenever they were raised, is at most alpha under any
-dependence between robots and rounds (e-BH, Wang and Ramdas 2022). A robot that is calibrated anew is a new hypothesis; its
-j-th one has the weight :math:`6 / (\pi j)^2`.
+dependence between robots and rounds (e-BH, Wang and Ramdas 2022). A recalibrated robot is a new hypothesis; its j-th one has
+the weight :math:`6 / (\pi j)^2`.
 
-What the robots of a supplier, a batch or a hall have in common is a change of a group: scores and their covariances add up
-over its robots. Of all changes of robots and groups the likeliest is taken first; what a group did is taken out of its
-robots before these are judged.
+A change shared by the robots of a supplier, a batch or a hall is a drift of that group: scores and their covariances add up
+over its robots. Of all changes of robots and groups the likeliest is reported first; the drift of a group is subtracted from
+its robots before these are judged.
 """
 
 from __future__ import annotations
@@ -41,43 +41,43 @@ from pincal.fleet.machines import Machine, gathered
 from pincal.fleet.robot_type import EVERYTHING, RobotType
 
 FALSE_DISCOVERIES = 0.05
-"""Part of all alarms that are false, at most, in the long run."""
+"""Largest fraction of alarms that are false, in the long run."""
 
-# Chance that a robot, or a group, changes before a round.
+# Probability that a robot, or a group, changes before a round.
 _HAZARD = 0.005
-# Rounds, the first one and the last ones, before which a change may have come.
+# Number of rounds, the first one and the last ones, before which a change may have occurred.
 _WINDOW = 7
-# Size of a change, in priors without a type: a millimetre or a milliradian.
+# Size of a change, in units of the priors without a type: a millimetre or a milliradian.
 _SIZE = 0.3
-# Chances that one parameter, one element or everything changes.
+# Probabilities that one parameter, one element or everything changes.
 _ONE, _ELEMENT, _ALL = 0.6, 0.3, 0.1
-# Robots from which on a group can drift.
+# Least number of robots of a group that can drift.
 _FEWEST = 5
-# Difference of log evidence up to which explanations are equals.
+# Difference of log evidence up to which explanations are equally good.
 _EQUAL = float(np.log(100.0))
-# Log evidence is at most this: exponentials stay finite.
+# Upper bound on log evidence, so that exponentials are finite.
 _MOST = 600.0
 
 
 def fleet_changes(
     of: RobotType, visits: Iterable[Visit], *, alpha: float = FALSE_DISCOVERIES, every: int = 7
 ) -> FleetHistory:
-    """Return what has changed on which robots since when.
+    """Return which robots have changed, how and since when.
 
     Robots that share a label of their calibrations, such as a supplier or a hall, are a group that may drift.
 
     Args:
         of: their type.
         visits: calibrations and checks of robots, in any order.
-        alpha: part of the alarms that may be false.
-        every: days of a round.
+        alpha: fraction of the alarms that may be false.
+        every: length of a round in days.
 
     Raises:
-        BadInputError: for a day that is no ISO date, a check of a robot that was not calibrated before, or an alpha that is
-            no part.
+        BadInputError: for a day that is no ISO date, a check of a robot without an earlier calibration, or an alpha outside
+            0 to 0.5.
     """
     if not 0.0 < alpha < 0.5:
-        raise BadInputError(f"alpha is {alpha:g}; expected the part of alarms that may be false, such as 0.05")
+        raise BadInputError(f"alpha is {alpha:g}; expected the fraction of alarms that may be false, such as 0.05")
     rounds = dict[int, list[Visit]]()
     for visit in visits:
         try:
@@ -100,12 +100,12 @@ class _Step:
     Attributes:
         round: its number.
         day: of the robot's check in it.
-        H, g: information, the prior included.
-        extra: log e-values of diagnoses from this round on.
-        p_value: the least of those of diagnoses in this round.
+        H, g: information, including the prior.
+        extra: sum of log e-values of diagnoses from this round on.
+        p_value: smallest p-value of diagnoses in this round.
         q, Q: score of a change before the round, and its covariance.
-        logs: log evidence of each way to change, weighted with the chance of the way.
-        total: log evidence of any way.
+        logs: log evidence of each kind of change, weighted with its probability.
+        total: log evidence of any change.
     """
 
     round: int
@@ -125,13 +125,13 @@ class _Epoch:
     """A robot since its calibration.
 
     Attributes:
-        number: of its calibrations.
-        groups: what it belongs to.
-        H, g: information of the prior, the calibration and all checks, a group's drift taken out.
+        number: number of its calibrations.
+        groups: the groups that it belongs to.
+        H, g: information of the prior, the calibration and all checks, with the drift of groups subtracted.
         drift: shape (P,), of its groups so far.
         steps: before the first round of checks, and before the last ones.
         checks: number of rounds.
-        is_changed: whether it has changed and was not calibrated since.
+        is_changed: whether it has changed and was not recalibrated since.
     """
 
     number: int
@@ -144,25 +144,19 @@ class _Epoch:
     is_changed: bool = False
 
     def parts(self) -> np.ndarray:
-        """Return the log evidence of a change before each round, weighted with its chance, shape (steps,)."""
+        """Return the log evidence of a change before each round, weighted with its probability, shape (steps,)."""
         return np.asarray(np.array([step.total + step.extra for step in self.steps]) + _hazard(self.steps))
 
     def log_e(self) -> float:
-        """Return the logarithm of the e-process, the weight of the hypothesis included."""
+        """Return the logarithm of the e-process, including the weight of the hypothesis."""
         whole = np.logaddexp.reduce([*self.parts(), self.checks * np.log1p(-_HAZARD)])
         return float(whole + np.log(6.0 / (np.pi * self.number) ** 2))
 
 
 class FleetWatch:
-    """Robots of a type, round by round."""
+    """Robots of a type, monitored round by round; ``alpha`` is the fraction of the alarms that may be false."""
 
     def __init__(self, of: RobotType, alpha: float = FALSE_DISCOVERIES) -> None:
-        """Begin with no robot.
-
-        Args:
-            of: the type.
-            alpha: part of the alarms that may be false.
-        """
         self.type, self.alpha = of, alpha
         prior, P = of.prior(), len(of.parameters)
         self._prior_H = np.linalg.inv(prior.dense_covariance() / np.outer(of.priors, of.priors))
@@ -179,21 +173,21 @@ class FleetWatch:
         self._checks = 0
 
     def history(self) -> FleetHistory:
-        """Return what was found so far."""
+        """Return what has been found so far."""
         last = tuple(sorted(self._last.values(), key=lambda one: -one.log_e))
         changed = frozenset(name for name, epoch in self._epochs.items() if epoch.is_changed)
         drifted = frozenset(name for name, epoch in self._epochs.items() if epoch.drift.any())
         return FleetHistory(tuple(self._changes), last, len(self._epochs), self._checks, changed, drifted)
 
     def take(self, number: int, visits: Iterable[Visit]) -> tuple[FleetChange, ...]:
-        """Go on by one round and return what it shows to have changed.
+        """Add a round and return the changes that it reveals.
 
         Args:
-            number: of the round, larger than those before.
+            number: of the round, larger than all before.
             visits: of the round.
 
         Raises:
-            BadInputError: for a check of a robot that was not calibrated before.
+            BadInputError: for a check of a robot without an earlier calibration.
         """
         checked, day, before = dict[str, None](), "", len(self._changes)
         for visit in sorted(visits, key=lambda one: (one.day, not one.is_calibration, one.machine)):
@@ -203,7 +197,7 @@ class FleetWatch:
                 checked.pop(visit.machine, None)
             elif visit.machine not in self._epochs:
                 raise BadInputError(
-                    f"robot {visit.machine!r} was checked on {visit.day} and not calibrated before; add its calibration"
+                    f"robot {visit.machine!r} was checked on {visit.day} but not calibrated before; add its calibration"
                 )
             elif not self._epochs[visit.machine].is_changed:
                 self._add(number, visit)
@@ -220,7 +214,7 @@ class FleetWatch:
 
     def _begin(self, visit: Visit) -> None:
         if visit.found is None:
-            raise BadInputError(f"robot {visit.machine!r}: a calibration without information; expected that of its readings")
+            raise BadInputError(f"robot {visit.machine!r}: a calibration without the information of its readings")
         H, g = self._form(visit.found)
         number = self._epochs[visit.machine].number + 1 if visit.machine in self._epochs else 1
         groups = (WHOLE_FLEET, *(f"{key}={value}" for key, value in sorted(visit.found.labels.items())))
@@ -229,19 +223,19 @@ class FleetWatch:
         self._last.pop(visit.machine, None)
 
     def _form(self, machine: Machine) -> tuple[np.ndarray, np.ndarray]:
-        """Return information in units of the type's priors; what the type does not have stays as it was calibrated."""
+        """Return information in units of the type's priors; parameters outside the type are held as calibrated."""
         found, P = gathered([machine], like=self.type.parameters), len(self.type.priors)
         self.type.require(f"machine {machine.name!r} ({found.robot})", found.geometry)
         scale = self.type.priors / found.priors[:P]
         return found.forms.H[0, :P, :P] * np.outer(scale, scale), found.forms.g[0, :P] * scale
 
     def _add(self, number: int, visit: Visit) -> None:
-        """Take in a check."""
+        """Add a check."""
         epoch = self._epochs[visit.machine]
         if not epoch.steps or epoch.steps[-1].round < number:
             epoch.checks += 1
             epoch.steps.append(_Step(number, visit.day, epoch.H, epoch.g))
-            # The first one stays.
+            # The first one is kept.
             del epoch.steps[1:-_WINDOW]
         self._checks += 1
         if visit.found is not None:
@@ -253,9 +247,9 @@ class FleetWatch:
                 step.extra += float(np.log(e_value(visit.p_value)))
 
     def _weigh(self, epoch: _Epoch) -> None:
-        """Find how likely a change before each round is."""
+        """Compute the evidence of a change before each round."""
         H, g = (np.array([getattr(step, name) for step in epoch.steps]) for name in ("H", "g"))
-        # With A what was known before and B = T - A what came after: B - B T^-1 B = A - A T^-1 A.
+        # With information A before, B = T - A after and T in total: B - B T^-1 B = A - A T^-1 A.
         Q = H - H @ np.linalg.inv(epoch.H) @ H
         mean, moved = np.linalg.solve(H, g[..., None]), np.linalg.solve(epoch.H, epoch.g)
         q = (H @ (moved[:, None] - mean))[..., 0]
@@ -265,14 +259,14 @@ class FleetWatch:
             step.total = float(np.logaddexp.reduce(step.logs))
 
     def _logs(self, q: np.ndarray, Q: np.ndarray) -> np.ndarray:
-        """Return the weighted log evidence of each way to change, shape (steps, ways), for q (steps, P), Q (steps, P, P)."""
+        """Return the weighted log evidence of each kind of change, (steps, kinds), for q (steps, P), Q (steps, P, P)."""
         d = np.maximum(np.diagonal(Q, axis1=1, axis2=2), 0.0)
         single = 0.5 * q**2 / (_SIZE**-2 + d) - 0.5 * np.log1p(_SIZE**2 * d)
         several = [log_evidence(q[:, at], Q[:, at[:, None], at], _SIZE) for at in self._ways[q.shape[1] :]]
         return np.asarray(np.minimum(np.column_stack([single, *several]), _MOST) + self._log_chances)
 
     def _note(self, robots: Sequence[str], day: str) -> None:
-        """Keep what a round shows of each robot by itself."""
+        """Record what a round shows of each robot by itself."""
         p = np.empty(len(robots))
         for k, robot in enumerate(robots):
             step = self._epochs[robot].steps[-1]
@@ -282,7 +276,7 @@ class FleetWatch:
             self._last[robot] = LastCheck(robot, day, float(one), float(adjusted), self._epochs[robot].log_e())
 
     def _next(self, day: str) -> FleetChange | None:
-        """Return the likeliest change that the readings show and that was not found yet."""
+        """Return the likeliest change that the readings show and that has not been found yet."""
         active = {name: epoch for name, epoch in self._epochs.items() if epoch.steps and not epoch.is_changed}
         if not active:
             return None
@@ -304,7 +298,7 @@ class FleetWatch:
         return self._described(robot, step, day, logs[robot], is_group=False)
 
     def _drift(self, active: Mapping[str, _Epoch], day: str, *, least: float) -> FleetChange | None:
-        """Return the likeliest drift of a group, if it is likelier than ``least``, and take it out of the group's robots."""
+        """Return the likeliest drift of a group, if likelier than ``least``, and subtract it from the group's robots."""
         members = dict[str, list[_Epoch]]()
         for epoch in active.values():
             for group in epoch.groups:
@@ -331,7 +325,7 @@ class FleetWatch:
         return self._described(group, step, day, log_e, is_group=True)
 
     def _common(self, own: Sequence[_Epoch]) -> list[_Step]:
-        """Return what the robots of a group show together of a change before each of the last rounds."""
+        """Return the joint evidence of a group's robots on a change before each of the last rounds."""
         rounds = sorted({step.round for epoch in own for step in epoch.steps})[-_WINDOW:]
         found = list[_Step]()
         for number in rounds:
@@ -345,7 +339,7 @@ class FleetWatch:
         return found
 
     def _shift(self, epoch: _Epoch, since: int, by: np.ndarray) -> None:
-        """Take a drift since a round out of a robot's readings."""
+        """Subtract a drift since a round from a robot's readings."""
         first = next((step for step in epoch.steps if step.round >= since), None)
         epoch.drift = epoch.drift + by
         if first is None:
@@ -357,7 +351,7 @@ class FleetWatch:
         self._weigh(epoch)
 
     def _described(self, subject: str, step: _Step, day: str, log_e: float, *, is_group: bool) -> FleetChange:
-        """Return a change in words and numbers."""
+        """Return the change that a step shows."""
         if step.extra > step.total:
             return FleetChange(subject, is_group, day, step.day, DIAGNOSED, (), None, None, "", log_e)
         best = int(np.argmax(step.logs))
@@ -372,6 +366,6 @@ class FleetWatch:
 
 
 def _hazard(steps: Sequence[_Step]) -> np.ndarray:
-    """Return the log chance of a change before each round, shape (steps,)."""
+    """Return the log probability of a change before each round, shape (steps,)."""
     rounds = np.array([step.round for step in steps]) - steps[0].round
     return np.asarray(np.log(_HAZARD) + rounds * np.log1p(-_HAZARD))

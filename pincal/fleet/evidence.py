@@ -1,19 +1,19 @@
-r"""How far machines are from a population, and how likely each of its elements was hit.
+r"""How far machines are from a population, and how likely each of their elements was hit.
 
-With machines :math:`x \sim N(\mu, \Sigma)` and readings that give information H and g on one of them
-(:mod:`pincal.identify.quadratic`), all that these show of its distance from the population is a score and its covariance,
+With machines :math:`x \sim N(\mu, \Sigma)` and readings with information H and g on one of them
+(:mod:`pincal.identify.quadratic`), its distance from the population enters through a score and its covariance,
 
 .. math:: q = \Sigma^{-1} C (g - H \mu), \qquad Q = \Sigma^{-1} - \Sigma^{-1} C \Sigma^{-1}, \qquad
     C = (\Sigma^{-1} + H)^{-1},
 
-the gradient of the log likelihood along the machine's deviation, and its covariance if the machine belongs. They are
-computed in units of the spread, :math:`L^T q` and :math:`L^T Q L = 1 - (1 + L^T H L)^{-1}` with :math:`L L^T = \Sigma`,
-which is exact however little or much is known of a direction. That some parameters are off by an amount with covariance
-:math:`T^2` makes the readings more likely by the factor
+the gradient of the log likelihood along the machine's deviation, and its covariance if the machine belongs to the
+population. They are computed in units of the spread, :math:`L^T q` and :math:`L^T Q L = 1 - (1 + L^T H L)^{-1}` with
+:math:`L L^T = \Sigma`, which is exact however little or much is known of a direction. If some parameters deviate by an amount
+with covariance :math:`T^2`, the readings are more likely by the factor
 
 .. math:: |1 + T Q T|^{-1/2} \exp(\tfrac12 q^T (T^{-2} + Q)^{-1} q),
 
-a likelihood ratio of two marginal likelihoods, hence an e-value: its mean is 1 where nothing is off (Vovk and Wang 2021).
+a ratio of two marginal likelihoods, hence an e-value: its mean is 1 if nothing deviates (Vovk and Wang 2021).
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc
 
-# Machines worked on at a time: with 40 parameters their matrices take 6 MB.
+# Machines processed at a time: with 40 parameters their matrices take 6 MB.
 _PIECE = 500
-# Log odds beyond which nothing changes any more.
+# Upper bound on log odds, so that exponentials are finite.
 _SURE = 500.0
-# Degrees of freedom of machines about their mean, and logarithms of factors on variances that are tried.
+# Degrees of freedom of machines about their mean, and the grid of logarithms of factors on variances.
 _TAIL, _FACTORS = 4.0, (-3.0, 6.0, 181)
 
 
@@ -37,9 +37,9 @@ class Forms:
     """Information of M machines on P parameters, each in units of its prior without a type.
 
     Attributes:
-        H: shape (M, P, P), information about the nominal robot.
+        H: shape (M, P, P), information on deviations from the nominal robot.
         g: shape (M, P).
-        elements: shape (P,), numbers of the elements (joints) that parameters belong to: a collision moves all of one.
+        elements: shape (P,), numbers of the elements (joints) of the parameters: a collision changes all of one.
     """
 
     H: np.ndarray
@@ -50,26 +50,20 @@ class Forms:
         return len(self.g)
 
     def pieces(self) -> Iterator[tuple[slice, Forms]]:
-        """Yield some machines at a time, and where they stand."""
+        """Yield some machines at a time, with their rows."""
         for start in range(0, len(self), _PIECE):
             rows = slice(start, start + _PIECE)
             yield rows, replace(self, H=self.H[rows], g=self.g[rows])
 
     @property
     def ways(self) -> list[np.ndarray]:
-        """The parameters of each element, and all of them: what may be off at once."""
+        """Indices of the parameters that may deviate together: those of each element, and all."""
         found = [np.flatnonzero(self.elements == element) for element in np.unique(self.elements)]
         return [*found, np.arange(len(self.elements))] if len(found) > 1 else found
 
 
 def scores(forms: Forms, mean: np.ndarray, root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return L^T q, shape (M, P), and L^T Q L, shape (M, P, P), of machines compared with a population.
-
-    Args:
-        forms: the machines.
-        mean: mu, shape (P,).
-        root: L, shape (P, P).
-    """
+    """Return L^T q, shape (M, P), and L^T Q L, (M, P, P), of machines in a population with mean mu and root L, (P, P)."""
     is_diagonal = np.count_nonzero(root) <= len(mean)
     spread = np.diag(root)
     A = forms.H * np.outer(spread, spread) if is_diagonal else root.T @ forms.H @ root
@@ -82,7 +76,7 @@ def scores(forms: Forms, mean: np.ndarray, root: np.ndarray) -> tuple[np.ndarray
 
 
 def in_prior_units(q: np.ndarray, Q: np.ndarray, root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return q and Q themselves, in units of the priors without a type, given those in units of the spread."""
+    """Convert q and Q from units of the spread to units of the priors without a type."""
     if np.count_nonzero(root) <= len(root):
         spread = np.diag(root)
         return q / spread, Q / np.outer(spread, spread)
@@ -91,12 +85,12 @@ def in_prior_units(q: np.ndarray, Q: np.ndarray, root: np.ndarray) -> tuple[np.n
 
 
 def log_evidence(q: np.ndarray, Q: np.ndarray, sizes: np.ndarray | float = 1.0) -> np.ndarray:
-    """Return the logarithm of the e-value that parameters are off, shape (...,).
+    """Return the logarithm of the e-value of a deviation of parameters, shape (...,).
 
     Args:
         q: shape (..., n), scores of these parameters.
         Q: shape (..., n, n), their covariances.
-        sizes: shape (n,), standard deviations of how far they are off; default: those of the priors without a type.
+        sizes: shape (n,), standard deviations of the deviations; default: those of the priors without a type.
     """
     T = np.broadcast_to(np.asarray(sizes, float), Q.shape[-1:])
     A = Q * np.outer(T, T) + np.eye(len(T))
@@ -107,7 +101,7 @@ def log_evidence(q: np.ndarray, Q: np.ndarray, sizes: np.ndarray | float = 1.0) 
 
 
 def log_ratios(forms: Forms, q: np.ndarray, Q: np.ndarray) -> np.ndarray:
-    """Return the log evidence of each way to be off, shape (ways, M), from scores in units of the priors."""
+    """Return the log evidence of each kind of deviation, shape (kinds, M), from scores in units of the priors."""
     return np.array([log_evidence(q[:, at], Q[:, at[:, None], at]) for at in forms.ways])
 
 
@@ -115,29 +109,29 @@ def regular(logs: np.ndarray, hit: float) -> np.ndarray:
     """Return the probability that a machine was not hit, shape (M,).
 
     Args:
-        logs: shape (ways, M), log evidence of each way to be off.
-        hit: part of the machines that were hit, in any way.
+        logs: shape (kinds, M), log evidence of each kind of deviation.
+        hit: fraction of the machines that were hit, in any way.
     """
     odds = hit / (1.0 - hit) * np.mean(np.exp(np.minimum(logs, _SURE)), axis=0)
     return np.asarray(1.0 / (1.0 + odds))
 
 
 def chance(q: np.ndarray, Q: np.ndarray, degrees: float = np.inf) -> np.ndarray:
-    r"""Return the chance of scores as large, shape (...,), if nothing is off.
+    r"""Return the p-value of scores, shape (...,), under the hypothesis that nothing deviates.
 
-    The statistic is :math:`q^T q`, in units of the spread: directions count as far as readings show them. It is a weighted
-    sum of chi-squares, taken for a multiple of one of the same mean and variance (Satterthwaite 1946).
+    The statistic is :math:`q^T q`, in units of the spread: directions count as far as readings determine them. It is a
+    weighted sum of chi-squares, approximated by a multiple of one with the same mean and variance (Satterthwaite 1946).
 
     Args:
         q: shape (..., n), in units of the spread.
         Q: shape (..., n, n).
-        degrees: degrees of freedom by which the spread of one parameter is known; several are known independently.
+        degrees: degrees of freedom of the estimated spread of one parameter; several are independent.
     """
     mean = np.trace(Q, axis1=-2, axis2=-1)
     square = np.sum(Q * Q, axis=(-2, -1))
     free = np.where(square > 0.0, mean**2 / np.maximum(square, 1e-300), 1.0)
     ratio = np.sum(q * q, axis=-1) / np.maximum(mean, 1e-300)
-    # Beyond a million degrees of freedom F is chi-square.
+    # With a million degrees of freedom F is chi-square.
     found = fdtrc(np.maximum(free, 1e-3), np.minimum(degrees * np.maximum(free, 1.0), 1e6), ratio)
     return np.where(mean > 1e-9, found, 1.0)
 
@@ -145,14 +139,14 @@ def chance(q: np.ndarray, Q: np.ndarray, degrees: float = np.inf) -> np.ndarray:
 def least_chance(
     q: np.ndarray, Q: np.ndarray, root: np.ndarray, elements: Sequence[np.ndarray], degrees: float = np.inf
 ) -> np.ndarray:
-    """Return the chance that any element, or all parameters together, are as far off if nothing is, shape (M,).
+    """Return the p-value of the largest deviation of any element, or of all parameters together, shape (M,).
 
     Args:
         q: shape (M, P), in units of the priors.
         Q: shape (M, P, P).
         root: L with L L^T the covariance of the population, shape (P, P).
         elements: the parameters of each element.
-        degrees: degrees of freedom by which the spread of one parameter is known.
+        degrees: degrees of freedom of the estimated spread of one parameter.
     """
     spread = np.sqrt(np.sum(root**2, axis=-1))
     own, Own = q * spread, Q * np.outer(spread, spread)
@@ -163,15 +157,15 @@ def least_chance(
 
 
 def times_farther(q: np.ndarray, Q: np.ndarray) -> float:
-    r"""Return by which factor on the variances of its population a machine is farther from the mean than others.
+    r"""Return the factor on the variances of its population by which a machine is farther from the mean than others.
 
-    With variances s times as large the readings have the log likelihood
+    With variances s times as large the log likelihood of the readings is
 
     .. math:: \tfrac12 \sum_i \Big( \frac{s\, b_i^2}{1 + s a_i} - \ln(1 + s a_i) \Big)
 
     along the axes of their information a in units of the spread, b its gradient at the mean. The inverse of s has a
-    chi-square prior of few degrees of freedom, so that machines are Student's (Lange, Little and Taylor 1989); of its
-    logarithm the mean is taken.
+    chi-square prior with few degrees of freedom, so that machines follow Student's t (Lange, Little and Taylor 1989). The
+    result is the exponential of the posterior mean of ln s.
 
     Args:
         q: shape (P,), score of one machine in units of the spread.

@@ -1,4 +1,4 @@
-"""What is known of a fleet over time: visits of its machines, what these show to have changed, and many tests at once."""
+"""The history of a fleet: visits of its machines, the changes that they reveal, and multiple testing."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 from pincal.fleet.machines import Machine
 
 WHOLE_FLEET, DIAGNOSED = "fleet", "see its diagnosis"
-"""The group of all robots, and what has changed where there is nothing but the p-value of a diagnosis."""
+"""Name of the group of all robots; description of a change known only by the p-value of a diagnosis."""
 
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """A robot was calibrated or checked.
+    """A calibration or a check of a robot.
 
     Attributes:
         machine: its name.
         day: ISO date.
-        found: information of the readings; None where there is a p-value only.
-        is_calibration: whether the machine starts anew: nothing before counts any more.
-        p_value: of a diagnosis whose readings are not here.
+        found: information of the readings; None if there is only a p-value.
+        is_calibration: whether the robot was recalibrated, so that earlier visits no longer count.
+        p_value: of a diagnosis without its readings.
     """
 
     machine: str
@@ -38,12 +38,12 @@ class FleetChange:
     Attributes:
         subject: the robot, or the group as ``label=value``.
         is_group: whether it is a group.
-        found: day by which it was found.
+        found: day on which it was found.
         since: day of the first readings after it.
         what: the parameter or element that explains it best, :data:`EVERYTHING` for more than one element, or
             :data:`DIAGNOSED`.
-        equals: what explains it as well.
-        change: by how much, of a single parameter [``unit``]; None for others.
+        equals: parameters or elements that explain it equally well.
+        change: size of the change of a single parameter [``unit``]; None for others.
         sigma: its standard deviation.
         unit: the parameter's.
         log_e: logarithm of the e-value.
@@ -63,14 +63,14 @@ class FleetChange:
 
 @dataclass(frozen=True)
 class LastCheck:
-    """What the last check of a robot shows.
+    """Result of the last check of a robot.
 
     Attributes:
         machine: its name.
         day: of the check.
-        p_value: chance of such readings on a robot that has not changed since the check before.
-        q_value: the same adjusted for all robots of the round (Benjamini and Hochberg 1995).
-        log_e: logarithm of the e-value that it has changed at any time since its calibration.
+        p_value: of the readings on a robot that has not changed since the previous check.
+        q_value: the p-value adjusted for all robots of the round (Benjamini and Hochberg 1995).
+        log_e: logarithm of the e-value of a change at any time since its calibration.
     """
 
     machine: str
@@ -86,11 +86,11 @@ class FleetHistory:
 
     Attributes:
         changes: in the order in which they were found.
-        last: the last check of each robot, those to look at first in front.
+        last: the last check of each robot, by decreasing evidence of a change.
         robots: number of robots.
         checks: number of checks.
-        open: robots that changed and were not calibrated since.
-        drifted: robots of groups that drifted, likewise.
+        open: robots that changed and were not recalibrated since.
+        drifted: robots of groups that drifted, not recalibrated since.
     """
 
     changes: tuple[FleetChange, ...]

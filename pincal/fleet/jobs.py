@@ -1,7 +1,7 @@
-"""Work on every table of a store, wherever there are workers; what is done is not done again.
+"""Jobs on every table of a store, on any workers; finished work is not repeated.
 
-A result is a file whose name follows from the rows and from the job. So a job that was killed goes on with what is left, two
-at once do no harm, and results are the same to the last byte.
+A result is a file whose name is determined by the rows and the job. So a job that was killed resumes where it stopped,
+concurrent runs do no harm, and results are identical to the last byte.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ from pincal.measure.measurements import Measurements
 from pincal.robot.robot import Robot
 from pincal.spread import spread
 
-# What the names of results end with that say why a table can't be worked on.
+# End of the names of results that contain the reason of a failure.
 _FAILED = "-failed"
 _DIAGNOSIS = FileKind("a diagnosis", ModelFileError, whole="what pincal diagnose writes")
 
 
 class _NotYetError(BadInputError):
-    """The store lacks something that may come: nothing is written, so that the table's turn comes again."""
+    """The store lacks something that may be added later: nothing is written, so that the table is tried again."""
 
 
 class Job(ABC):
-    """What is to be done with each table of a store."""
+    """What to do with each table of a store."""
 
     kind: str
     """Of its results, one of :data:`pincal.fleet.store.STORED`."""
@@ -60,28 +60,28 @@ class Job(ABC):
     @property
     @abstractmethod
     def facts(self) -> str:
-        """All that results depend on beside the rows, as text."""
+        """Everything except the rows on which results depend, as text."""
 
     @abstractmethod
     def row(self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]) -> pl.DataFrame:
         """Return the result of a table as one row.
 
         Raises:
-            PincalError: for rows that can't be worked on.
+            PincalError: for rows that can't be processed.
         """
 
     @abstractmethod
     def nothing(self, key: Key, labels: Mapping[str, str]) -> pl.DataFrame:
-        """Return the row of a table that can't be worked on."""
+        """Return the row of a table that can't be processed."""
 
     @cached_property
     def name(self) -> str:
-        """The same for what gives the same results."""
+        """Kind and checksum, equal for jobs with the same results."""
         return f"{self.kind}-{hashlib.sha256(self.facts.encode()).hexdigest()[:8]}"
 
     @final
     def result(self, key: Key) -> Key:
-        """Return where the result of a table stands."""
+        """Return the key of the result of a table."""
         return replace(key, kind=self.kind, id=f"{key.id}-{self.name}")
 
 
@@ -92,7 +92,7 @@ class CalibrateTables(Job):
     Attributes:
         robot: the arm.
         options: how to calibrate.
-        type: what is known of its machines.
+        type: the type of the machines, if known.
         role: of the tables.
     """
 
@@ -123,7 +123,7 @@ class CalibrateTables(Job):
         return information_frame(machine, "", **how)
 
     def nothing(self, key: Key, labels: Mapping[str, str]) -> pl.DataFrame:
-        """Return a machine of which nothing is known."""
+        """Return a machine without information."""
         empty = Quadratic(np.zeros((0, 0)), np.zeros(0), np.zeros(0), names=(), square=0.0, degrees=0.0)
         machine = Machine(key.machine, RobotInformation.of_form(empty, self.robot.name, 0, {}), labels)
         return information_frame(machine, "", converged=False)
@@ -131,10 +131,10 @@ class CalibrateTables(Job):
 
 @dataclass(frozen=True)
 class DiagnoseTables(Job):
-    """Whether machines have changed, from each table and the last model of the machine that is not younger.
+    """Whether machines have changed, from each table and the machine's last model of that day or earlier.
 
     Attributes:
-        alpha: chance of an alarm on a robot that has not changed.
+        alpha: probability of an alarm on a robot that has not changed.
         sigma: noise of one component of the readings [m]; default: the column ``sigma``.
     """
 
@@ -145,14 +145,14 @@ class DiagnoseTables(Job):
 
     @property
     def facts(self) -> str:
-        """Chance of a false alarm and noise."""
+        """Probability of a false alarm, and noise."""
         return f"{self.alpha} {self.sigma}"
 
     def row(self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]) -> pl.DataFrame:
         """Return the diagnosis."""
         model = last_model(store, key.machine, key.day)
         if model is None:
-            raise _NotYetError(f"machine {key.machine!r} has no model of {key.day} or before; add its model.json")
+            raise _NotYetError(f"machine {key.machine!r} has no model of {key.day} or earlier; add its model.json")
         found = diagnose(model, table, alpha=self.alpha, sigma=self.sigma)
         return text_frame(msgspec.json.encode(found.found).decode(), changed=found.changed, p_value=found.found.p_value)
 
@@ -163,7 +163,7 @@ class DiagnoseTables(Job):
 
 @dataclass(frozen=True)
 class DiscoverTables(Job):
-    """What the model of machines lacks, from each table alone.
+    """Effects missing from the model of machines, from each table alone.
 
     Attributes:
         robot: the arm.
@@ -194,13 +194,13 @@ class DiscoverTables(Job):
 
 @dataclass(frozen=True)
 class Done:
-    """What became of a job.
+    """Outcome of a job.
 
     Attributes:
         done: number of tables whose results were added.
-        before: number of those that had results before.
-        failed: reasons of tables that can't be worked on, by their path.
-        failed_before: number of those that could not be worked on before, by the same job; the reasons are in the store.
+        before: number of tables with earlier results.
+        failed: reasons of tables that can't be processed, by their path.
+        failed_before: number of tables that this job could not process earlier; the reasons are in the store.
     """
 
     done: int
@@ -210,9 +210,9 @@ class Done:
 
 
 def without_information(store: Store) -> list[Key]:
-    """Return the tables of which there is no information yet, by whatever job.
+    """Return the tables without information from any job.
 
-    Information that was added for a machine and day is that of its table of that day, unless this is a check.
+    Information added for a machine and day counts as derived from its table of that day, unless the table is a check.
     """
     known = store.keys(INFORMATION)
     done = {key.id.partition("-")[0] for key in known if not key.id.endswith(_FAILED)}
@@ -227,12 +227,12 @@ def run_job(store: Store, job: Job, *, tables: Sequence[Key] | None = None, exec
     Args:
         store: the store.
         job: what to do.
-        tables: of these alone.
-        executor: does the work, see :mod:`pincal.spread`; default: here, one after the other.
+        tables: restrict the job to these.
+        executor: does the work, see :mod:`pincal.spread`; default: this process, one table at a time.
 
     Raises:
         OutputError: if the store can't be written to.
-        WorkersLostError: if workers died and nobody could go on with their work; what is done is there.
+        WorkersLostError: if workers died and none could take over their work; finished results are kept.
     """
     tables, there = store.keys(TABLES) if tables is None else tables, set(store.keys(job.kind))
     left = [key for key in tables if not there & {job.result(key), _failure(job.result(key))}]
@@ -246,12 +246,12 @@ def run_job(store: Store, job: Job, *, tables: Sequence[Key] | None = None, exec
 
 
 def _failure(result: Key) -> Key:
-    """Return where the reason stands why there is no result."""
+    """Return the key of the reason why there is no result."""
     return replace(result, id=result.id + _FAILED)
 
 
 def _work(store: Store, job: Job, key: Key) -> str | None:
-    """Do a job for a table; return why it can't be done, empty if it is; None if the job is not for such tables."""
+    """Do a job for a table; return why it failed, "" if it did not, or None if the job is not for such tables."""
     frame = store.frame(key)
     role, reason = frame["role"][0], ""
     if job.role not in (None, role):
@@ -269,14 +269,14 @@ def _work(store: Store, job: Job, key: Key) -> str | None:
 
 
 def visits_of(store: Store, *, job: str | None = None) -> Iterator[Visit]:
-    """Yield calibrations and checks of a store: information on machines, and p-values of diagnoses where there is none.
+    """Yield calibrations and checks of a store: information on machines, and p-values of diagnoses if there is none.
 
     Args:
         store: the store.
-        job: which computed the information; default: any.
+        job: the one that computed the information; default: any.
 
     Raises:
-        BadInputError: if there is information of the same rows by several jobs.
+        BadInputError: if several jobs computed information from the same rows.
     """
     informed, chances = set[tuple[str, str]](), dict[tuple[str, str, str], float]()
     for key, machine, role in store.machines(job=job, role=None):
@@ -286,7 +286,7 @@ def visits_of(store: Store, *, job: str | None = None) -> Iterator[Visit]:
     for keys, frame in store.frames(DIAGNOSES):
         for key, p, table, failure in zip(keys, *(frame[n] for n in ("p_value", "table", "failure")), strict=True):
             if not failure and (key.machine, key.day) not in informed:
-                # Rows that were diagnosed more than once, as with another noise, count once.
+                # Rows diagnosed more than once, such as with another noise, count once.
                 rows = key.machine, key.day, table or key.id
                 chances[rows] = max(p, chances.get(rows, 0.0))
     yield from (Visit(machine, day, p_value=p) for (machine, day, _), p in chances.items())
@@ -328,7 +328,7 @@ def add_diagnosis(store: Store, machine: str, day: str, path: Path) -> None:
 
 
 def last_model(store: Store, machine: str | None = None, day: str = "9999") -> CalibratedModel | None:
-    """Return the last model of a machine, default any, that is of some day or before; None without any."""
+    """Return the last model of a machine, default any, from a day or earlier; None if there is none."""
     known = [one for one in store.keys(MODELS) if machine in (None, one.machine) and one.day <= day]
     if not known:
         return None
@@ -339,7 +339,7 @@ def last_model(store: Store, machine: str | None = None, day: str = "9999") -> C
 
 
 def _check(robot: Robot, table: Measurements) -> None:
-    """Refuse rows that can't be of a robot."""
+    """Refuse rows that do not match a robot."""
     if table.joint_names != robot.joint_names:
         names = ", ".join(table.joint_names), ", ".join(robot.joint_names)
         raise BadInputError(f"{table.source}: joints {names[0]}; {robot.name} has {names[1]}")

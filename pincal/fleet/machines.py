@@ -1,4 +1,4 @@
-"""Machines of a type as a site sends them: information on the parameters of each, without poses and times; their file."""
+"""Machines of a type as a site shares them: information on the parameters of each, without poses and times; their file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pincal.identify.fit import ModelFit
 from pincal.parameters import Parameter
 
 SCHEMA_VERSION = 1
-"""Of the rows that machines are written as."""
+"""Version of the rows in which machines are stored."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,9 +27,9 @@ class Machine:
     """Information on one machine.
 
     Attributes:
-        name: of the machine; "" where a site does not give it.
-        information: of its readings on its parameters, with base, targets and instrument eliminated and no prior.
-        labels: what else is known of it, such as its supplier, batch or hall.
+        name: of the machine; "" if the site does not share it.
+        information: of its readings on its parameters, with base, targets and instrument marginalised and without a prior.
+        labels: further properties, such as its supplier, batch or hall.
     """
 
     name: str
@@ -38,11 +38,11 @@ class Machine:
 
     @classmethod
     def of(cls, fit: ModelFit, name: str = "", *, labels: Mapping[str, str] | None = None) -> Machine:
-        """Return the machine that a fit is of; whatever prior the fit had is not in it."""
+        """Return the machine of a fit, without the fit's prior."""
         return cls(name, RobotInformation.of(fit), dict(labels or {}))
 
     def __add__(self, other: Machine) -> Machine:
-        """Return the same machine with the readings of both."""
+        """Return the machine with the readings of both."""
         return replace(self, information=self.information + other.information, labels={**other.labels, **self.labels})
 
 
@@ -51,12 +51,12 @@ class Gathered:
     """Machines of one type, all in the same parameters.
 
     Attributes:
-        machines: those of one name added up.
+        machines: one per name.
         robot: name of the arm.
         geometry: checksum of its nominal geometry.
-        parameters: the P parameters that any of them has.
+        parameters: the P parameters of all machines together.
         priors: shape (P,), standard deviations of their priors without a type.
-        forms: what the machines say, in units of these priors.
+        forms: the machines' information, in units of these priors.
     """
 
     machines: tuple[Machine, ...]
@@ -68,26 +68,26 @@ class Gathered:
 
 
 def gathered(machines: Iterable[Machine], *, like: Sequence[Parameter] = ()) -> Gathered:
-    """Return machines in the same parameters; what one of them lacks its readings do not determine.
+    """Return machines in the same parameters; readings give no information on parameters that a machine lacks.
 
     Args:
-        machines: one or more; those of one name are the same machine measured more than once, and equal ones count once.
-        like: parameters to begin with.
+        machines: one or more; machines of one name are added up, and identical ones count once.
+        like: the first parameters.
 
     Raises:
-        BadInputError: for no machine, one by two names, different nominal geometries, or a parameter with different units.
+        BadInputError: for no machine, one under two names, different nominal geometries, or different units of a parameter.
     """
     named, twins = dict[object, Machine](), dict[object, Machine]()
     for k, machine in enumerate(machines):
         key = machine.name or k
-        # Noise makes no two sets of readings alike.
+        # Because of noise no two sets of readings are equal.
         own = machine.information
         readings = own.geometry, own.g.tobytes() or k
         if (twin := twins.get(readings)) is not None:
             if machine.name and twin.name == machine.name:
                 continue
             raise BadInputError(
-                f"{_called(machine)} has the very readings of {_called(twin)}; expected each machine once, by one name: "
+                f"{_called(machine)} has the same readings as {_called(twin)}; expected each machine once, under one name: "
                 "leave one out"
             )
         twins[readings] = machine
@@ -102,7 +102,7 @@ def gathered(machines: Iterable[Machine], *, like: Sequence[Parameter] = ()) -> 
         own = machine.information
         if own.geometry != first.geometry:
             raise BadInputError(
-                f"{_called(machine)} ({own.robot}) and {_called(found[0])} ({first.robot}) are of different nominal "
+                f"{_called(machine)} ({own.robot}) and {_called(found[0])} ({first.robot}) have different nominal "
                 "geometries, so they are not of one type; calibrate all with the same URDF, base and tip"
             )
         for parameter, size in own.known.values():
@@ -111,7 +111,7 @@ def gathered(machines: Iterable[Machine], *, like: Sequence[Parameter] = ()) -> 
                 raise BadInputError(f"{_called(machine)}: {parameter.name} is in {parameter.unit}; expected {known.unit}")
             sizes.setdefault(parameter.name, []).append(size)
     place = {name: i for i, name in enumerate(parameters)}
-    # That of compliances depends on the poses of each machine.
+    # The prior of compliances depends on the poses of each machine.
     priors = np.array([float(np.median(sizes.get(p.name, [p.size]))) for p in parameters.values()])
     H, g = np.zeros((len(found), len(place), len(place))), np.zeros((len(found), len(place)))
     for k, machine in enumerate(found):
@@ -124,12 +124,12 @@ def gathered(machines: Iterable[Machine], *, like: Sequence[Parameter] = ()) -> 
 
 
 def kinds_of(parameters: Sequence[Parameter]) -> np.ndarray:
-    """Return numbers of kinds, shape (P,): parameters of one effect and unit, whose spreads are alike."""
+    """Return the number of each parameter's kind, shape (P,): those of one effect and unit have similar spreads."""
     return _numbered((p.effect, p.unit) for p in parameters)
 
 
 def machines_frame(machines: Iterable[Machine]) -> pl.DataFrame:
-    """Return machines as a table of one row each."""
+    """Return machines as a table, one row per machine."""
     found = list(machines)
     return pl.DataFrame(
         {
@@ -143,7 +143,7 @@ def machines_frame(machines: Iterable[Machine]) -> pl.DataFrame:
 
 
 def labelled(labels: Sequence[Mapping[str, str]]) -> pl.Series:
-    """Return the column of labels of each row."""
+    """Return the labels of each row as a column."""
     entries = [[{"key": key, "value": value} for key, value in sorted(row.items())] for row in labels]
     return pl.Series("labels", entries, pl.List(pl.Struct({"key": pl.String, "value": pl.String})))
 
@@ -152,7 +152,7 @@ def machines_of(frame: pl.DataFrame, source: str) -> list[Machine]:
     """Return the machines of a table of :func:`machines_frame`.
 
     Raises:
-        ModelFileError: for another schema, or arrays that do not fit together.
+        ModelFileError: for another schema, or inconsistent arrays.
     """
     missing = [name for name in ("schema", "machine", "information", "labels") if name not in frame.columns]
     if missing:
@@ -167,12 +167,12 @@ def machines_of(frame: pl.DataFrame, source: str) -> list[Machine]:
 
 
 def save_machines(path: str | os.PathLike[str], machines: Iterable[Machine], *, names: bool = False) -> None:
-    """Write what a site sends: information on its machines as one Parquet file, some kilobytes each.
+    """Write what a site shares: information on its machines as one Parquet file, some kilobytes each.
 
     Args:
         path: the file.
         machines: the machines.
-        names: whether their names and labels go with them.
+        names: whether their names and labels are included.
 
     Raises:
         OutputError: if the place can't be written to.
@@ -184,7 +184,7 @@ def save_machines(path: str | os.PathLike[str], machines: Iterable[Machine], *, 
 def load_machines(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Machine]:
     """Return the machines of files: Parquet of :func:`save_machines`, or information files of single machines (JSON).
 
-    A machine of an information file has the name of the file.
+    The machine of an information file has the name of the file.
 
     Raises:
         ModelFileError: if a file can't be read, or is damaged.
@@ -203,7 +203,7 @@ def load_machines(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str
 
 
 def parquet_bytes(frame: pl.DataFrame) -> bytes:
-    """Return a table as the content of a Parquet file, the same for the same table."""
+    """Return the content of a Parquet file of a table, identical for equal tables."""
     stream = io.BytesIO()
     frame.write_parquet(stream)
     return stream.getvalue()
@@ -214,6 +214,6 @@ def _called(machine: Machine) -> str:
 
 
 def _numbered(things: Iterable[object]) -> np.ndarray:
-    """Return a number for each thing, the same for equal ones, shape (n,)."""
+    """Number things in order of appearance, equal ones equally, shape (n,)."""
     known = dict[object, int]()
     return np.array([known.setdefault(thing, len(known)) for thing in things], int)

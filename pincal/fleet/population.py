@@ -1,22 +1,23 @@
-r"""The population that machines are drawn from, by the marginal likelihood of all their readings (empirical Bayes).
+r"""The population from which machines are drawn, by the marginal likelihood of all their readings (empirical Bayes).
 
-Machines are x ~ N(mu, Sigma); of each there is a score q and its covariance Q (:mod:`pincal.fleet.evidence`). Sums of q, Q,
+Machines are x ~ N(mu, Sigma); each has a score q with covariance Q (:mod:`pincal.fleet.evidence`). Sums of q, Q,
 :math:`q q^T` and :math:`Q \circ Q` over machines give
 
 - the mean, :math:`\sum q = 0`, with a normal prior about the data sheet;
 - the variances of single parameters, by Fisher scoring on their logarithms: gradient :math:`(q_k^2 - Q_{kk}) / 2` and
-  information :math:`Q_{kl}^2 / 2` in units of the spread, restricted for the mean that is estimated with them (Patterson
-  and Thompson 1971);
-- all correlations, by the EM algorithm, shrunk towards none as by an inverse Wishart prior. Its degrees of freedom follow
-  from the squared scores of all pairs (the method of moments), so that a few machines have no correlations.
+  information :math:`Q_{kl}^2 / 2` in units of the spread, restricted for the jointly estimated mean (Patterson and Thompson
+  1971);
+- all correlations, by the EM algorithm, shrunk towards zero as by an inverse Wishart prior. Its degrees of freedom follow
+  from the squared scores of all pairs (method of moments), so that a few machines have no correlations.
 
-The priors are hierarchical: log variances of parameters of a kind are normal about one of that kind, and those of kinds
-about a common one, which keeps the proportions of the priors without a type. How unlike they are, and how far the mean is
-off the data sheet, is averaged over values as the data make them likely. So the eighteen lengths of three machines are not
-eighteen spreads of two degrees of freedom each, and what remains unsure of a spread widens the prior of the next machine.
+The priors are hierarchical: log variances of the parameters of a kind are normal about a mean of that kind, and the means of
+the kinds about a common one, relative to the priors without a type. The standard deviations of this hierarchy, and the
+distance of the mean from the data sheet, are marginalised over a grid. So the eighteen lengths of three machines are not
+eighteen spreads with two degrees of freedom each, and the uncertainty of a spread widens the prior of the next machine.
 
-Some machines were hit, or are of another type: for these an element, or everything, is off by as much as the priors without
-a type allow. A machine counts by the probability that it is not one of them (a mixture; cf. Lange, Little and Taylor 1989).
+Some machines were hit, or are of another type: in these an element, or everything, deviates by as much as the priors without
+a type allow. A machine is weighted by the probability that it is not one of them (a mixture; cf. Lange, Little and Taylor
+1989).
 """
 
 from __future__ import annotations
@@ -29,20 +30,20 @@ from scipy.special import chdtri
 
 from pincal.fleet.evidence import Forms, in_prior_units, log_ratios, regular, scores
 
-# Machines by which the first rounds are made, and by which it is tried where to begin; by how much better the second way has
-# to be, in logarithms of likelihood.
+# Machines in the first rounds, and those with which two starting points are compared; by how much the log likelihood of the
+# second one has to be larger.
 _FEW, _TRIED, _BETTER = 400, 100, 3.0
-# Rounds at most, and the largest change of a log variance in one. They end where all are as near as _SETTLED, and that part
-# of their standard deviations.
+# Largest number of rounds, and largest change of a log variance in one. They end when all changes are below _SETTLED plus
+# the fraction _NEGLIGIBLE of their standard deviations.
 _ROUNDS, _FARTHEST, _SETTLED, _NEGLIGIBLE = 60, 1.5, 0.005, 0.05
-# Standard deviation of log variances: of all alike, off the priors without a type; of kinds and of single parameters: one of
-# several values. A factor of e in a standard deviation is 2.
+# Standard deviations of log variances: common to all, from the priors without a type; of kinds and of single parameters, by
+# grids. A log variance of 2 is a factor of e in the standard deviation.
 _LEVEL, _KINDS, _UNLIKE = 5.0, (0.05, 0.5, 1.2, 2.5), (0.1, 0.3, 0.6, 1.0, 1.5, 2.2)
-# How far the mean is off the data sheet, in units of the spread: one of these.
+# Grid of the distance of the mean from the data sheet, in units of the spread.
 _OFF = (0.03, 0.1, 0.3, 0.6, 1.0, 1.8, 3.0, 6.0, 20.0)
-# Part of the machines that were hit, before any was seen, and how many machines this counts for.
+# Prior fraction of machines that were hit, and the number of machines that this prior is worth.
 _HIT, _HIT_COUNTS = 0.02, 20.0
-# Rounds by which correlations are found, and the change that ends them.
+# Largest number of rounds for correlations, and the change that ends them.
 _CORRELATING, _CORRELATED = 12, 0.01
 # Standard errors by which mean squared correlations have to differ from zero.
 _BY_CHANCE = 1.0
@@ -52,7 +53,7 @@ _SEEN = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Population:
-    """What machines are drawn from, in units of the priors without a type.
+    """The distribution of machines, in units of the priors without a type.
 
     Attributes:
         mean: shape (P,).
@@ -61,7 +62,7 @@ class Population:
         spread_variance: shape (P,), of the logarithms of the variances.
         seen: shape (P, P), projector on the directions that machines determine; along all others the priors hold.
         counts: shape (M,), the probability that a machine was not hit.
-        hit: part of the machines that were hit.
+        hit: fraction of machines that were hit.
     """
 
     mean: np.ndarray
@@ -75,11 +76,11 @@ class Population:
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Sums over machines, each as far as it counts, of scores in units of the spread.
+    """Weighted sums over machines, of scores in units of the spread.
 
     Attributes:
-        count: number of machines.
-        q, Q, qq, QQ: their scores and covariances, and sums of products; ``QQ`` entry by entry.
+        count: sum of weights.
+        q, Q, qq, QQ: of scores and covariances, and of their products; ``QQ`` elementwise.
         diagonals: of products of diagonals of Q.
         restricted: of Q C Q, with C the covariance of the mean.
     """
@@ -106,10 +107,9 @@ class _Uncorrelated:
     """A population without correlations.
 
     Attributes:
-        theta, variance: shape (P,), logarithms of variances, and how well these are known.
-        mean: shape (P,), in units of the spread.
-        mean_covariance: shape (P, P), likewise.
-        hit: part of the machines that were hit.
+        theta, variance: shape (P,), log variances and their variances.
+        mean, mean_covariance: shape (P,) and (P, P), in units of the spread.
+        hit: fraction of machines that were hit.
     """
 
     theta: np.ndarray
@@ -125,15 +125,10 @@ class _Uncorrelated:
 
 
 def population_of(forms: Forms, kinds: np.ndarray) -> Population:
-    """Return the population of machines.
-
-    Args:
-        forms: the machines, in units of the priors without a type.
-        kinds: shape (P,), numbers of kinds of parameters, such as lengths of links.
-    """
+    """Return the population of machines, whose parameters have kinds by number, shape (P,), such as lengths of links."""
     few = next(part for _, part in forms.pieces()) if len(forms) > _FEW else forms
     some = replace(forms, H=forms.H[:_TRIED], g=forms.g[:_TRIED])
-    # By the mean a machine that was hit hard is taken for a wide spread of all, by the median it is not.
+    # From the mean, one machine that was hit hard becomes a wide spread of all; from the median it does not.
     mean, median = (_uncorrelated(some, kinds, _begun(some, kinds, by_median=way))[0] for way in (False, True))
     is_hit = _log_likelihood(some, kinds, median) > _log_likelihood(some, kinds, mean) + _BETTER
     found, counts = _uncorrelated(few, kinds, median if is_hit else _begun(few, kinds))
@@ -152,7 +147,7 @@ def population_of(forms: Forms, kinds: np.ndarray) -> Population:
 
 
 def _begun(forms: Forms, kinds: np.ndarray, *, by_median: bool = False) -> _Uncorrelated:
-    """Return what machines show at first sight, as if the priors without a type were their spread."""
+    """Return a first estimate, as if the priors without a type were the spread."""
     P = len(kinds)
     q, Q = scores(forms, np.zeros(P), np.eye(P))
     own = np.diagonal(Q, axis1=1, axis2=2)
@@ -167,13 +162,9 @@ def _begun(forms: Forms, kinds: np.ndarray, *, by_median: bool = False) -> _Unco
 
 
 def _sums(forms: Forms, at: _Uncorrelated, counts: np.ndarray | None = None, root: np.ndarray | None = None) -> _Sums:
-    """Return sums over machines.
+    """Return sums over machines of a population, with the root of its covariance, shape (P, P), if it has correlations.
 
-    Args:
-        forms: the machines.
-        at: their population.
-        counts: shape (M,), filled with how far each counts where it is nan.
-        root: shape (P, P), root of its covariance, if there are correlations.
+    ``counts``, shape (M,), are the weights; they are computed where they are nan.
     """
     L = np.diag(at.spread) if root is None else root
     C = at.mean_covariance
@@ -203,7 +194,7 @@ def _sums(forms: Forms, at: _Uncorrelated, counts: np.ndarray | None = None, roo
 
 
 def _uncorrelated(forms: Forms, kinds: np.ndarray, start: _Uncorrelated) -> tuple[_Uncorrelated, np.ndarray]:
-    """Return the population without correlations, and how far each machine counts, shape (M,)."""
+    """Return the population without correlations, and the weight of each machine, shape (M,)."""
     P, M, at, spreads = len(kinds), len(forms), start, _spreads(kinds)
     means = [off**2 * np.eye(P) for off in _OFF]
     step, reach = np.zeros(P), np.full(P, _FARTHEST)
@@ -214,7 +205,7 @@ def _uncorrelated(forms: Forms, kinds: np.ndarray, start: _Uncorrelated) -> tupl
         information = 0.5 * sums.QQ
         slope = 0.5 * np.diag(sums.excess) + information @ at.theta
         theta, V = _averaged(information, slope, spreads)
-        # Where a log variance is hardly determined, full steps would swing about its value.
+        # Where a log variance is hardly determined, full steps would oscillate.
         gap = theta - at.theta
         reach = np.where(step * gap < 0.0, 0.5 * np.abs(step), np.minimum(2.0 * reach, _FARTHEST))
         step = np.clip(gap, -reach, reach)
@@ -227,13 +218,13 @@ def _uncorrelated(forms: Forms, kinds: np.ndarray, start: _Uncorrelated) -> tupl
 
 
 def _spreads(kinds: np.ndarray) -> list[np.ndarray]:
-    """Return what log variances may be, as covariances about zero, shape (P, P)."""
+    """Return the grid of prior covariances of log variances, shape (P, P) each."""
     alike, own = (kinds[:, None] == kinds).astype(float), np.eye(len(kinds))
     return [_LEVEL**2 + k**2 * alike + u**2 * own for k in _KINDS for u in _UNLIKE]
 
 
 def _log_likelihood(forms: Forms, kinds: np.ndarray, at: _Uncorrelated) -> float:
-    """Return how likely a population is, but for a constant: machines like the others or hit, and spreads of their sizes."""
+    """Return the log likelihood of a population, up to a constant: of machines, usual or hit, and of the spreads' prior."""
     L, mean = np.diag(at.spread), at.spread * at.mean
     total = np.logaddexp.reduce(
         [-0.5 * at.theta @ np.linalg.solve(S, at.theta) - 0.5 * np.linalg.slogdet(S)[1] for S in _spreads(kinds)]
@@ -250,12 +241,9 @@ def _log_likelihood(forms: Forms, kinds: np.ndarray, at: _Uncorrelated) -> float
 
 
 def _averaged(information: np.ndarray, slope: np.ndarray, priors: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and covariance of parameters whose prior about zero is one of several, as likely as the data make it.
+    """Return posterior mean and covariance of parameters under a mixture of priors, covariances about zero.
 
-    Args:
-        information: shape (P, P), of the data.
-        slope: shape (P,), of their log likelihood at zero.
-        priors: covariances, shape (P, P).
+    ``information``, shape (P, P), and ``slope``, shape (P,), are of the log likelihood of the data, at zero.
     """
     found, logs = list[tuple[np.ndarray, np.ndarray]](), list[float]()
     for prior in priors:
@@ -275,7 +263,7 @@ def _averaged(information: np.ndarray, slope: np.ndarray, priors: Sequence[np.nd
 
 
 def _correlated(forms: Forms, at: _Uncorrelated, counts: np.ndarray) -> np.ndarray:
-    """Return the root of the covariance, shape (P, P), with as much correlation as the machines show."""
+    """Return the root of the covariance, shape (P, P), with the correlations of the machines."""
     P, root = len(at.theta), np.diag(at.spread)
     sums = _sums(forms, at, counts)
     pairs = np.triu_indices(P, 1)

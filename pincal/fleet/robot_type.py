@@ -1,4 +1,4 @@
-"""A type of robot: what its machines have in common, how far they differ, and which machine is not one of them."""
+"""A type of robot: what its machines have in common, how far they differ, and which machines do not belong to it."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ from pincal.model.model import Model
 from pincal.parameters import Covariance, Estimate, Parameter, root_of
 from pincal.robot.robot import Robot
 
-# Part of the machines that may be of another kind, whatever the machines of the type were.
+# Least prior fraction of unusual machines, whatever the type's own.
 _LEAST_HIT = 0.02
-# Probability of being like the others below which a machine is not, and the share of a way to be off that counts then.
+# Probability of being usual below which a machine is not, and the share of a kind of deviation that is then reported.
 _UNLIKELY, _SHARE = 0.5, 0.1
-# Chance of a machine of the type to be thought off, where few machines leave its spread unsure.
+# Significance level for unusual machines, for a spread estimated from few machines.
 _ALPHA = 0.05
-# Factor on variances from which on the prior of a machine is wider than that of others.
+# Factor on variances from which on the prior of a machine is wider than of others.
 _FARTHER = 1.25
-# Mean square of residuals in units of the declared noise up to which a fit is as it should be.
+# Mean square of residuals in units of the declared noise up to which a fit agrees with it.
 _FITS = 2.0
-# Log variances are known at least by this [variance], however few the machines; logarithm of how much wider standard
-# deviations are by each unit of it, so that 95 % of further machines are within 1.96 of them.
+# Upper bound on the variance of log variances, however few the machines; logarithm of the factor on standard deviations per
+# unit of it, so that 95 % of further machines are within 1.96 of them.
 _LOOSEST, _WIDER = 2.0, 0.35
-# Rounding of a covariance whose diagonal is 1, and of its eigenvalues; and how many times its prior no deviation can be.
+# Rounding of a covariance with unit diagonal, and of its eigenvalues; upper bound on deviations in units of their priors.
 _ROUNDED, _INDEFINITE, _ABSURD = 1e-9, 1e-6, 1e3
 EVERYTHING = "all"
-"""A machine that differs in more than one element."""
+"""Stands for more than one element in which a machine differs."""
 
 _FILE = FileKind("a type", ModelFileError, whole="what pincal fleet learn writes")
 
@@ -55,11 +55,10 @@ class Membership:
 
     Attributes:
         machine: its name.
-        p_value: chance that a machine of the type is as far off, in any element or in all.
+        p_value: of its deviation, in any element or in all, for machines of the type.
         probability: that it is like the others.
         off: elements (joints) in which it differs, :data:`EVERYTHING` for more than one; empty if it is like the others.
-        times: factor on the variances of its prior, wider where it differs: some machines are farther from the mean than
-            others, and 8 poses show it.
+        times: factor on the variances of its prior: some machines are farther from the mean than others, as 8 poses show.
     """
 
     machine: str
@@ -70,15 +69,15 @@ class Membership:
 
     @property
     def is_usual(self) -> bool:
-        """Whether its prior is that of any machine of the type."""
+        """Whether its prior is the one of any machine of the type."""
         return not self.off and self.times == 1.0
 
 
 class RobotType(Record, frozen=True, kw_only=True):
-    """The machines of a type as a normal distribution of their parameters, and its file, in which no single one is.
+    """The machines of a type as a normal distribution of their parameters; its file contains no single machine.
 
     Attributes:
-        format: what the file is.
+        format: kind of the file.
         format_version: 1.
         robot: name of the arm.
         geometry: checksum of its nominal geometry (CRC-32 of its link frames, rounded to 1e-9).
@@ -87,11 +86,11 @@ class RobotType(Record, frozen=True, kw_only=True):
         mean: shape (P,), of the mean machine.
         covariance: shape (P, P), of machines about the mean.
         mean_covariance: shape (P, P), of the mean.
-        spread_variance: shape (P,), variance of the logarithm of each variance: how well the spread is known.
+        spread_variance: shape (P,), variance of the logarithm of each variance: the uncertainty of the spread.
         seen: shape (P, P), projector on directions that the machines determine, parameters in units of their priors; along
-            all others, such as a joint offset that is a turn of the base, the priors hold.
+            all others, such as a joint offset equivalent to a rotation of the base, the priors hold.
         machines: number of machines.
-        hit: part of them that were hit or are of another kind.
+        hit: fraction of them that were hit or are of another kind.
         provenance: version of pincal, time, command, input files with their SHA-256.
     """
 
@@ -117,7 +116,7 @@ class RobotType(Record, frozen=True, kw_only=True):
         counts = self.machines > 0 and 0.0 <= self.hit < 1.0
         sound = counts and np.all(self.priors > 0.0) and np.all(self.spread_variance >= 0.0)
         if not sound or np.any(np.abs(self.mean) > _ABSURD * self.priors):
-            raise Fault("holds numbers that can't be meant", "standard deviations above 0 and a part below 1")
+            raise Fault("contains invalid numbers", "standard deviations above 0 and a fraction below 1")
         for name in ("covariance", "mean_covariance"):
             matrix = getattr(self, name)
             size = np.sqrt(np.abs(np.diag(matrix))) + _ROUNDED * self.priors
@@ -126,7 +125,7 @@ class RobotType(Record, frozen=True, kw_only=True):
             if not is_even or np.any(size > _ABSURD * self.priors):
                 raise Fault("is no covariance", "a symmetric matrix without negative eigenvalues", key=f".{name}")
         if np.any(np.abs(self.seen @ self.seen.T - self.seen) > _INDEFINITE):
-            raise Fault("is no projector", "a symmetric matrix whose square it is", key=".seen")
+            raise Fault("is no projector", "a symmetric matrix that equals its square", key=".seen")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -140,29 +139,29 @@ class RobotType(Record, frozen=True, kw_only=True):
 
     @property
     def degrees(self) -> float:
-        """Degrees of freedom by which spreads are known."""
+        """Degrees of freedom of the estimated spreads."""
         share = np.diag(self.seen)
         return float(2.0 / max(share @ self.spread_variance / max(share.sum(), 1e-9), 1e-6))
 
     @property
     def readable(self) -> np.ndarray:
-        """Projector on what readings determine, shape (P, P)."""
+        """Projector on the directions that readings determine, shape (P, P)."""
         return np.asarray(self.seen * np.outer(self.priors, 1.0 / self.priors))
 
     @property
     def determined(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Mean, covariance of the mean and covariance of machines along what readings determine."""
+        """Mean, covariance of the mean and covariance of machines, along the directions that readings determine."""
         known = self.readable
         return known @ self.mean, known @ self.mean_covariance @ known.T, known @ self.covariance @ known.T
 
     def drawn(self, robot: Robot, rng: np.random.Generator) -> np.ndarray:
-        """Return the parameters of a further machine, shape (P,), drawn along what readings determine.
+        """Return the parameters of a further machine, shape (P,), drawn along the directions that readings determine.
 
         Raises:
-            BadInputError: if the arm is of another nominal geometry.
+            BadInputError: if the arm has another nominal geometry.
         """
         self.require(robot.name, geometry_of(robot))
-        # The root is taken before the projection, which leaves rounding where a variance should be zero.
+        # The root is taken before the projection, whose rounding makes zero variances negative.
         apart = root_of(self.mean_covariance + self.covariance) @ rng.standard_normal(len(self.mean))
         return np.asarray(self.readable @ (self.mean + apart))
 
@@ -174,18 +173,18 @@ class RobotType(Record, frozen=True, kw_only=True):
         """
         if geometry != self.geometry:
             raise BadInputError(
-                f"the type is of {self.robot}, and {robot} has another nominal geometry; expected the same URDF, base "
+                f"the type describes {self.robot}, and {robot} has another nominal geometry; expected the same URDF, base "
                 "and tip, and the same robots of a cell (pincal calibrate --beside; fleet add takes its model.json)"
             )
 
     def prior(self, *, names: Collection[str] | None = None, member: Membership | None = None) -> Estimate:
-        """Return what is known of a further machine: ``Options.earlier`` of its calibration.
+        """Return the prior of a further machine: ``Options.earlier`` of its calibration.
 
         Args:
-            names: parameters that its model has; default: all. What is known of the others does not depend on these, so that
-                a model without them is no model in which they are zero.
-            member: how the machine compares with the type: the prior of one that is farther from the mean than others is
-                wider, and where it differs has what it may be without a type beside that.
+            names: parameters of its model; default: all. The others are uncorrelated with these, so that a model without
+                them is not conditioned on their being zero.
+            member: comparison of the machine with the type: the prior is wider if it is farther from the mean than others,
+                and includes the prior without a type in elements that differ.
         """
         mean, covariance = self._further(member)
         if names is not None:
@@ -196,16 +195,16 @@ class RobotType(Record, frozen=True, kw_only=True):
         return Estimate(self.parameters, mean * scale, np.ones(len(scale), bool), found, scale)
 
     def prior_of(self, robot: Robot, effects: tuple[Effect, ...], member: Membership | None = None) -> Estimate:
-        """Return the same for a model of an arm with these effects.
+        """Return the prior of a further machine for a model of an arm with these effects.
 
         Raises:
-            BadInputError: if the arm is of another nominal geometry.
+            BadInputError: if the arm has another nominal geometry.
         """
         self.require(robot.name, geometry_of(robot))
         return self.prior(names=Model(Chain.of(robot), with_masses(robot, effects)).names, member=member)
 
     def _further(self, member: Membership | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean and covariance of a further machine in units of the priors: what is unsure of both is part of it."""
+        """Return mean and covariance of a further machine in units of the priors, including the uncertainty of both."""
         scale = np.outer(self.priors, self.priors)
         wider = np.exp(_WIDER * np.minimum(self.spread_variance, _LOOSEST))
         covariance = (self.covariance * np.outer(wider, wider) + self.mean_covariance) / scale
@@ -216,10 +215,10 @@ class RobotType(Record, frozen=True, kw_only=True):
         return self.seen @ (self.mean / self.priors), 0.5 * (covariance + covariance.T)
 
     def judge(self, machine: Machine) -> Membership:
-        """Return how a machine that was not learned from compares with the type.
+        """Compare a machine from which the type was not learned with the type.
 
         Raises:
-            BadInputError: if it is of another nominal geometry.
+            BadInputError: if it has another nominal geometry.
         """
         self.require(f"machine {machine.name!r} ({machine.information.robot})", machine.information.geometry)
         found = gathered([machine], like=self.parameters)
@@ -230,7 +229,7 @@ class RobotType(Record, frozen=True, kw_only=True):
         return replace(membership, times=times if times > _FARTHER else 1.0)
 
     def _with_own(self, found: Gathered, member: Membership | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean and root of the covariance of a machine, whose effects that the type lacks keep their priors."""
+        """Return mean and root of the covariance of a machine; parameters that the type lacks keep their priors."""
         mean, covariance = self._further(member)
         P, own = len(mean), len(found.parameters)
         whole_mean, whole = np.zeros(own), np.eye(own)
@@ -239,7 +238,7 @@ class RobotType(Record, frozen=True, kw_only=True):
         return whole_mean, root_of(whole)
 
     def save(self, path: str | os.PathLike[str], *, provenance: dict[str, Any] | None = None) -> None:
-        """Write it to a file, see :func:`load_type`.
+        """Write the type to a file, see :func:`load_type`.
 
         Raises:
             OutputError: if the place can't be written to.
@@ -263,7 +262,7 @@ class Learned:
 
     Attributes:
         type: the type.
-        members: how each machine compares with it, in the order of the machines; those of one name are one machine.
+        members: comparison of each machine with it, in the order of the machines, one per name.
         values: shape (M, P), the most probable deviations of each machine from the nominal.
         sigma: shape (M, P), their standard deviations.
     """
@@ -277,12 +276,12 @@ class Learned:
 def learn_type(machines: Iterable[Machine]) -> Learned:
     """Learn a type from information on its machines, by empirical Bayes (see :mod:`pincal.fleet.population`).
 
-    Each machine counts by what its readings determine: few poses, other sensors and parameters that others lack are welcome.
-    A single machine is enough to begin with. The result does not depend on the order of the machines, nor on which files
-    they come from.
+    Each machine is weighted by the information of its readings: few poses, other sensors and additional parameters are
+    welcome. A single machine is enough to begin with. The result depends neither on the order of the machines nor on their
+    distribution over files.
 
     Raises:
-        BadInputError: for no machine, or machines of different nominal geometries.
+        BadInputError: for no machine, or machines with different nominal geometries.
     """
     given = tuple(machines)
     order = sorted(range(len(given)), key=lambda k: given[k].information.form.g.tobytes())
@@ -310,7 +309,7 @@ def learn_type(machines: Iterable[Machine]) -> Learned:
     root = root_of(covariance)
     members = _memberships(found, found.forms, mean, root, learned)
     values, sigma = _points(found.forms, mean, root)
-    # In the order in which machines were given.
+    # Back to the order in which machines were given.
     first = dict[object, int]()
     for k, machine in enumerate(given):
         first.setdefault(machine.name or id(machine), k)
@@ -319,7 +318,7 @@ def learn_type(machines: Iterable[Machine]) -> Learned:
 
 
 def _memberships(found: Gathered, forms: Forms, mean: np.ndarray, root: np.ndarray, of: RobotType) -> list[Membership]:
-    """Return how machines compare with a population of this mean and root of its covariance."""
+    """Compare machines with a population of this mean and root of its covariance."""
     members = list[Membership]()
     elements = list(dict.fromkeys(p.element for p in found.parameters))
     labels = [*elements, EVERYTHING] if len(elements) > 1 else elements
@@ -350,25 +349,25 @@ def _points(forms: Forms, mean: np.ndarray, root: np.ndarray) -> tuple[np.ndarra
 def calibrate_of_type(
     robot: Robot, measurements: Tables, of: RobotType, options: Options | None = None, *, name: str = ""
 ) -> tuple[Fit, Membership]:
-    """Calibrate a machine of a known type; where its rows show that it is not like the others, with a wider prior.
+    """Calibrate a machine of a known type, with a wider prior if its rows show that it is not like the others.
 
     Args:
-        robot: the arm, of the nominal geometry that the type is of.
+        robot: the arm, with the nominal geometry of the type.
         measurements: its rows, as :func:`pincal.calibrate` takes them.
         of: the type.
         options: how to calibrate.
         name: of the machine.
 
     Returns:
-        The fit, and how the machine compares with its type.
+        The fit, and the comparison of the machine with its type.
 
     Raises:
-        BadInputError: if the robot is of another nominal geometry.
+        BadInputError: if the robot has another nominal geometry.
         MeasurementError: as :func:`pincal.calibrate`.
     """
     options = Options() if options is None else options
     fit = calibrate(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects)))
-    # What a prior does not let a machine be becomes noise, by which nothing is strange: it is then judged without one.
+    # A deviation that the prior excludes inflates the noise, so that nothing is significant: then judged without the prior.
     is_fair = fit.is_declared and fit.solution.cost < _FITS
     member = of.judge(Machine.of(fit if is_fair else calibrate(robot, measurements, options), name))
     if not member.is_usual:

@@ -1,8 +1,8 @@
-"""What is measured and found of a fleet, as Parquet files in a folder or an object store.
+"""Measurements and results of a fleet, as Parquet files in a folder or an object store.
 
 A file is written once, as a whole, and never changed: ``KIND/machine=NAME/day=YYYY-MM-DD/ID.parquet``. Its ID is a checksum
-of what it holds, or of what it was computed from, so many writers need no lock, what is added twice is there once, and work
-that is done is known to be done. Every row has the version of its schema. DuckDB, Polars and others read the files.
+of its content, or of what it was computed from, so that concurrent writers need no lock, duplicates are stored once, and
+finished work is recognised. Every row has the version of its schema. DuckDB, Polars and others read the files.
 """
 
 from __future__ import annotations
@@ -27,19 +27,13 @@ from pincal.fleet.machines import SCHEMA_VERSION, Machine, machines_of, parquet_
 from pincal.fleet.stored_rows import CALIBRATION, ROLES, information_frame, measurements_of, table_frame, text_frame
 from pincal.measure.measurements import Measurements
 
-TABLES, INFORMATION, DIAGNOSES, DISCOVERIES, MODELS = STORED = (
-    "tables",
-    "information",
-    "diagnoses",
-    "discoveries",
-    "models",
-)
-"""What a store holds: rows as measured, information on machines, diagnoses, discoveries and models."""
+TABLES, INFORMATION, DIAGNOSES, DISCOVERIES, MODELS = STORED = "tables", "information", "diagnoses", "discoveries", "models"
+"""Content of a store: rows as measured, information on machines, diagnoses, discoveries and models."""
 
 _MARK, _FORMAT, _VERSION = "store.json", "pincal-store", 1
-# Files read at a time: those of information on 40 parameters take 10 MB.
+# Files read at a time: with information on 40 parameters they take 10 MB.
 _PIECE = 1000
-# Characters of a machine's name as it stands in a path: file systems allow 255.
+# Longest name of a machine in a path [characters]: file systems allow 255.
 _LONGEST = 240
 
 
@@ -61,7 +55,7 @@ class Key:
 
     @property
     def path(self) -> str:
-        """Where it stands in the store."""
+        """Its path in the store."""
         return f"{self.kind}/machine={quote(self.machine, safe='')}/day={self.day}/{self.id}.parquet"
 
     @classmethod
@@ -75,13 +69,13 @@ class Key:
         machine, day = unquote(machine.removeprefix("machine=")), day.removeprefix("day=")
         found = cls(kind, machine, day, name.removesuffix(".parquet"))
         if not path.replace("\\", "/").endswith(found.path) or iso_day(day) != day:
-            raise BadInputError(f"{path}: no file that pincal wrote to a store; expected {found.path}: move it elsewhere")
+            raise BadInputError(f"{path}: not a file that pincal wrote to a store; expected {found.path}: move it elsewhere")
         return found
 
 
 @dataclass(frozen=True)
 class Store:
-    """A folder of files, on a disk or wherever fsspec reaches; see :func:`open_store`.
+    """A folder of files, on a disk or any file system of fsspec; see :func:`open_store`.
 
     Attributes:
         place: the folder, or a URL such as ``s3://bucket/fleet``.
@@ -96,7 +90,7 @@ class Store:
     @cached_property
     def _files(self) -> tuple[Any, str]:
         """File system and path of a URL."""
-        with needed("fsspec", "stores at a URL", install="fsspec and what the URL needs, such as s3fs"):
+        with needed("fsspec", "stores at a URL", install="fsspec and the package for the URL, such as s3fs"):
             import fsspec  # type: ignore[import-untyped]
         try:
             found: tuple[Any, str] = fsspec.core.url_to_fs(self.place)
@@ -107,11 +101,11 @@ class Store:
         return found
 
     def __getstate__(self) -> dict[str, str]:
-        """Return the place: connections stay in their process."""
+        """Return the place alone: connections can't be shared between processes."""
         return {"place": self.place}
 
     def read(self, path: str) -> bytes | None:
-        """Return the content of a file; None where there is none."""
+        """Return the content of a file; None if there is none."""
         try:
             if self._is_url:
                 files, root = self._files
@@ -166,7 +160,7 @@ class Store:
             raise BadInputError(f"{self.place}/{key.path}: damaged ({error}); delete it and add it again") from None
 
     def frames(self, kind: str) -> Iterator[tuple[Sequence[Key], pl.DataFrame]]:
-        """Yield the files of a kind that have one row each, some of them as one table, with their keys."""
+        """Yield the files of a kind with one row each, several at a time as one table, with their keys."""
         keys = self.keys(kind)
         for start in range(0, len(keys), _PIECE):
             some = keys[start : start + _PIECE]
@@ -176,7 +170,7 @@ class Store:
                 else:
                     frame = pl.read_parquet([Path(self.place) / key.path for key in some], glob=False)
             except (OSError, pl.exceptions.PolarsError):
-                # The first that can't be read says so itself; else one has other columns than the rest.
+                # Reading a damaged file raises its own error; else one has other columns than the rest.
                 columns = [self.frame(key).schema for key in some]
                 odd = min(range(len(some)), key=lambda k: columns.count(columns[k]))
                 raise BadInputError(
@@ -202,17 +196,17 @@ class Store:
         role: str = CALIBRATION,
         labels: Mapping[str, str] | None = None,
     ) -> Key:
-        """Add rows of a machine; the same rows twice are there once.
+        """Add rows of a machine; rows added twice are stored once.
 
         Args:
             machine: its name.
             day: ISO date.
             table: the rows.
             role: one of :data:`ROLES`.
-            labels: what else is known of the machine, such as its supplier, batch or hall.
+            labels: further properties of the machine, such as its supplier, batch or hall.
 
         Raises:
-            BadInputError: for a name, a day or a role that can't be meant.
+            BadInputError: for an invalid name, day or role.
             OutputError: if the store can't be written to.
         """
         if role not in ROLES:
@@ -227,7 +221,7 @@ class Store:
         """Add information on a machine, by its name.
 
         Raises:
-            BadInputError: for a machine without a name, a day or a role that can't be meant.
+            BadInputError: for a machine without a name, or an invalid day or role.
             OutputError: if the store can't be written to.
         """
         if role not in ROLES:
@@ -237,25 +231,25 @@ class Store:
         return self._added(INFORMATION, machine.name, day, frame)
 
     def add_text(self, kind: str, machine: str, day: str, content: str, **facts: Any) -> Key:
-        """Add a model.json or a diagnosis.json, as its text, with further columns."""
+        """Add the text of a model.json or a diagnosis.json, with further columns."""
         return self._added(kind, machine, day, text_frame(content, **facts))
 
     def _added(self, kind: str, machine: str, day: str, frame: pl.DataFrame) -> Key:
-        """Write a file that is known by its content."""
+        """Write a file identified by its content."""
         digest = hashlib.sha256(parquet_bytes(frame)).hexdigest()[:20]
         key = Key(kind, named_machine(machine), iso_day(day), digest)
         self.add(key, frame)
         return key
 
     def machines(self, *, job: str | None = None, role: str | None = CALIBRATION) -> Iterator[tuple[Key, Machine, str]]:
-        """Yield what is known of machines, in the order of their names and days: key, information and role.
+        """Yield the information on machines, in the order of their names and days: key, machine and role.
 
         Args:
-            job: which computed it, see :mod:`pincal.fleet.jobs`; default: any.
-            role: what it was measured for; None for all.
+            job: the one that computed it, see :mod:`pincal.fleet.jobs`; default: any.
+            role: of the measured rows; None for all.
 
         Raises:
-            BadInputError: if several jobs did of the same rows.
+            BadInputError: if several jobs computed it from the same rows.
         """
         done = dict[str, str]()
         for keys, frame in self.frames(INFORMATION):
@@ -264,24 +258,23 @@ class Store:
             kept &= pl.lit(True) if job is None else pl.col("job").is_in(["", job])
             chosen = frame.with_row_index().filter(kept)
             found = machines_of(chosen, f"{self.place}/{INFORMATION}")
-            for k, machine, of, table, by in zip(
-                chosen["index"], found, *(chosen[n] for n in ("role", "table", "job")), strict=True
-            ):
+            facts = (chosen[name] for name in ("index", "role", "table", "job"))
+            for machine, k, of, table, by in zip(found, *facts, strict=True):
                 if table and done.setdefault(table, by) != by:
                     raise BadInputError(f"{self.place}: rows were calibrated by {done[table]} and by {by}; choose a job")
                 yield keys[k], machine, of
 
     def query(self, sql: str) -> pl.DataFrame:
-        """Return the answer to a question in SQL, with a view for each kind, by DuckDB.
+        """Return the result of an SQL query by DuckDB, with a view for each kind.
 
         Raises:
-            BadInputError: without DuckDB, or for a question that it can't answer.
+            BadInputError: without DuckDB, or for an invalid query.
 
         Example::
 
             store.query("select machine, count(*) as tables from tables group by machine")
         """
-        with needed("duckdb", "questions to a store", install="'pincal[fleet]'"):
+        with needed("duckdb", "queries of a store", install="'pincal[fleet]'"):
             import duckdb
         place = self.place
         with duckdb.connect() as connection:
@@ -291,7 +284,7 @@ class Store:
                 protocol = files.protocol if isinstance(files.protocol, str) else files.protocol[0]
                 place = f"{protocol}://{root.lstrip('/')}"
             for kind in STORED:
-                if any(True for _ in self.keys(kind)):
+                if self.keys(kind):
                     pattern = f"{place}/{kind}/machine=*/day=*/*.parquet".replace("'", "''")
                     source = f"read_parquet('{pattern}', union_by_name=true, hive_partitioning=false)"
                     connection.execute(f"create view {kind} as select * from {source}")
@@ -308,11 +301,11 @@ def open_store(place: str | os.PathLike[str], *, create: bool = False) -> Store:
     """Return a store.
 
     Args:
-        place: the folder, or a URL that fsspec knows.
-        create: whether to begin one where there is none.
+        place: the folder, or a URL that fsspec supports.
+        create: whether to create it if it does not exist.
 
     Raises:
-        BadInputError: if there is none, or one of a newer version.
+        BadInputError: if it does not exist, or has a newer version.
         OutputError: if it can't be written to.
 
     Example:
@@ -328,9 +321,7 @@ def open_store(place: str | os.PathLike[str], *, create: bool = False) -> Store:
     content = store.read(_MARK)
     if content is None:
         if not create:
-            raise BadInputError(
-                f"{store.place}: no store of pincal here (no {_MARK}); expected one that was begun by adding to it"
-            )
+            raise BadInputError(f"{store.place}: no store of pincal here (no {_MARK}); expected one created by adding to it")
         store.write(_MARK, (json.dumps({"format": _FORMAT, "format_version": _VERSION}) + "\n").encode())
         return store
     try:
@@ -339,7 +330,7 @@ def open_store(place: str | os.PathLike[str], *, create: bool = False) -> Store:
     except (ValueError, TypeError, KeyError):
         version = None
     if not isinstance(version, int):
-        raise BadInputError(f"{store.place}: {_MARK} is no mark of a store of pincal; expected format {_FORMAT!r}")
+        raise BadInputError(f"{store.place}: {_MARK} does not mark a store of pincal; expected format {_FORMAT!r}")
     if version > _VERSION:
         raise BadInputError(
             f"{store.place}: a store of version {version}, newer than this pincal; expected {_VERSION}: update it"
@@ -348,10 +339,10 @@ def open_store(place: str | os.PathLike[str], *, create: bool = False) -> Store:
 
 
 def named_machine(machine: str) -> str:
-    """Return the name of a machine if it can be one.
+    """Return the name of a machine if it is valid.
 
     Raises:
-        BadInputError: if not.
+        BadInputError: if it is not.
     """
     if not machine or machine in (".", "..") or len(quote(machine, safe="")) > _LONGEST:
         raise BadInputError(f"machine {machine[:_LONGEST]!r}; expected a short name, such as its serial number")
@@ -362,7 +353,7 @@ def iso_day(day: str) -> str:
     """Return a day as an ISO date.
 
     Raises:
-        BadInputError: if it is none.
+        BadInputError: if it is not a date.
     """
     try:
         return datetime.fromisoformat(day).date().isoformat()

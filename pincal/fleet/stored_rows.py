@@ -1,4 +1,4 @@
-"""Rows of a store: measurements, and information on machines, as tables for Parquet."""
+"""Rows of a store: measurements and information on machines, as tables for Parquet."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from pincal.measure.measurements import Measurements, validated
 from pincal.units import LARGEST
 
 CALIBRATION, CHECK = ROLES = ("calibration", "check")
-"""What rows were measured for: to calibrate a machine, or to see whether it has changed since."""
+"""Purposes of measured rows: to calibrate a machine, or to check whether it has changed since."""
 
 
 def table_frame(table: Measurements, role: str, labels: Mapping[str, str]) -> pl.DataFrame:
-    """Return rows of measurements as a table: a column for each array, lists where it has several numbers a row."""
+    """Return measurements as a table: a column per array, of lists if it has several numbers per row."""
     n = len(table)
     columns = [
         pl.Series("role", [role] * n, pl.String),
@@ -41,10 +41,10 @@ def measurements_of(frame: pl.DataFrame, source: str) -> Measurements:
 
     Raises:
         BadInputError: for another schema.
-        MeasurementError: for values that can't be meant.
+        MeasurementError: for invalid values.
     """
     if "joints" not in frame.columns or "q" not in frame.columns or frame["schema"][0] != SCHEMA_VERSION:
-        raise BadInputError(f"{source}: no table of a store of version {SCHEMA_VERSION}")
+        raise BadInputError(f"{source}: not a table of a store of version {SCHEMA_VERSION}")
     arrays = dict[str, np.ndarray]()
     for name in frame.columns:
         if name in ("role", "labels", "joints", "source", "schema", "machine", "day", "id"):
@@ -55,12 +55,12 @@ def measurements_of(frame: pl.DataFrame, source: str) -> Measurements:
         else:
             arrays[name] = np.array(column.to_list(), str) if column.dtype == pl.String else column.to_numpy()
     if any(array.dtype.kind in "fi" and not (np.abs(array) <= LARGEST).all() for array in arrays.values()):
-        raise BadInputError(f"{source}: holds numbers that are not finite; delete it and add it again")
+        raise BadInputError(f"{source}: contains numbers that are not finite; delete it and add it again")
     return validated(tuple(frame["joints"][0]), arrays, source=str(frame["source"][0]), units={})
 
 
 def text_frame(text: str, **facts: Any) -> pl.DataFrame:
-    """Return a text, such as that of a model.json, with further columns as one row."""
+    """Return a text, such as the content of a model.json, with further columns as one row."""
     return pl.DataFrame({"text": [text], **{name: [value] for name, value in facts.items()}})
 
 
@@ -78,7 +78,7 @@ def information_frame(
     Args:
         machine: the machine.
         role: one of :data:`ROLES`.
-        rows: number of rows that it was calibrated with; 0 where nobody knows.
+        rows: number of rows of its calibration; 0 if unknown.
         converged: whether the calibration converged.
         noise: of each block of readings [m, rad, px].
         off: elements in which the machine differs from its type.

@@ -1,4 +1,4 @@
-"""What a person asks of a type: how far machines differ, what is wrong with the data sheet, which do not belong."""
+"""Summaries of a type and of a fleet: how far machines differ, errors of the data sheet, unusual machines, changes."""
 
 from __future__ import annotations
 
@@ -24,34 +24,34 @@ from pincal.result_table import Cell, Column, Kind, Table
 from pincal.robot.robot import Robot
 from pincal.units import Quantity, fixed, format_readable, readable_unit, show_percent, show_sigma, show_unit, show_value
 
-# Poses at which the tool is compared, and machines drawn for exchangeability, of which ISO 9283 compares five.
+# Poses at which the tool is compared, and draws of the machines for exchangeability, of which ISO 9283 compares five.
 _POSES, _DRAWN, _COMPARED = 200, 200, 5
-# Numbers of poses for which the error of a further machine is foreseen, and sets of poses of each.
+# Numbers of poses for which the error of a further machine is predicted, and sets of poses of each.
 _NUMBERS, _SETS = (4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60), 8
-# Chance that any machine of the type is said not to belong.
+# Probability that any machine of the type is reported as unusual.
 _ALPHA = 0.05
-# Part of a parameter that readings have to tell for its numbers to mean anything.
+# Least share of a parameter that readings have to determine for its numbers to be meaningful.
 _DETERMINED = 0.05
-# 95 % of a normal distribution lie within so many standard deviations.
+# 95 % of a normal distribution lie within this number of standard deviations.
 _INTERVAL = 1.96
-# Robots that are listed.
+# Number of robots listed.
 _FIRST = 10
-# Parameters in which the data sheet is off that are named.
+# Number of parameters named in which the data sheet is wrong.
 _NAMED = 3
 
 
 @dataclass(frozen=True)
 class AtTool:
-    """How far machines of a type differ at the tool once base and tool are placed, over random poses [m].
+    """How far machines of a type differ at the tool after fitting base and tool, over random poses [m].
 
     Attributes:
         spread: root mean square distance of a machine from the mean one.
         by_effect: the same by each effect alone.
-        by_parameter: shape (P,), the same by each parameter of the type alone; nan for those that the model lacks.
+        by_parameter: shape (P,), the same by each parameter of the type alone; nan if the model lacks it.
         sheet: root mean square distance of the mean machine from the nominal one, by its lengths and angles.
         exchangeability: largest distance between any two of five machines at the same joint positions, mean over poses and
             draws (exchangeability of ISO 9283, at random poses).
-        needed: number of poses -> foreseen root mean square error of a further machine with this type, and without.
+        needed: number of poses -> predicted root mean square error of a further machine, with this type and without.
     """
 
     spread: float
@@ -62,7 +62,7 @@ class AtTool:
     needed: dict[int, tuple[float, float]]
 
     def poses_for(self, error: float) -> tuple[int | None, int | None]:
-        """Return the fewest poses that reach an error [m], with the type and without; None if more than are foreseen."""
+        """Return the fewest poses that reach an error [m], with the type and without; None if more than tabulated."""
         with_type, without = (next((poses for poses, both in self.needed.items() if both[k] <= error), None) for k in (0, 1))
         return with_type, without
 
@@ -75,12 +75,12 @@ def at_tool(
     Args:
         of: the type.
         robot: the arm.
-        effects: of the model of a further machine, which is measured by positions.
+        effects: of the model of a further machine, calibrated from positions.
         noise: of one component of a position [m].
         seed: of the poses.
 
     Raises:
-        BadInputError: if the arm is of another nominal geometry, or the model has none of the type's parameters.
+        BadInputError: if the arm has another nominal geometry, or the model has none of the type's parameters.
     """
     rng = np.random.default_rng(seed)
     cared = Conditions.at(robot.random_configurations(_POSES, rng))
@@ -92,7 +92,7 @@ def at_tool(
     if not own:
         raise BadInputError(f"the model of {robot.name} has no parameter of the type; expected one of its machines")
     places = np.array([of.names.index(model.own_names[k]) for k in own])
-    # What a rigid displacement of base and tool takes away is no difference.
+    # Differences equivalent to a rigid displacement of base or tool do not count.
     placed = (model.placed_errors(cared) / model.units[model.has_prior])[:, own]
     mean, _, whole = of.determined
     covariance = whole[np.ix_(places, places)]
@@ -110,23 +110,23 @@ def at_tool(
         sets = [Conditions.at(robot.random_configurations(poses, rng)) for _ in range(_SETS)]
         with_type, without = np.median([[design.foreseen(one, cared) for design in designs] for one in sets], axis=0)
         needed[poses] = float(with_type), float(without)
-    # A data sheet has lengths and angles, and no compliances.
+    # A data sheet contains lengths and angles, but no compliances.
     is_sheet = np.array([of.parameters[k].unit in ("m", "rad") for k in places])
     sheet = placed @ (mean[places] * is_sheet)
     return AtTool(_rms(np.sum(moved**2, axis=1)), by_effect, by_parameter, _rms(sheet**2), float(apart.mean()), needed)
 
 
 def _rms(squares: np.ndarray) -> float:
-    """Return the root mean square length of displacements whose 3 N components have these mean squares, shape (3 N,)."""
+    """Return the root mean square length of N displacements with these mean squares of components, shape (3 N,)."""
     return float(np.sqrt(3.0 * np.mean(squares)))
 
 
 def parameter_summary(of: RobotType, found: AtTool | None = None, *, most: int | None = None) -> Table:
-    """Return how far the data sheet is off and how far machines differ, by parameter.
+    """Return errors of the data sheet and differences between machines, by parameter.
 
     Args:
         of: the type.
-        found: what this comes to at the tool; those that move it most stand first then.
+        found: the differences at the tool, by which parameters are sorted if given.
         most: number of parameters; default: all.
     """
     share = np.diag(of.seen)
@@ -151,21 +151,21 @@ def parameter_summary(of: RobotType, found: AtTool | None = None, *, most: int |
         rows.append((p.name, p.unit, *([*numbers, at] if share[k] > _DETERMINED else (None,) * 4), float(share[k])))
     note = (
         "mean: of all machines minus the data sheet, with half the width of its 95 % interval; differ: standard deviation "
-        "of machines, at the tool with base and tool placed; determined: how far readings tell the parameter from others, "
-        "the rest is a matter of convention"
+        "of machines, at the tool after fitting base and tool; determined: share of the parameter that readings "
+        "distinguish from others, the rest is a matter of convention"
     )
     return Table("Machines of the type", columns, tuple(rows), (note,))
 
 
 def effect_summary(found: AtTool) -> Table:
-    """Return how far machines differ at the tool, by effect."""
+    """Return the differences between machines at the tool, by effect."""
     columns = (Column("effect", kind=Kind.LABEL), Column("at the tool", "mm", Kind.NUMBER, fixed(3)))
     rows = [(effect, 1e3 * size) for effect, size in sorted(found.by_effect.items(), key=lambda one: -one[1])]
     return Table("By each effect alone", columns, tuple(rows))
 
 
 def poses_summary(found: AtTool) -> Table:
-    """Return the error that is foreseen for a further machine by the number of its poses."""
+    """Return the predicted error of a further machine by the number of its poses."""
     columns = (
         Column("poses", kind=Kind.NUMBER),
         Column("with the type", "mm", Kind.NUMBER, fixed(3)),
@@ -176,7 +176,7 @@ def poses_summary(found: AtTool) -> Table:
 
 
 def strangers(members: Sequence[Membership]) -> list[tuple[Membership, float]]:
-    """Return machines that do not belong to their type, with p-values adjusted for their number (Holm 1979)."""
+    """Return the machines that do not belong to their type, with p-values adjusted for their number (Holm 1979)."""
     ranked = sorted(members, key=lambda one: one.p_value)
     found, largest = list[tuple[Membership, float]](), 0.0
     for k, member in enumerate(ranked):
@@ -194,24 +194,24 @@ def member_summary(learned: Learned) -> Table:
         Column("differs in", kind=Kind.NAME),
     )
     rows = [(member.machine or "-", p, ", ".join(member.off)) for member, p in strangers(learned.members)]
-    hit = f"of which {100 * learned.type.hit:.1f} % are estimated to be unlike the others"
+    hit = f"of which an estimated {100 * learned.type.hit:.1f} % are unlike the others"
     count = f"{counted(len(learned.members), 'machine')}, {hit}"
     return Table("Machines that do not belong", columns, tuple(rows), (count,))
 
 
 def type_lines(learned: Learned, at: AtTool | None, *, error: float | None = None) -> Iterator[str]:
-    """Yield what a type comes to, in some lines.
+    """Yield a summary of a type, line by line.
 
     Args:
         learned: the type and its machines.
-        at: what differences come to at the tool, if the arm is known.
-        error: that is wanted of a further machine [m].
+        at: the differences at the tool, if the arm is known.
+        error: wanted for a further machine [m].
     """
     of, apart = learned.type, len(strangers(learned.members))
     machines, parameters = counted(of.machines, "machine"), counted(len(of.names), "parameter")
     yield f"{of.robot}: {machines}, {parameters}, of which they determine {np.trace(of.seen):.0f}"
     if at is not None:
-        yield f"differ by:         {1e3 * at.spread:.3f} mm rms at the tool from their mean, base and tool placed"
+        yield f"differ by:         {1e3 * at.spread:.3f} mm rms at the tool from their mean, after fitting base and tool"
         yield f"exchangeability:   {1e3 * at.exchangeability:.3f} mm (ISO 9283, five machines)"
         yield f"data sheet:        {1e3 * at.sheet:.3f} mm rms off the mean machine, {_off_sheet(of)}"
     yield f"not like others:   {apart} of {of.machines}; {100.0 * of.hit:.1f} % are to be expected"
@@ -221,7 +221,7 @@ def type_lines(learned: Learned, at: AtTool | None, *, error: float | None = Non
 
 
 def _off_sheet(of: RobotType) -> str:
-    """Return in which parameters the data sheet is surely off (Holm 1979), and by how much the largest are."""
+    """Return the number of parameters in which the data sheet is significantly off (Holm 1979), and the first of them."""
     mean, C, _ = of.determined
     half = _INTERVAL * np.sqrt(np.maximum(np.diag(C), 1e-300))
     places = [k for k, p in enumerate(of.parameters) if p.unit in ("m", "rad") and of.seen[k, k] > _DETERMINED]
@@ -232,11 +232,11 @@ def _off_sheet(of: RobotType) -> str:
     for k in ranked[:_NAMED][:count]:
         factor, unit = readable_unit(of.parameters[k].unit)
         words.append(f"{of.names[k]} {factor * mean[k]:+.3f} +- {factor * half[k]:.3f} {unit}")
-    return f"surely in {count} of {len(ranked)} parameters" + (f": {', '.join(words)}" if words else "")
+    return f"significantly in {count} of {len(ranked)} parameters" + (f": {', '.join(words)}" if words else "")
 
 
 def plain_type(learned: Learned, at: AtTool | None, *, error: float | None = None) -> dict[str, Any]:
-    """Return the same as plain data; arguments as of :func:`type_lines`."""
+    """Return the summary of a type as plain data; arguments as for :func:`type_lines`."""
     of = learned.type
     mean, *spreads = of.determined
     sigma, spread = (np.sqrt(np.diag(C)) for C in spreads)
@@ -270,7 +270,7 @@ def plain_type(learned: Learned, at: AtTool | None, *, error: float | None = Non
 
 
 def change_summary(found: FleetHistory, *, groups: bool | None = None) -> Table:
-    """Return what changed in a fleet, the latest first: robots, groups, or both."""
+    """Return the changes in a fleet, the latest first: of robots, groups, or both."""
     columns = (
         Column("robot or group", kind=Kind.NAME),
         Column("since", kind=Kind.LABEL),
@@ -284,12 +284,12 @@ def change_summary(found: FleetHistory, *, groups: bool | None = None) -> Table:
         for one in reversed(found.changes)
         if groups in (None, one.is_group)
     ]
-    note = "since: the first check after the change; e: how much likelier the readings are with it than without"
+    note = "since: the first check after the change; e: likelihood ratio of the readings with the change and without"
     return Table("Changes", columns, tuple(rows), (note,) if rows else ())
 
 
 def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
-    """Return the robots to look at first: those that changed and were not calibrated since, then those that may have."""
+    """Return the robots to look at first: those that changed and were not recalibrated, then those that may have."""
     columns = (
         Column("robot", kind=Kind.NAME),
         Column("state", kind=Kind.LABEL),
@@ -317,14 +317,14 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
         for one in ranked[:most]
     ]
     note = (
-        "p of it: chance of the last check if nothing changed; adjusted: for the false discovery rate among all checks of "
+        "p of it: p-value of the last check if nothing changed; adjusted: for the false discovery rate among all checks of "
         "that round (Benjamini and Hochberg 1995)"
     )
     return Table("Look at these first", columns, tuple(rows), (note,))
 
 
 def history_lines(found: FleetHistory) -> Iterator[str]:
-    """Yield what became of a fleet, in some lines."""
+    """Yield a summary of a fleet's history, line by line."""
     groups = [change for change in found.changes if change.is_group]
     robots = len(found.changes) - len(groups)
     whole = f"{counted(found.robots, 'robot')}, {counted(found.checks, 'check')}"
@@ -334,7 +334,7 @@ def history_lines(found: FleetHistory) -> Iterator[str]:
 
 
 def plain_history(found: FleetHistory) -> dict[str, Any]:
-    """Return what became of a fleet as plain data."""
+    """Return a fleet's history as plain data."""
     changes, last = ([vars(one) for one in of] for of in (found.changes, found.last))
     return {
         "robots": found.robots,
