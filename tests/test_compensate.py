@@ -476,7 +476,7 @@ def test_arguments_that_make_no_sense_are_refused(kuka: Robot, rng: np.random.Ge
     for wanted, given, message in (
         (np.zeros((2, 3)), {}, r"shape \(2, 3\); expected \(3, 3, 4\) or \(3, 3\)"),
         (np.full((3, 3), np.nan), {}, "wanted pose 0 is not finite"),
-        (np.tile(np.eye(4)[:3] * [1.0, 1.0, -1.0, 1.0], (3, 1, 1)), {}, "wanted pose 0: .* are no rotation"),
+        (np.tile(np.eye(4)[:3] * [1.0, 1.0, -1.0, 1.0], (3, 1, 1)), {}, "wanted pose 0: .* are not a rotation matrix"),
         (good, {"frame": "world"}, "frame 'world'; expected one of instrument, base"),
         (good, {"orientation": "up"}, "orientation 'up'; expected one of keep, free"),
     ):

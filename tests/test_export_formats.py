@@ -273,7 +273,7 @@ def test_mujoco_has_the_masses_that_were_found(kuka: Robot) -> None:
     np.testing.assert_allclose(read.body_mass.sum(), kuka.masses.sum() + 12.0, rtol=1e-12)
     assert "link_mass" not in exported.text and "negative" not in exported.text
     values[model.index("joint_6.mass")] = -100.0
-    assert any("masses behind joint_6" in note for note in export_model(calibrated_of(model, values), "mjcf").notes)
+    assert any("masses after joint_6" in note for note in export_model(calibrated_of(model, values), "mjcf").notes)
 
 
 def test_names_with_dashes_stay_within_the_comment_of_a_mujoco_model() -> None:
@@ -315,7 +315,7 @@ def test_the_xacro_of_ur_description_makes_the_calibrated_arm(kind: str, tmp_pat
 
 def test_what_is_no_ur_is_refused(kuka: Robot) -> None:
     """Other arms by their joints; older descriptions of a UR by their frames."""
-    with pytest.raises(BadInputError, match=r"joints joint_1, .* are not those of a UR"):
+    with pytest.raises(BadInputError, match=r"joints joint_1, .* are not the joints of a UR"):
         export_model(calibrated(kuka), "ur-kinematics")
     with pytest.raises(BadInputError, match="an older description with other frames"):
         export_model(calibrated(Robot.from_urdf("ur10")), "ur-kinematics")

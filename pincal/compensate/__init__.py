@@ -1,1 +1,1 @@
-"""Compensation: the joint positions that bring the target where it is wanted, by the calibrated model."""
+"""Compensation: the joint positions at which the target reaches wanted poses, by the calibrated model."""

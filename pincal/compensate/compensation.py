@@ -1,7 +1,7 @@
 """Compensation: from wanted poses, or a nominal program, to the joint positions that reach them by the calibrated model.
 
-The fourth step of the paper (Radkhah, Hemker, Friedmann, von Stryk, Fig. 1): the identified model is used to make the robot
-reach the poses that were meant.
+The fourth step of the paper (Radkhah, Hemker, Friedmann, von Stryk, Fig. 1): with the identified model the robot reaches the
+intended poses.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from pincal.robot.se3 import compose
 log = logging.getLogger(__name__)
 
 KeptOrientation = Literal["keep", "free"]
-# Rows worked on at once: some 100 MB, and enough for the few rows that need more steps to share their cost.
+# Rows processed at once: some 100 MB, and enough to amortise the few rows that need more steps.
 _PIECE = 32768
-# How far a rotation matrix may be from one: what is left of six decimals.
+# Deviation of a rotation matrix from orthonormality: rounding to six decimals.
 ORTHONORMAL = 1e-5
 
 
@@ -36,13 +36,13 @@ class Compensation:
 
     Attributes:
         q: shape (N, n), within the limits [rad or m].
-        status: shape (N,), "ok": reached to 1e-9 m and 1e-9 rad; "singular": a small correction would take large joint
-            motions, so the joints stay within 0.1 rad of the seed and reach the position, with the orientation as close as
-            possible; "joint_limit": a joint stops at its limit; "unreachable": no joint positions were found.
-        error: shape (N,), distance from the wanted position predicted by the model [m].
-        turn: shape (N,), angle from the wanted orientation predicted by the model [rad]; 0 where none was wanted.
-        seed_error: shape (N,), distance of the seeds from the wanted position predicted by the model [m]: the error of the
-            uncompensated program.
+        status: shape (N,), "ok": reached to 1e-9 m and 1e-9 rad; "singular": a small correction would need large joint
+            motions, so the joints are kept within 0.1 rad of the seed and reach the position, with the orientation as close
+            as possible; "joint_limit": a joint is at its limit; "unreachable": no joint positions were found.
+        error: shape (N,), predicted distance from the wanted position [m].
+        turn: shape (N,), predicted angle from the wanted orientation [rad]; 0 if none is wanted.
+        seed_error: shape (N,), predicted distance of the seeds from the wanted position [m]: the error of the uncompensated
+            program.
         wanted: shape (N, 3, 4), the wanted poses of the target in ``frame``.
         frame: "instrument" or "base".
     """
@@ -60,7 +60,7 @@ class Compensation:
 
     @property
     def is_ok(self) -> np.ndarray:
-        """Which rows are reached, shape (N,)."""
+        """Whether each row is reached, shape (N,)."""
         return np.asarray(self.status == "ok")
 
 
@@ -73,27 +73,27 @@ def compensate_poses(
     orientation: KeptOrientation = "keep",
     limits: bool = True,
 ) -> Compensation:
-    """Return the joint positions that bring the target to wanted poses by the calibrated model.
+    """Return the joint positions at which the target reaches wanted poses by the calibrated model.
 
-    Of all joint positions that reach a pose, the closest to the seed (sum of squares of all joints [rad, m]) are returned if
-    the seed lies within 5 cm and 0.1 rad of the pose; no joint then moves by more than 0.35 rad or m. From a seed farther
-    away, the closest that the search finds are returned.
+    Of all joint positions that reach a pose, the closest to the seed (sum of squares over joints [rad, m]) are returned if
+    the seed is within 5 cm and 0.1 rad of the pose; no joint then moves by more than 0.35 rad or m. From a more distant
+    seed, the closest that the search finds are returned.
 
     Args:
         calibrated: the calibrated model.
-        wanted: shape (N, 3, 4), poses of the target, or shape (N, 3), positions alone [m].
+        wanted: shape (N, 3, 4), poses of the target, or shape (N, 3), positions only [m].
         conditions: the N rows; their joint positions are the seeds.
         frame: frame of the wanted poses: the instrument's or the robot's base.
-        orientation: of wanted positions: "keep" that of the nominal robot at the seed, which is what the program meant, or
-            "free". An arm with fewer than six joints keeps it as closely as it can.
-        limits: whether to stay within the joint limits of the URDF.
+        orientation: for wanted positions: "keep" the orientation of the nominal robot at the seed, as the program intends,
+            or "free". An arm with fewer than six joints keeps it as closely as it can.
+        limits: whether to respect the joint limits of the URDF.
 
     Returns:
-        The joint positions, each row on its own.
+        The joint positions, independently for each row.
 
     Raises:
-        BadInputError: for wanted poses or seeds of a wrong shape or not finite, or an unknown frame or orientation; or if an
-            effect of the model needs a column that is missing from the conditions.
+        BadInputError: for wanted poses or seeds that have a wrong shape or are not finite, or an unknown frame or
+            orientation; or if the conditions lack a column that an effect of the model needs.
 
     Example:
         >>> from pincal.builtin import kuka_urdf_path
@@ -153,22 +153,21 @@ def compensate_poses(
 def compensate_program(calibrated: CalibratedModel, conditions: Conditions, *, limits: bool = True) -> Compensation:
     """Return the joint positions at which the real robot reaches the poses of a nominal program.
 
-    The wanted pose is that of the target on the nominal robot, with the identified tool, at the program's joint positions.
-
-    The joint positions of ``conditions`` are the seeds; wanted poses are in the robot's base frame. ``limits`` and errors
-    are those of :func:`compensate_poses`.
+    The wanted pose is the target's on the nominal robot, with the identified tool, at the program's joint positions, which
+    ``conditions`` contains and which are the seeds; it is in the robot's base frame. ``limits`` and errors are as for
+    :func:`compensate_poses`.
     """
     return compensate_poses(calibrated, program_poses(calibrated, conditions), conditions, frame="base", limits=limits)
 
 
 def middle_of_range(robot: Robot) -> np.ndarray:
-    """Return a seed for poses without one, shape (n,): the middle of each joint's limits, 0 where it has none."""
+    """Return a seed for poses without one, shape (n,): the middle of each joint's range, 0 if it is unlimited."""
     lower, upper = np.where(np.isfinite(robot.lower) & np.isfinite(robot.upper), (robot.lower, robot.upper), 0.0)
     return np.asarray(robot.following((lower + upper)[None] / 2.0)[0])
 
 
 def _as_poses(wanted: np.ndarray, count: int) -> np.ndarray:
-    """Return wanted poses, shape (N, 3, 4), as an array of their own."""
+    """Return a copy of wanted poses as an array of shape (N, 3, 4)."""
     given = np.asarray(wanted, float)
     if given.shape not in ((count, 3), (count, 3, 4)):
         raise BadInputError(f"wanted poses have shape {given.shape}; expected ({count}, 3, 4) or ({count}, 3)")
@@ -180,5 +179,5 @@ def _as_poses(wanted: np.ndarray, count: int) -> np.ndarray:
     turns = given[:, :, :3]
     off = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2)) + np.abs(np.linalg.det(turns) - 1.0)
     if off.max(initial=0.0) > ORTHONORMAL:
-        raise BadInputError(f"wanted pose {int(off.argmax())}: its first three columns are no rotation; expected one")
+        raise BadInputError(f"wanted pose {int(off.argmax())}: its first three columns are not a rotation matrix")
     return given.copy()

@@ -1,4 +1,4 @@
-"""Inverse kinematics of a calibrated model: poses that the target has to reach, and how they move with the joints."""
+"""Inverse kinematics of a calibrated model: poses that the target has to reach, and their Jacobians by the joints."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from pincal.model.effects import JointOffset
 from pincal.model.model import Model
 from pincal.robot.se3 import rotation_vectors
 
-# A pose counts as reached within this [m and rad]: a tenth of what is promised, a thousand times the rounding of a pose.
+# A pose counts as reached within this [m and rad]: a tenth of the documented accuracy, a thousand times its rounding.
 REACHED = 1e-10
 # Typical lever arm of a rotation, as a fraction of the robot's reach.
 _LEVER = 1.0 / 3.0
-# A turn smaller than this part of the others is none.
+# Rotations smaller than this, relative to the others, count as none.
 _LOST_TURN = 1e-6
 # Rounding error of a joint limit [rad or m].
 _ON_LIMIT = 1e-12
@@ -27,8 +27,7 @@ class Bounds:
     """Limits of the joint positions [rad or m]; may be infinite.
 
     Attributes:
-        lower: shape (n,), or shape (N, n) where each row has its own.
-        upper: likewise.
+        lower, upper: shape (n,), or shape (N, n) for row-wise bounds.
     """
 
     lower: np.ndarray
@@ -36,7 +35,7 @@ class Bounds:
 
     @classmethod
     def none(cls, n: int) -> Bounds:
-        """Return bounds that allow everything."""
+        """Return infinite bounds."""
         return cls(np.full(n, -np.inf), np.full(n, np.inf))
 
     def select(self, rows: np.ndarray) -> Bounds:
@@ -44,7 +43,7 @@ class Bounds:
         return self if self.lower.ndim == 1 else Bounds(self.lower[rows], self.upper[rows])
 
     def contain(self, q: np.ndarray) -> np.ndarray:
-        """Return which rows of joint positions, shape (N, n), lie within, shape (N,)."""
+        """Return which rows of joint positions, shape (N, n), are within the bounds, shape (N,)."""
         return np.asarray(np.all((q >= self.lower - _ON_LIMIT) & (q <= self.upper + _ON_LIMIT), axis=1))
 
     def touched(self, q: np.ndarray) -> np.ndarray:
@@ -52,7 +51,7 @@ class Bounds:
         return np.asarray(np.any((q <= self.lower + _ON_LIMIT) | (q >= self.upper - _ON_LIMIT), axis=1))
 
     def around(self, q: np.ndarray, rows: np.ndarray, *, distance: float) -> Bounds:
-        """Return row-wise bounds that keep the rows of a mask, shape (N,), close to joint positions, shape (N, n)."""
+        """Return row-wise bounds that keep masked rows, shape (N,), within a distance of joint positions, shape (N, n)."""
         start, narrow = np.clip(q, self.lower, self.upper), rows[:, None]
         lower = np.where(narrow, np.maximum(start - distance, self.lower), self.lower)
         return Bounds(lower, np.where(narrow, np.minimum(start + distance, self.upper), self.upper))
@@ -60,20 +59,20 @@ class Bounds:
 
 @dataclass(frozen=True)
 class IkProblem:
-    """N poses for the target, each under its own conditions.
+    """N wanted poses of the target, each under its own conditions.
 
     A joint position adds to the same coordinate as the joint's offset. The model's exact derivative by the offsets, which
     includes the change of the static moments, is therefore the derivative by the joint positions except for effects that
     depend on the position itself (gear errors, about 1e-4 of it): each Newton step gains three digits.
 
-    Unknown are the positions of the n joints that have their own; the others follow them.
+    The unknowns are the positions of the n independent joints; mimic joints follow them.
 
     Attributes:
         model: the model, with a joint offset of value zero as its last effect.
         values: shape (P,), its parameters.
         conditions: the N poses; their joint positions are not used.
         wanted: shape (N, 3, 4), poses of the target in the model's instrument frame.
-        with_orientation: whether the orientation has to be reached as well.
+        with_orientation: whether the orientation has to be reached too.
     """
 
     model: Model
@@ -99,7 +98,7 @@ class IkProblem:
         return replace(self, conditions=self.conditions.select(rows), wanted=self.wanted[rows])
 
     def without_orientation(self) -> IkProblem:
-        """Return the problem for the same positions in any orientation."""
+        """Return the problem for the same positions with any orientation."""
         return replace(self, with_orientation=False)
 
     @property
@@ -109,24 +108,23 @@ class IkProblem:
 
     @property
     def n_spare(self) -> int:
-        """Joints beyond the equations of a pose: an arm with spare joints is redundant; below 0 it has too few."""
+        """Number of joints minus equations per pose: above 0 the arm is redundant, below 0 it has too few joints."""
         return len(self.model.chain.robot.own_joints) - self.n_equations
 
     @cached_property
     def length(self) -> float:
-        """Weight of a rotation against a translation [m]: a rotation by 1 rad counts as much as this distance."""
+        """Weight of a rotation relative to a translation [m]: a rotation by 1 rad counts as much as this distance."""
         return max(_LEVER * self.model.chain.robot.reach, 1e-3)
 
     def residuals(self, q: np.ndarray) -> np.ndarray:
-        """Return wanted minus actual pose at joint positions of shape (N, n).
+        """Return wanted minus actual pose at joint positions of shape (N, n), shape (N, n_equations).
 
-        Returns:
-            Translation over ``length`` and, if the orientation counts, rotation vector [rad], shape (N, n_equations).
+        The translation is divided by ``length``; a rotation vector [rad] follows if the orientation counts.
         """
         return self._residuals(self.model.predict(self.values, self._at(q)))
 
     def linearise(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return residuals, shape (N, n_equations), and how the joints reduce them, shape (N, n_equations, n)."""
+        """Return residuals, shape (N, n_equations), and the pose's Jacobian in their units, (N, n_equations, n)."""
         robot = self.model.chain.robot
         offsets = self.model.spans[-1]
         free = np.zeros(len(self.values), bool)
@@ -149,16 +147,16 @@ class IkProblem:
         return np.hstack([translation, turn])
 
     def turns_in_place(self, q: np.ndarray) -> np.ndarray:
-        """Return how freely the joints turn the target about each axis of the frame while its position stays.
+        """Return how freely the joints rotate the target about each axis of the frame with its position fixed.
 
         Returns:
-            Shape (N, 3): 1 freely, 0 not at all; an arm of six joints does all three, but for singular poses.
+            Shape (N, 3): 1 freely, 0 not at all; for an arm with six joints all are 1 except at singular poses.
         """
         _, J = self.linearise(q)
         still = np.eye(J.shape[2]) - np.linalg.pinv(J[:, :3], rcond=_LOST_TURN) @ J[:, :3]
         turns = J[:, 3:] @ still
         reached = turns @ np.linalg.pinv(turns, rcond=_LOST_TURN)
-        # What rounding leaves of no turn at all is none.
+        # Rounding errors are no rotation.
         is_turned = np.linalg.norm(turns, axis=(1, 2)) > _LOST_TURN
         return np.where(is_turned[:, None], np.diagonal(reached, axis1=1, axis2=2), 0.0)
 

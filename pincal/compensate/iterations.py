@@ -1,12 +1,12 @@
-r"""Iterations of inverse kinematics: Newton's method for all rows at once, and a bounded search for the few that resist.
+r"""Iterations of inverse kinematics: Newton's method for all rows at once, and a bounded search for the few that remain.
 
-With the residual e and the way back to the seed, r = seed - q, the Newton step that ends closest to the seed is
+With the residual e and the difference to the seed, r = seed - q, the Newton step that ends closest to the seed is
 
 .. math:: \Delta q = r + J^+ (e - J r),
 
-which is :math:`J^{-1} e` for an arm without redundancy. Rows that it does not solve (far, singular or beyond a limit) go
-through a Levenberg-Marquardt search that never gets worse [Marquardt1963]_; joints at their limits stay there while they
-push outwards.
+which is :math:`J^{-1} e` for an arm without redundancy. Rows that it does not solve (distant, singular or beyond a limit)
+are solved by a monotone Levenberg-Marquardt search [Marquardt1963]_; joints at their limits are held there while the step
+points outwards.
 
 .. [Marquardt1963] D. W. Marquardt, An algorithm for least-squares estimation of nonlinear parameters, J. SIAM 11 (1963).
 """
@@ -17,15 +17,15 @@ import numpy as np
 
 from pincal.compensate.ik_problem import Bounds, IkProblem
 
-# From 10 mm off, three steps reach rounding; the others are for seeds that are far away.
+# From an error of 10 mm three steps converge to rounding; the others are for distant seeds.
 _NEWTON_STEPS = 12
-# The longest step of a joint [rad or m]: an arm's poses are nearly linear within it.
+# The longest step of a joint [rad or m], within which an arm's poses are nearly linear.
 _LONGEST = 0.3
-# A step smaller than this [rad or m] adds no error of its own; a redundant arm moves on to the solution closest to its seed
-# until its steps are.
+# A smaller step [rad or m] adds no error of its own; a redundant arm continues towards the solution closest to its seed
+# until its steps are as small.
 _SETTLED = 1e-8
-# Keep exactly singular poses from a division by zero: relative to the square of the Jacobian, and for joints that do not
-# move the target at all.
+# Avoid a division by zero at exactly singular poses: relative to the square of the Jacobian, and absolute for joints that do
+# not move the target at all.
 _FLOOR, _NOTHING = 1e-14, 1e-30
 _SEARCH_STEPS = 60
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-14, 1e6
@@ -41,8 +41,8 @@ def newton(problem: IkProblem, start: np.ndarray, *, seed: np.ndarray) -> tuple[
 
     Args:
         problem: N poses.
-        start: shape (N, n), where to begin [rad or m].
-        seed: shape (N, n), what a redundant arm stays close to [rad or m].
+        start: shape (N, n), initial joint positions [rad or m].
+        seed: shape (N, n), to which the solution of a redundant arm is closest [rad or m].
 
     Returns:
         Joint positions, shape (N, n), and which rows are reached, shape (N,).
@@ -55,7 +55,7 @@ def newton(problem: IkProblem, start: np.ndarray, *, seed: np.ndarray) -> tuple[
         step = _step_near(seed[rows] - q[rows] if is_redundant else None, residuals, J=J)
         is_short = np.abs(step).max(axis=1) < _SETTLED
         arrived = part.is_reached(residuals) & (is_short | (not is_redundant))
-        # Two steps lead from what counts as reached to rounding, so that any order of operations ends there.
+        # Two further steps lead from REACHED to rounding, so that the result does not depend on the order of operations.
         done = arrived & reached[rows]
         reached[rows[arrived]] = True
         q[rows] += np.where((done & ~is_short)[:, None], 0.0, step)
@@ -68,7 +68,7 @@ def newton(problem: IkProblem, start: np.ndarray, *, seed: np.ndarray) -> tuple[
 
 
 def _step_near(back: np.ndarray | None, residuals: np.ndarray, *, J: np.ndarray) -> np.ndarray:
-    """Return Newton steps, limited in length, that end as close as possible to where ``back`` leads, shape (N, n)."""
+    """Return Newton steps of limited length that end as close as possible to the end of ``back``, shape (N, n)."""
     transposed = J.swapaxes(1, 2)
     square = J @ transposed
     square[:, range(J.shape[1]), range(J.shape[1])] += _floor(square)[:, None]
@@ -91,13 +91,13 @@ def _shortened(step: np.ndarray) -> np.ndarray:
 def bounded_search(
     problem: IkProblem, start: np.ndarray, *, bounds: Bounds, position_weight: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return joint positions within bounds that come as close to the poses as a descent from the start does.
+    """Return the joint positions within bounds closest to the poses, by a descent from the start.
 
     Args:
         problem: N poses.
-        start: shape (N, n), where to begin [rad or m].
+        start: shape (N, n), initial joint positions [rad or m].
         bounds: the joint limits.
-        position_weight: weight of the position over the orientation.
+        position_weight: weight of the position relative to the orientation.
 
     Returns:
         Joint positions, shape (N, n), and which rows are reached, shape (N,).
@@ -127,7 +127,7 @@ def bounded_search(
 
 
 def _bounded_step(J: np.ndarray, residuals: np.ndarray, *, damping: np.ndarray, q: np.ndarray, bounds: Bounds) -> np.ndarray:
-    """Return damped steps in which joints at a bound do not push beyond it, shape (N, n)."""
+    """Return damped steps in which joints at a bound do not move beyond it, shape (N, n)."""
     square, slope = J.swapaxes(1, 2) @ J, (J.swapaxes(1, 2) @ residuals[..., None])[..., 0]
     at_bound, joints = np.zeros(q.shape, bool), range(q.shape[1])
     damped = damping + _floor(square)

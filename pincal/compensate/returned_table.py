@@ -1,4 +1,4 @@
-"""A table given back as it came: other numbers in some of its columns, further columns behind them, all else as it was."""
+"""A table returned in its own form: new numbers in some of its columns, further columns after them, all else unchanged."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from pincal.measure.text_sheet import TextSheet
 from pincal.units import SIZES, in_unit, plain_numbers
 
 DECIMALS = {"m": 11, "cm": 9, "mm": 8, "um": 5, "µm": 5, "in": 10, "rad": 11, "mrad": 8, "urad": 5, "deg": 9, "°": 9}
-"""Digits behind the point that a written number has at least, by its unit."""
+"""Least number of decimal places of a written number, by its unit."""
 _TEXT = (".csv", ".txt", ".tsv")
 
 
 def write_returned(out: Path, cells: Cells, columns: Mapping[str, np.ndarray], joints: Sequence[str]) -> None:
-    """Write a table: as the one that was read, with other numbers, if the file's name allows it; else anew, in SI units.
+    """Write a table in the form of the one that was read if the file's name allows it, else a new one in SI units.
 
     Args:
         out: the file.
-        cells: what was read.
+        cells: the table that was read.
         columns: values in SI units, shape (N,), by name, in their order.
-        joints: those of them that take the places of the table's own, in its units, where it has them. Others that the table
-            has stay as they were, and the rest stands behind them.
+        joints: names of the columns that replace the table's own, in its units. The table's other columns are unchanged, and
+            columns that it lacks are appended.
 
     Raises:
         OutputError: for a name that no table can have, or a place that can't be written to.
@@ -42,9 +42,9 @@ def write_returned(out: Path, cells: Cells, columns: Mapping[str, np.ndarray], j
     again = {label: SheetColumn(i, label, label, "", "number") for i, label in enumerate(sheet.labels) if label not in mine}
     changed = {mine[name]: columns[name] for name in joints if name in mine}
     changed |= {again[name]: values for name, values in columns.items() if name in again}
-    told = {*mine, *again, *(joints if changed.keys() & mine.values() else ())}
-    told |= {"qx", "qy", "qz", "qw"} if cells.orientation is not None else set()
-    more = {name: values for name, values in columns.items() if name not in told}
+    present = {*mine, *again, *(joints if changed.keys() & mine.values() else ())}
+    present |= {"qx", "qy", "qz", "qw"} if cells.orientation is not None else set()
+    more = {name: values for name, values in columns.items() if name not in present}
     if isinstance(sheet, TextSheet) and kind in _TEXT and (kind != ".tsv" or sheet.separator == "\t"):
         write_atomic(out, _text(sheet, cells.rows, changed, more))
     elif isinstance(sheet, FrameSheet) and sheet.worksheet and kind in ENDINGS:
@@ -58,7 +58,7 @@ def write_returned(out: Path, cells: Cells, columns: Mapping[str, np.ndarray], j
 def _text(
     sheet: TextSheet, rows: np.ndarray, changed: Mapping[SheetColumn, np.ndarray], more: Mapping[str, np.ndarray]
 ) -> bytes:
-    """Return a text with other cells and further ones at the end of each line of the table."""
+    """Return the text with changed cells and further ones at the end of each line of the table."""
     raw = sheet.path.read_bytes()
     encoding = "utf-16" if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "latin-1"
     lines = re.split(r"(?<=\n)|(?<=\r)(?!\n)", raw.decode(encoding))
@@ -89,7 +89,7 @@ def _extended(body: str, separator: str, cells: Iterable[str]) -> str:
 
 
 def cells_in(line: str, separator: str) -> list[tuple[int, int]]:
-    """Return start and end of the cells of a line, blanks and quotation marks around them left out.
+    """Return start and end of the cells of a line, without surrounding blanks and quotation marks.
 
     Example:
         >>> cells_in('1; "2,5" ;x', ";")
@@ -110,14 +110,14 @@ def cells_in(line: str, separator: str) -> list[tuple[int, int]]:
 
 
 def _cell(value: Any, unit: str, old: str) -> str:
-    """Return a value [SI] as a number like the one that it replaces, which stays if it says the same."""
+    """Return a value [SI] in the form of the number that it replaces, which is kept if it is equal."""
     if isinstance(value, str):
         return value
     return number_like(float(in_unit(np.array([value]), unit)[0]), DECIMALS.get(unit, 11), old)
 
 
 def number_like(value: float, least: int, old: str) -> str:
-    """Return a value with the decimal mark and the sign of the number that it replaces, which stays if it says the same.
+    """Return a value with the decimal mark and the sign of the number that it replaces, which is kept if it is equal.
 
     Example:
         >>> number_like(1.25, 3, "1,2"), number_like(1.2, 3, "+1.2"), number_like(2.5, 1, "+1.2")
@@ -187,10 +187,10 @@ def false_columns(cells: Cells, poses: np.ndarray) -> dict[str, np.ndarray]:
     for i, axis in enumerate("xyz"):
         column = by_name[axis]
         found[f"false_{column.label}"] = in_unit(poses[:, i, 3], column.unit)
-    if (told := cells.orientation) is not None:
-        values = np.array([told.values(pose[:, :3]) for pose in poses])
-        for k, name in enumerate(told.columns):
+    if (convention := cells.orientation) is not None:
+        values = np.array([convention.values(pose[:, :3]) for pose in poses])
+        for k, name in enumerate(convention.columns):
             column = by_name[name]
-            ratio = SIZES[told.unit] / SIZES[column.unit] if told.unit and column.unit else 1.0
+            ratio = SIZES[convention.unit] / SIZES[column.unit] if convention.unit and column.unit else 1.0
             found[f"false_{column.label}"] = values[:, k] * ratio
     return found

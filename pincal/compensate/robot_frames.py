@@ -1,7 +1,7 @@
 """Frames and models in which a pose is given: calibrated in the robot's base frame, nominal, or as a false target.
 
-All follow from the calibrated model by leaving out effects: without those of the instrument it predicts in the robot's base
-frame; with its tool alone it is the nominal robot with the identified tool.
+All are derived from the calibrated model by leaving out effects: without the instrument's effects it predicts in the robot's
+base frame; with the tool's effects only it is the nominal robot with the identified tool.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def _is_of(effect: Effect, *frames: str) -> bool:
 
 
 def in_base_frame(calibrated: CalibratedModel) -> CalibratedModel:
-    """Return the calibrated model without the instrument: it predicts in the robot's base frame."""
+    """Return the calibrated model without the instrument, which predicts in the robot's base frame."""
     return _with_effects(calibrated, lambda effect: effect.scope == "robot" or _is_of(effect, "tool"), np.eye(3))
 
 
@@ -42,7 +42,7 @@ def _with_effects(
 
 
 def program_poses(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
-    """Return the poses of the target that a nominal program means: those of the nominal robot with the calibrated tool.
+    """Return the target poses of a nominal program, by the nominal robot with the calibrated tool.
 
     Returns:
         Poses in the robot's base frame, shape (N, 3, 4) [m].
@@ -51,19 +51,19 @@ def program_poses(calibrated: CalibratedModel, conditions: Conditions) -> np.nda
 
 
 def nominal_robot(calibrated: CalibratedModel) -> CalibratedModel:
-    """Return the nominal robot with the calibrated tool: it predicts in the robot's base frame."""
+    """Return the nominal robot with the calibrated tool, which predicts in the robot's base frame."""
     return _with_effects(calibrated, lambda effect: _is_of(effect, "tool"), np.eye(3))
 
 
 def nominal_in_instrument(calibrated: CalibratedModel) -> CalibratedModel:
-    """Return the nominal robot with the calibrated tool where it was calibrated: it predicts in the instrument's frame."""
+    """Return the nominal robot with the calibrated tool and base, which predicts in the instrument's frame."""
     return _with_effects(calibrated, lambda e: _is_of(e, "tool", "base"), calibrated.model.chain.base_rotation)
 
 
 def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
     """Return the pose of the robot's base in the instrument's frame at each of N poses, shape (N, 3, 4) [m].
 
-    It differs from row to row only if the base drifts.
+    Rows differ only if the base drifts.
     """
     placed = _with_effects(calibrated, lambda effect: _is_of(effect, "base"), calibrated.model.chain.base_rotation)
     bare = _with_effects(calibrated, lambda effect: False, np.eye(3))
@@ -71,13 +71,13 @@ def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> n
 
 
 def false_targets(calibrated: CalibratedModel, conditions: Conditions, *, of: FalseTarget = "tip") -> np.ndarray:
-    """Return the poses to send to a controller with the nominal model so that it commands these joint positions.
+    """Return the poses for which a controller with the nominal model commands given joint positions.
 
     The controller has to choose the same branch of its inverse kinematics (with seven joints, the same elbow position).
 
     Args:
         calibrated: the calibrated model.
-        conditions: the N poses; their joint positions are those to command.
+        conditions: the N poses, with the joint positions to command.
         of: "tip": poses of the nominal robot's tip link, for a controller without a tool; "target": for a controller that
             has the calibrated tool.
 

@@ -1,8 +1,8 @@
-"""Which joint positions to command within the limits, and what prevents a pose from being reached.
+"""Joint positions to command within the limits, and the reason why a pose is not reached.
 
-A row whose seed is already close to the wanted pose asks for a small correction: its joints stay within a few degrees of the
-seed. Where a small correction would need large joint motions, the arm is singular, and a program would make the wrist spin.
-Such a row is flagged, and its joints stay close to the seed; position has priority over orientation.
+A row whose seed is already close to the wanted pose needs a small correction: its joints are kept within a few degrees of
+the seed. Where a small correction would need large joint motions, the arm is singular, and a program would make the wrist
+spin. Such a row is flagged, and its joints are kept close to the seed; position has priority over orientation.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from pincal.compensate.iterations import bounded_search, newton
 IkStatus = Literal["ok", "singular", "joint_limit", "unreachable"]
 STATUSES: tuple[IkStatus, ...] = get_args(IkStatus)
 
-# A seed this close to the wanted pose [m, rad] asks for a correction, not a motion; errors of real arms are a fifth of it.
+# A seed this close to the wanted pose [m, rad] needs a correction, not a motion; errors of real arms are a fifth of it.
 _NEAR, _NEAR_ANGLE = 0.05, 0.1
-# How far a correction may move a joint [rad or m]: more is a motion that no program asked for. Where it would take more,
-# the joints stay this close to the seed if the position allows it.
+# Largest motion of a joint by a correction [rad or m]; more would be an unintended motion. If a correction needs more, the
+# joints are kept this close to the seed if the position allows it.
 _CORRECTION, _GENTLE = 0.35, 0.1
-# Small displacement [rad or m] for arms that start exactly in a singular pose, where the first step leads nowhere.
+# Small displacement [rad or m] of arms that start exactly at a singular pose, where the first step is zero.
 _ASIDE = 0.05
 # Singular value of the Jacobian, lengths over IkProblem.length, below which a direction is lost; regular poses have 0.1.
 _LOST = 2e-3
-# Weight of position over orientation where both can't be reached.
+# Weight of position relative to orientation where both can't be reached.
 _POSITION_FIRST = 1e3
-# Random poses among which starts for far targets are chosen; how many are tried, and how many where these fail.
+# Random poses among which starts for distant targets are chosen; number of starts tried, and number if these fail.
 _POOL, _STARTS, _MOST_STARTS = 4000, 8, 32
-# A target farther than this fraction of the reach from all of them is out of reach.
+# A target farther than this fraction of the reach from all random poses is out of reach.
 _HOPELESS = 0.3
 _TURN = 2.0 * np.pi
 
 
 def solve_ik(problem: IkProblem, seed: np.ndarray, *, limits: Bounds) -> tuple[np.ndarray, np.ndarray]:
-    """Return the joint positions to command and how each row ended.
+    """Return the joint positions to command and the status of each row.
 
     Args:
         problem: N poses.
@@ -77,7 +77,7 @@ def solve_ik(problem: IkProblem, seed: np.ndarray, *, limits: Bounds) -> tuple[n
 
 
 def _solve_with_few_joints(problem: IkProblem, seed: np.ndarray, *, limits: Bounds) -> tuple[np.ndarray, np.ndarray]:
-    """Reach the positions, then come as close to the orientations as the joints allow."""
+    """Reach the positions, then get as close to the orientations as the joints allow."""
     q, status = solve_ik(problem.without_orientation(), seed, limits=limits)
     rows = np.flatnonzero(status == "ok")
     if len(rows):
@@ -87,7 +87,7 @@ def _solve_with_few_joints(problem: IkProblem, seed: np.ndarray, *, limits: Boun
 
 
 def _unwind(problem: IkProblem, q: np.ndarray, *, reached: np.ndarray, seed: np.ndarray, limits: Bounds) -> np.ndarray:
-    """Return joint positions as close to the seed as whole turns bring them, within the limits where possible."""
+    """Return joint positions moved by whole turns as close to the seed as possible, within the limits if possible."""
     most, least = np.floor((q - limits.lower) / _TURN), np.ceil((q - limits.upper) / _TURN)
     turns = np.clip(np.round((q - seed) / _TURN), least, np.maximum(most, least))
     robot = problem.model.chain.robot
@@ -102,7 +102,7 @@ def _unwind(problem: IkProblem, q: np.ndarray, *, reached: np.ndarray, seed: np.
 
 
 def _within_bounds(problem: IkProblem, seed: np.ndarray, *, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
-    """Search with joints that stop at their bounds, from the seed and, if it is singular, from beside it."""
+    """Search within bounds, from the seed and, if it is singular, from a displaced start as well."""
     q, reached = bounded_search(problem, seed, bounds=bounds)
     rows = np.flatnonzero(~reached)
     if len(rows):
@@ -114,7 +114,7 @@ def _within_bounds(problem: IkProblem, seed: np.ndarray, *, bounds: Bounds) -> t
         q[rows[ended]], reached[rows[ended]] = found[ended], True
     rows = np.flatnonzero(reached & (problem.n_spare > 0))
     if len(rows):
-        # Redundant arms move on to the solution closest to their seed.
+        # Redundant arms continue to the solution closest to their seed.
         closer, arrived = newton(problem.select(rows), q[rows], seed=seed[rows])
         arrived &= bounds.select(rows).contain(closer)
         q[rows[arrived]] = closer[arrived]
@@ -122,7 +122,7 @@ def _within_bounds(problem: IkProblem, seed: np.ndarray, *, bounds: Bounds) -> t
 
 
 def _is_beyond(problem: IkProblem, q: np.ndarray, *, limits: Bounds) -> np.ndarray:
-    """Return which rows would be reached if joints at a limit could move on, shape (N,)."""
+    """Return which rows would be reached without the limits that joints touch, shape (N,)."""
     out = limits.touched(q)
     rows = np.flatnonzero(out)
     if len(rows):
@@ -133,10 +133,10 @@ def _is_beyond(problem: IkProblem, q: np.ndarray, *, limits: Bounds) -> np.ndarr
 def _best_effort(
     problem: IkProblem, q: np.ndarray, *, seed: np.ndarray, near: np.ndarray, limits: Bounds
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Come as close as possible, with little motion where the seed is near; return which positions can be reached.
+    """Get as close as possible, with little motion if the seed is near; also return which positions can be reached.
 
-    Where the position can be reached, it has priority, with the orientation as close as the joints then allow. Where it
-    can't, giving up the orientation for a little of it gains nothing.
+    A reachable position has priority, with the orientation as close as the joints then allow. If the position is out of
+    reach, sacrificing the orientation to get a little closer gains nothing.
     """
     start = np.where(near[:, None], seed, q)
     bounds = limits.around(start, near, distance=_GENTLE)
@@ -151,7 +151,7 @@ def _best_effort(
 def _from_random_starts(
     problem: IkProblem, q: np.ndarray, *, seed: np.ndarray, limits: Bounds
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Start from random poses close to the wanted ones; of the solutions, keep the closest to the seed."""
+    """Search from random poses close to the wanted ones, and keep the solution closest to the seed."""
     best, reached = q.copy(), np.zeros(len(problem), bool)
     distance = np.full(len(problem), np.inf)
     starts, hopeful = _starts(problem)
@@ -170,7 +170,7 @@ def _from_random_starts(
 
 
 def _starts(problem: IkProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Return random joint positions whose poses are the closest to the wanted ones, and which rows have any that are near.
+    """Return the random joint positions with poses closest to the wanted ones, and which rows have any nearby.
 
     Returns:
         Shape (starts, N, n) [rad or m], and shape (N,).

@@ -1,4 +1,4 @@
-"""The table of targets, wanted poses with seeds or without or a nominal program, and the joint positions that reach them."""
+"""The table of targets, wanted poses or a nominal program, with or without seeds, and the joint positions to reach them."""
 
 from __future__ import annotations
 
@@ -24,19 +24,12 @@ from pincal.robot.se3 import compose, inverse, rotation_matrices
 
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 # Further columns that the command writes: they are ignored, so that its output can be its input.
-_WRITTEN = (
-    "status",
-    "error_mm",
-    "error_mrad",
-    "sigma_mm",
-    "change_max",
-    "large_change",
-    *(f"false_{name}" for name in POSE_COLUMNS),
-)
+_WRITTEN = ("status", "error_mm", "error_mrad", "sigma_mm", "change_max", "large_change",
+            *(f"false_{name}" for name in POSE_COLUMNS))  # fmt: skip
 _FIELDS = tuple(known_fields()[name] for name in ("position", "quaternion", *CONDITIONS) if name != "point")
-# A part of a turn below which an axis is not turned about.
+# Share of a free rotation below which the target can't rotate about an axis.
 _HARDLY = 0.1
-# A wanted position farther from the base than this many times the reach is in another unit.
+# Wanted positions farther from the base than this multiple of the reach are in another unit.
 _OTHER_UNIT = 50.0
 
 
@@ -45,8 +38,8 @@ class Targets:
     """Rows to compensate.
 
     Attributes:
-        rows: wanted positions or poses (kind "none" for a program), and the conditions of each row; joint positions are 0 if
-            the table has none.
+        rows: wanted positions or poses (kind "none" for a program), and the conditions of each row, with joint positions of
+            0 if the table has none.
         has_joints: whether the table has joint positions.
         cells: the table.
     """
@@ -62,12 +55,12 @@ class CompensatedTable:
 
     Attributes:
         targets: the table.
-        seeds: the conditions of its rows, with the joint positions that the search started from.
+        seeds: the conditions of its rows, with the initial joint positions of the search.
         commanded: the same conditions with the joint positions to command.
-        found: how each row ended.
-        orientation: "keep" if the rows want an orientation, "free" if any will do.
-        sigma: shape (N,), standard deviation of the predicted position, all three coordinates combined [m]: the uncertainty
-            of the calibration.
+        found: the result of each row.
+        orientation: "keep" if an orientation is wanted, "free" if any is allowed.
+        sigma: shape (N,), standard deviation of the predicted position, root sum of squares of three coordinates [m], by the
+            uncertainty of the calibration.
         robot: the arm.
     """
 
@@ -81,7 +74,7 @@ class CompensatedTable:
 
     @property
     def change(self) -> np.ndarray:
-        """How far what to command is from where the search started, as the controller reports it, shape (N, n)."""
+        """Commanded minus initial joint positions, as reported by the controller, shape (N, n)."""
         return np.asarray(self.found.q - self.robot.as_reported(self.seeds.q))
 
 
@@ -91,22 +84,15 @@ def read_targets(path: str | os.PathLike[str], robot: Robot, *, options: TableOp
     Args:
         path: the file: columns of joints, x y z (and qx qy qz qw), or both, and conditions.
         robot: the arm.
-        options: how the table is to be read.
-
-    Returns:
-        The rows.
+        options: how to read the table.
 
     Raises:
-        MeasurementError: for a file that can't be read, a table with neither wanted positions nor joints, or a column, unit
-            or value that is invalid.
+        MeasurementError: for a file that can't be read, a table with neither wanted positions nor joints, or an invalid
+            column, unit or value.
     """
     path, options = Path(path), options or TableOptions()
-    schema = Schema(
-        _FIELDS,
-        may_lack_joints=True,
-        options=replace(options, ignore=(*_WRITTEN, *options.ignore)),
-    ).of_robot(robot)
-    cells = read_table(path, schema)
+    options = replace(options, ignore=(*_WRITTEN, *options.ignore))
+    cells = read_table(path, Schema(_FIELDS, may_lack_joints=True, options=options).of_robot(robot))
     has_joints = "q" in cells.arrays
     if not has_joints and "position" not in cells.arrays:
         raise MeasurementError(
@@ -133,11 +119,11 @@ def run_compensation(
     Args:
         calibrated: the calibrated model.
         targets: the table.
-        frame: frame of its positions and of the wanted poses in the result; a program is always meant in the base frame.
-        seed: shape (n,), joint positions to start from if the table has none; default: the middle of the joint ranges, with
-            any orientation for positions without a quaternion.
-        any_orientation: whether to reach positions in any orientation, even if the table has one.
-        limits: whether to stay within the joint limits of the URDF.
+        frame: frame of its positions and of the wanted poses in the result; a program is always in the base frame.
+        seed: shape (n,), initial joint positions if the table has none; default: the middle of the joint ranges, with any
+            orientation for positions without a quaternion.
+        any_orientation: whether to allow any orientation even if the table has one.
+        limits: whether to respect the joint limits of the URDF.
 
     Raises:
         BadInputError: as :func:`pincal.compensate.compensation.compensate_poses`, or for a target that the model lacks.
@@ -167,7 +153,7 @@ def run_compensation(
 
 
 def unreached_turns(calibrated: CalibratedModel, done: CompensatedTable) -> str:
-    """Return in words which turns of the target an arm with too few joints can't make where it stands; empty if none."""
+    """Return a description of the rotations that an arm with too few joints can't make; "" if there are none."""
     robot = calibrated.model.chain.robot
     if done.orientation != "keep" or len(robot.own_joints) >= 6:
         return ""
@@ -191,7 +177,7 @@ def _wanted(targets: Targets, *, with_orientation: bool) -> np.ndarray:
 
 
 def _check_unit(calibrated: CalibratedModel, targets: Targets, *, seeds: Conditions, frame: PoseFrame) -> None:
-    """Reject a table most of whose positions are far beyond the robot's reach, if its header does not give their unit."""
+    """Reject a table with most positions far beyond the robot's reach, if its header does not state their unit."""
     places, reach = _wanted(targets, with_orientation=False), calibrated.model.chain.robot.reach
     if frame == "instrument":
         to_base = inverse(base_in_instrument(calibrated, seeds))

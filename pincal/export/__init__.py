@@ -1,6 +1,6 @@
-"""Exports: the calibrated robot in the forms that controllers, simulators and other programs read.
+"""Exports: the calibrated robot in formats of controllers, simulators and other programs.
 
-A module here registers each :class:`pincal.export.exported.Format`.
+The modules register one :class:`pincal.export.exported.Format` each, or several.
 """
 
 import pkgutil

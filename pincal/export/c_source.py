@@ -1,4 +1,4 @@
-"""The calibrated model as C99 without dependencies: for a controller's cycle, no allocation and no loop without an end."""
+"""The calibrated model as C99 without dependencies: for a controller's cycle, without allocation or unbounded loops."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _file(formulas: Formulas, name: str, *, kind: str, frame: str) -> str:
 
 
 def _functions(formulas: Formulas, name: str) -> tuple[str, str]:
-    """Return the functions that evaluate the formulas, and the tables that they need."""
+    """Return the functions that evaluate the formulas, and their tables."""
     (lines, results), *parts, used = written(_C, formulas.moments, formulas.pose, formulas.columns)
     functions, taken = [], ""
     if formulas.moments:

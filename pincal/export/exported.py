@@ -1,4 +1,4 @@
-"""What an export is, the formats that there are (one class a format, known by its name), and what sources share."""
+"""Exports, the registry of formats (one class per format, by name), and what source code in all languages shares."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class Exported:
     """A calibrated robot in some format.
 
     Attributes:
-        files: contents by name in the folder that is written; of a format with a single file the name is empty.
-        notes: what the format can't carry, in words.
-        max_error_m: largest distance between target or tip by what was written, read back (of C by its formulas), and by
-            what the format can carry of the model [m]; None where there is nothing to compare.
+        files: contents by name in the output folder; the name of a single file is empty.
+        notes: what the format can't represent.
+        max_error_m: largest distance between target or tip by the written file, read back (for C, by its formulas), and by
+            what the format can represent of the model [m]; None if there is nothing to compare.
     """
 
     files: dict[str, bytes]
@@ -42,7 +42,7 @@ class Exported:
 
     @property
     def text(self) -> str:
-        """The contents, of several files one after the other."""
+        """The contents, concatenated if there are several files."""
         return "\n".join(content.decode() for content in self.files.values())
 
     def write(self, path: str | os.PathLike[str]) -> None:
@@ -61,12 +61,12 @@ class Exported:
 
 
 class Format(ABC):
-    """A format that a calibrated robot can be written in.
+    """A format for calibrated robots.
 
     Attributes:
         name: its name.
-        meaning: what it is for, in words.
-        of_robot: whether it is of the robot alone, wherever instrument and targets stand.
+        meaning: its purpose.
+        of_robot: whether it describes the robot alone, regardless of instrument and targets.
     """
 
     name: ClassVar[str]
@@ -78,7 +78,7 @@ class Format(ABC):
         """Return a calibrated robot in this format, checked against the model.
 
         Raises:
-            BadInputError: if the format can't carry this robot or one of its effects.
+            BadInputError: if the format can't represent this robot or one of its effects.
         """
 
 
@@ -88,16 +88,16 @@ FORMATS: Registry[Format] = Registry("export format", group="pincal.formats", na
 def export_model(
     calibrated: Calibrated, format: str, path: str | os.PathLike[str] | None = None, **options: str
 ) -> Exported:
-    """Return a calibrated robot in another format, and write it if a place is named.
+    """Return a calibrated robot in another format, and write it if a path is given.
 
     Args:
-        calibrated: what a calibration found.
+        calibrated: the result of a calibration.
         format: name of the format, one of ``FORMATS``: "c", "python", "urdf" and so on.
         path: the file to write, for "c" the folder.
-        options: those of the format, such as ``frame="base"`` for "c" and "python".
+        options: of the format, such as ``frame="base"`` for "c" and "python".
 
     Raises:
-        BadInputError: for a name or option that is invalid, or if the format can't carry this robot.
+        BadInputError: for an invalid name or option, or if the format can't represent this robot.
         OutputError: if the place can't be written to.
     """
     known = FORMATS.known()
@@ -131,7 +131,7 @@ NOTES = (
 
 
 def placed_in(calibrated: CalibratedModel, frame: str) -> CalibratedModel:
-    """Return a calibrated model that predicts in a frame, "instrument" or "base": where targets are, not how they are read.
+    """Return a calibrated model that predicts poses of targets, not readings of them, in a frame: "instrument" or "base".
 
     Raises:
         BadInputError: for another name.
@@ -140,20 +140,20 @@ def placed_in(calibrated: CalibratedModel, frame: str) -> CalibratedModel:
         raise BadInputError(f"frame {frame!r}; expected instrument or base")
     if frame == "base":
         return in_base_frame(calibrated)
-    is_read_wrong = any(effect.is_sighted for effect in calibrated.model.effects)
-    return calibrated.with_effects(lambda effect: not effect.is_sighted) if is_read_wrong else calibrated
+    has_reading_errors = any(effect.is_sighted for effect in calibrated.model.effects)
+    return calibrated.with_effects(lambda effect: not effect.is_sighted) if has_reading_errors else calibrated
 
 
 def notes_on(calibrated: CalibratedModel) -> tuple[str, ...]:
-    """Return what source code can't carry of a calibrated model, in words."""
+    """Return what source code can't represent of a calibrated model."""
     read = ", ".join(effect.name for effect in calibrated.model.effects if effect.is_sighted)
     return (*NOTES, f"{read}: an error of the instrument; it is in model.json only") if read else NOTES
 
 
 def filled(template: str, formulas: Formulas, *, frame: str, numbers: Callable[[np.ndarray], str], **words: str) -> str:
-    """Return a template with the words that every language has, and others; ``numbers`` writes a list of them."""
+    """Return a template filled with the words that all languages share, and others; ``numbers`` writes a list of numbers."""
     robot = formulas.calibrated.model.chain.robot
-    # Positions as reported of such a joint have no limits of their own.
+    # Reported positions of coupled joints have no limits of their own.
     coupled = (robot.combination != np.eye(robot.n_joints)).any(axis=1)
     common = {
         "n": str(len(formulas.joints)),
@@ -169,7 +169,7 @@ def filled(template: str, formulas: Formulas, *, frame: str, numbers: Callable[[
 
 
 def header(formulas: Formulas, *, frame: str) -> list[str]:
-    """Return lines on what was exported, and what not."""
+    """Return lines on what the export contains, and what not."""
     found = formulas.calibrated
     effects = ", ".join(dict.fromkeys(effect.name for effect in found.model.effects)) or "none"
     return [
@@ -184,18 +184,18 @@ def header(formulas: Formulas, *, frame: str) -> list[str]:
 
 
 def identifier(name: str) -> str:
-    """Return a name in the letters that names of programs have."""
+    """Return a name as an identifier of a programming language."""
     found = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
     return found if found and not found[0].isdigit() else f"robot_{found}".rstrip("_")
 
 
 def as_comment(text: str) -> str:
-    """Return a name as it may stand in a comment of any language."""
+    """Return a name that is safe in a comment of any language."""
     return re.sub(r"[^\w .:;()'/,-]", "_", text, flags=re.ASCII).replace("*/", "_").replace("/*", "_")
 
 
 def checked_poses(calibrated: CalibratedModel) -> Conditions:
-    """Return poses at which an export is compared with the model: all over the joints' ranges, everything recorded."""
+    """Return poses at which an export is compared with the model: over the joint ranges, with all conditions recorded."""
     robot, rng, n = calibrated.model.chain.robot, np.random.default_rng(0), _CHECKED_POSES
     found = Conditions.at(robot.random_configurations(n, rng), payload_centre=calibrated.payload_centre)
     return replace(

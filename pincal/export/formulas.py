@@ -1,6 +1,6 @@
-"""The calibrated model as formulas of joint positions and conditions, and these as statements of a language.
+"""The calibrated model as formulas of joint positions and conditions, and these as statements of a programming language.
 
-What is used twice is calculated once, in order.
+Common subexpressions are evaluated once.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pincal.model.symbols import Expression, Symbol, either_way, multiply, scala
 from pincal.recorded import RECORDABLE
 from pincal.robot.robot import Robot
 
-# Inputs that each joint has one of.
+# Inputs with a value per joint.
 _PER_JOINT = ("q", "approach")
 
 
@@ -34,10 +34,10 @@ class Formulas:
 
     Attributes:
         calibrated: the model.
-        moments: the static moments as functions of the inputs and of themselves, where they are taken on the bent arm;
-            empty where they are not.
+        moments: the static moments as functions of the inputs and of themselves, if they are taken on the deflected arm;
+            else empty.
         pose: the target's rotation and translation in the instrument's frame, row by row, 12 entries.
-        columns: how each of the m joints that mimic none moves (3) and turns (3) the target, row by row, 6 m entries.
+        columns: translation (3) and rotation (3) of the target by each of the m independent joints, row by row, 6 m entries.
     """
 
     calibrated: CalibratedModel
@@ -47,7 +47,7 @@ class Formulas:
 
     @property
     def joints(self) -> np.ndarray:
-        """Indices of the m joints whose positions are inputs: those that mimic none."""
+        """Indices of the m joints whose positions are inputs: those that do not mimic another."""
         return self.calibrated.model.chain.robot.own_joints
 
     @property
@@ -65,10 +65,10 @@ class Formulas:
 
 
 def formulas_of(calibrated: CalibratedModel) -> Formulas:
-    """Return the formulas of a calibrated model, from the code of its own effects.
+    """Return the formulas of a calibrated model, traced through the code of its effects.
 
     Raises:
-        BadInputError: naming the effect that can't be stated in a formula.
+        BadInputError: naming the effect that can't be expressed as a formula.
     """
     model, values = calibrated.model, calibrated.model_values
     chain, n, layout = model.chain, model.chain.robot.n_joints, model.layout(values)
@@ -108,7 +108,7 @@ def _symbolic_conditions(chain: Chain, payload_centre: np.ndarray) -> Conditions
 
 
 def sides_following(robot: Robot, sides: np.ndarray) -> np.ndarray:
-    """Return directions of approach, shape (N, n), with those of joints that mimic another as that one's are."""
+    """Return directions of approach, shape (N, n), in which mimic joints follow their sources."""
     out, index = sides.copy(), robot.joint_names.index
     for mimic in robot.mimics:
         out[:, index(mimic.joint)] = out[:, index(mimic.source)] * np.sign(mimic.multiplier)
@@ -118,7 +118,7 @@ def sides_following(robot: Robot, sides: np.ndarray) -> np.ndarray:
 def _coordinates(
     model: Model, values: np.ndarray, *, conditions: Conditions, moments: np.ndarray | None
 ) -> list[Expression]:
-    """Return the K coordinates: without moments those of the rigid arm."""
+    """Return the K coordinates, of the rigid arm if moments are None."""
     x: list[Any] = [float(value) for value in model.chain.nominal]
     for span, effect in zip(model.spans, model.effects, strict=True):
         if moments is not None or not effect.uses_moments:
@@ -143,7 +143,7 @@ def _changes(
 
     try:
         return either_way(added)
-    except Exception as error:  # The code of an effect may be anybody's.
+    except Exception as error:  # Effects may be third-party code.
         raise BadInputError(
             f"{effect.name}: can't be exported as a formula ({error}); export without it or take its value from predict"
         ) from error
@@ -160,7 +160,7 @@ def _by_target(rotations: np.ndarray, target: Any) -> np.ndarray:
     return np.array([entries[i] for i in range(9)], object).reshape(3, 3)
 
 
-# How tightly an operation binds: what stands in another one that binds more tightly gets brackets.
+# Operator precedence: an operand of lower precedence than its place gets brackets.
 _SELECT, _COMPARISON, _SUM, _PRODUCT, _SIGN, _ATOM = range(6)
 _INFIX = {
     "add": ("{} + {}", _SUM, (_SUM, _SUM)),
@@ -171,21 +171,21 @@ _INFIX = {
     "less": ("{} < {}", _COMPARISON, (_SUM, _SUM)),
     "equal": ("{} == {}", _COMPARISON, (_SUM, _SUM)),
 }
-# An expression longer than this gets a statement of its own.
+# Longest expression without a statement of its own [characters].
 _LONG = 90
 
 
 @dataclass(frozen=True)
 class Language:
-    """How a language writes what it does not write as all do.
+    """Syntax in which programming languages differ.
 
     Attributes:
-        statement: a named value, of the name and its expression.
+        statement: template of a named value: name, expression.
         functions: the language's names of operations, where they differ.
-        select: the choice of one of two values, of comparison, value if it holds, value if not.
-        is_select_atom: whether a choice needs no brackets in other expressions.
-        input: an input of the formulas, of its name.
-        curve: the value of a piecewise cubic, of its number, the curve and where.
+        select: template of a conditional expression: comparison, value if true, value if false.
+        is_select_atom: whether a conditional expression needs no brackets.
+        input: writes an input of the formulas, given its name.
+        curve: writes the value of a piecewise cubic, given its number, the curve and its argument.
     """
 
     statement: str
@@ -198,12 +198,7 @@ class Language:
 
 @dataclass
 class Writer:
-    """Writes formulas that share their parts.
-
-    Attributes:
-        language: the language.
-        curves: the piecewise cubics that were written, by their numbers.
-    """
+    """Writes formulas with common subexpressions; ``curves`` are the piecewise cubics written so far, by number."""
 
     language: Language
     uses: Counter[int]
@@ -213,14 +208,14 @@ class Writer:
 
     @classmethod
     def of(cls, language: Language, formulas: Sequence[Expression]) -> Writer:
-        """Return the writer of formulas, which are then written part by part."""
+        """Return a writer of formulas, which are then written part by part."""
         uses = Counter(id(root) for root in formulas)
         for node in _in_order(formulas):
             uses.update(id(operand) for operand in _seen(node)[1])
         return cls(language, uses)
 
     def statements(self, formulas: Sequence[Expression]) -> tuple[list[str], list[str]]:
-        """Return the statements that are still needed for some of the formulas, and an expression for each of these."""
+        """Return the statements still needed for some of the formulas, and an expression for each formula."""
         lines = []
         for node in _in_order(formulas):
             if id(node) in self._texts:
@@ -265,14 +260,14 @@ WrittenPart = tuple[list[str], list[str]]
 def written(
     language: Language, moments: Sequence[Expression], pose: Sequence[Expression], columns: Sequence[Expression]
 ) -> tuple[WrittenPart, WrittenPart, WrittenPart, list[Cubic]]:
-    """Return moments, pose and columns in a language, and the curves that they need; what pose and columns share is once."""
+    """Return moments, pose and columns in a language, and their curves; pose and columns share subexpressions."""
     first, last = Writer.of(language, moments), Writer.of(language, (*pose, *columns))
     last.curves = first.curves
     return first.statements(moments), last.statements(pose), last.statements(columns), last.curves
 
 
 def _seen(node: Symbol) -> tuple[str, tuple[Any, ...]]:
-    """Return operation and operands as they are written: a sum with a negative part as a difference."""
+    """Return operation and operands as written: a sum with a negative term as a difference."""
     if node.operation == "multiply" and _is_minus_one(node.operands[1]):
         return "negate", node.operands[:1]
     if node.operation == "add":

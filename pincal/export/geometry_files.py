@@ -1,15 +1,15 @@
-r"""The calibrated geometry as files of other programs: URDF, Denavit-Hartenberg tables, frames of controllers.
+r"""The calibrated geometry as files for other programs: URDF, Denavit-Hartenberg tables, frames of controllers.
 
-A table of Denavit-Hartenberg parameters, standard or modified, is, between a base frame and a tool frame, with q added
-to theta, or to d of a prismatic joint,
+A table of Denavit-Hartenberg parameters, standard or modified, is, between a base frame and a tool frame, with q added to
+theta, or to d of a prismatic joint,
 
 .. math::
 
     \text{standard:}\; \prod_i R_z(\theta_i) T_z(d_i) T_x(a_i) R_x(\alpha_i) R_y(\beta_i), \qquad
     \text{modified:}\; \prod_i T_x(a_i) R_x(\alpha_i) R_y(\beta_i) R_z(\theta_i) T_z(d_i).
 
-:math:`\beta` is Hayati's parameter [Hayati1983]_: two axes that are parallel but for a fraction of a milliradian have
-their common normal kilometres away, which no controller can calculate with; it is zero for all others.
+:math:`\beta` is Hayati's parameter [Hayati1983]_: the common normal of two axes that are parallel to a fraction of a
+milliradian is kilometres away, too far for the numbers of a controller; beta is zero for all other axes.
 
 .. [Hayati1983] S. Hayati, Robot arm geometric link parameter estimation, IEEE CDC 1983.
 """
@@ -46,7 +46,7 @@ _CHECKED_POSES = 50
 @FORMATS.register
 @dataclass(frozen=True)
 class DhTable(Format):
-    """A CSV with a row a joint between a base frame and a tool frame, in both conventions."""
+    """A CSV with a row per joint between a base frame and a tool frame, in both conventions."""
 
     name: ClassVar[str] = "dh"
     meaning: ClassVar[str] = "Denavit-Hartenberg parameters, standard and modified"
@@ -96,14 +96,14 @@ def _calibrated_frames(model: Model, values: np.ndarray) -> DhFrames:
 
 
 def _rows(frames: DhFrames) -> np.ndarray:
-    """Return theta, d, a, alpha, beta of each joint, shape (n, 5): the tilt before an axis belongs to the row before it."""
+    """Return theta, d, a, alpha, beta of each joint, shape (n, 5): the tilt before an axis is part of the previous row."""
     tilt = np.vstack([frames.parameters[1:, :2], np.zeros((1, 2))])
     theta, d, a, alpha = frames.parameters[:, 2:].T
     return np.column_stack([theta, d, a, alpha + tilt[:, 0], tilt[:, 1]])
 
 
 def _modified(rows: np.ndarray) -> np.ndarray:
-    """Return the rows in which a, alpha and beta stand before their joint; those behind the last are zero."""
+    """Return the rows with a, alpha and beta before their joint; after the last joint they are zero."""
     assert not rows[-1, 2:].any()
     return np.column_stack([rows[:, :2], np.vstack([np.zeros((1, 3)), rows[:-1, 2:]])])
 
@@ -137,7 +137,7 @@ def _lines(name: str, rows: np.ndarray, frames: DhFrames, *, names: tuple[str, .
 
 
 Controller = Literal["kuka", "fanuc", "abb", "ur"]
-# Digits behind the point: a hundredth of what any controller keeps, and of what is ever measured.
+# Decimal places: a hundredth of the resolution of any controller, and of any measurement.
 _DIGITS = 9
 
 
@@ -200,13 +200,13 @@ def _notes(calibrated: CalibratedModel, words: str) -> tuple[str, ...]:
     )
 
 
-# The six transforms of the yaml by the ends of the joints' names, and the link that the first stands on.
+# The six transforms of the yaml by the ends of the joints' names, and the parent link of the first.
 _JOINTS = {
     "shoulder_pan_joint": "shoulder", "shoulder_lift_joint": "upper_arm", "elbow_joint": "forearm",
     "wrist_1_joint": "wrist_1", "wrist_2_joint": "wrist_2", "wrist_3_joint": "wrist_3",
 }  # fmt: skip
 _FOOT = "base_link_inertia"
-# What a tip has to move by [m or rad] to be worth a note.
+# Smallest motion of the tip worth a note [m or rad].
 _MOVED = 1e-9
 
 
@@ -240,18 +240,14 @@ _KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def _refuse_others(calibrated: CalibratedModel) -> None:
-    """Refuse an arm that is not one of ur_description.
-
-    Raises:
-        BadInputError: saying what is different.
-    """
+    """Refuse an arm that is not one of ur_description with an error that names the difference."""
     robot = calibrated.model.chain.robot
     expected = "expected a robot of ur_description, expanded from its xacro"
     matches = len(robot.joint_names) == len(_JOINTS) and all(
         name.endswith(end) for name, end in zip(robot.joint_names, _JOINTS, strict=True)
     )
     if not matches:
-        raise BadInputError(f"{robot.name}: joints {', '.join(robot.joint_names)} are not those of a UR; {expected}")
+        raise BadInputError(f"{robot.name}: joints {', '.join(robot.joint_names)} are not the joints of a UR; {expected}")
     tree = parse_urdf(robot.urdf, source=robot.source)
     foot = next(joint.parent for joint in tree.joints if joint.name == robot.joint_names[0])
     axes = joint_mounts(calibrated.model.chain)[:, 2, :3]
@@ -289,7 +285,7 @@ class CalibratedUrdf(Format):
 @FORMATS.register
 @dataclass(frozen=True)
 class CameraJson(Format):
-    """Parameters and mount of the camera as JSON."""
+    """Parameters and mounting pose of the camera as JSON."""
 
     name: ClassVar[str] = "camera"
     meaning: ClassVar[str] = "the camera, parameters and mount"

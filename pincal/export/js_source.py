@@ -37,9 +37,9 @@ _JS = Language(
     input=lambda name: name if name.startswith("moments") else f"state.{name}",
     curve=lambda i, curve, x: f"cubic({x}, {curve.lower!r}, {curve.upper!r}, CURVES[{i}])",
 )  # fmt: skip
-# Modules in the order in which they need each other; the languages stand behind them.
+# Modules in the order of their dependencies; the languages come after them.
 _MODULES = ("syntax", "flow", "program", "draft", "statement_reader", "language", "rapid_blocks")
-# What the page has its own of: files, lark, arrays of numbers, and what only the command does.
+# What the page implements itself: files, lark, arrays of numbers, and what only the command needs.
 _OWN = frozenset((
     "Source", "parser_of", "TYPE_CHECKING", "spliced", "Frame.__eq__", "Frame.__hash__", "ControllerLanguage.pose",
     "ControllerLanguage.is_pose", "ControllerLanguage.numbers", "ControllerLanguage.frame", "ControllerLanguage.joint_units",
@@ -48,17 +48,17 @@ _OWN = frozenset((
 ))  # fmt: skip
 
 
-# Bases that differ less than this at all checked times and temperatures stand still [m, elements of the rotation matrix].
+# A base is fixed if it varies less than this over all checked times and temperatures [m, elements of the rotation matrix].
 _STILL = 1e-12
 
 
 @FORMATS.register
 @dataclass(frozen=True)
 class CorrectorPage(Format):
-    """A page of one file that corrects tables and programs by the model in any browser, and asks no network for anything.
+    """A single-file page that corrects tables and programs by the model in any browser, without network access.
 
     Attributes:
-        frame: in which positions are taken to be until the reader says otherwise: "instrument" or "base".
+        frame: default frame of positions: "instrument" or "base".
     """
 
     frame: str = "instrument"
@@ -90,7 +90,7 @@ class CorrectorPage(Format):
 
 
 def js_source(formulas: Formulas) -> str:
-    """Return the calibrated model and its compensation in JavaScript; ``formulas`` are those in the base frame."""
+    """Return the calibrated model and its compensation in JavaScript; ``formulas`` are in the base frame."""
     found = formulas.calibrated
     robot = found.model.chain.robot
     nominal = formulas_of(nominal_robot(found))
@@ -108,7 +108,7 @@ def js_source(formulas: Formulas) -> str:
 
 
 def _function(formulas: Formulas, name: str) -> str:
-    """Return the function of a state that evaluates formulas, with the tables that it needs."""
+    """Return the function of a state that evaluates formulas, with its tables."""
     moments, pose, columns, used = written(_JS, formulas.moments, formulas.pose, formulas.columns)
     lines = [f"const {name} = (() => {{"]
     if used:
@@ -132,7 +132,7 @@ _TAKEN = """  let moments = new Array({n}).fill(0);
 
 
 def _about(calibrated: CalibratedModel, formulas: Formulas, frame: str) -> dict[str, Any]:
-    """Return what the page knows of the robot beside the formulas."""
+    """Return the data of the robot on the page in addition to the formulas."""
     chain, own, at = calibrated.model.chain, formulas.joints, checked_poses(calibrated)
     robot, days = chain.robot, calibrated.covered.days
     bases = base_in_instrument(calibrated, at)
@@ -168,13 +168,13 @@ def _limit(value: float) -> float | None:
 
 
 def _place(robot: Robot, name: str) -> list[float]:
-    """Return where the controller's world is in the base, or its flange on the tip, row by row."""
+    """Return the pose of the controller's world in the base, or of its flange in the tip, row by row."""
     found = rigid_pose(robot, *(("base", robot.base) if name == "world" else ("tool0", robot.tip)))
     return [float(x) for x in (np.eye(4) if found is None else found)[:3].ravel()]
 
 
 def _follows(calibrated: CalibratedModel) -> list[list[float]]:
-    """Return for each joint of the arm the joint of its own that it follows, factor and offset."""
+    """Return for each joint of the arm the independent joint that it follows, factor and offset."""
     robot = calibrated.model.chain.robot
     place = {robot.joint_names[i]: k for k, i in enumerate(robot.own_joints)}
     mimics = {m.joint: [place[m.source], m.multiplier, m.offset] for m in robot.mimics}
@@ -182,7 +182,7 @@ def _follows(calibrated: CalibratedModel) -> list[list[float]]:
 
 
 def programs_in_js() -> str:
-    """Return the readers of all languages of pincal as JavaScript; ``templates/programs.js`` has to stand before."""
+    """Return the readers of all languages of pincal as JavaScript, to be placed after ``templates/programs.js``."""
     known = [cls for cls in LANGUAGES.known().values() if cls.__module__.startswith("pincal.programs.")]
     names = [*_MODULES, *(cls.__module__.rpartition(".")[2] for cls in known)]
     texts = {name: files("pincal.programs").joinpath(f"{name}.py").read_text("utf-8") for name in names}
@@ -191,7 +191,7 @@ def programs_in_js() -> str:
 
 
 def grammar_table(grammar: str) -> str:
-    """Return the LALR table of a grammar as JSON: what terminals look like, when they are tried, what they do."""
+    """Return the LALR table of a grammar as JSON: patterns of terminals, when they are tried, and their actions."""
     front = parser_of(grammar).parser
     table: Any = front.parser._parse_table
     lexers = front.lexer.lexers
@@ -199,8 +199,8 @@ def grammar_table(grammar: str) -> str:
     hidden = set[str]()
     places: dict[Any, int] = {}
     states = []
-    # The parser numbers its states in the order of sets, which differs between processes; here the order is that in which
-    # they are reached.
+    # The parser numbers its states by the iteration order of sets, which differs between processes; here states are numbered
+    # as they are reached.
     reached = [table.start_states["start"]]
     for number in reached:
         actions = {}
@@ -231,7 +231,7 @@ def grammar_table(grammar: str) -> str:
 
 
 def _pattern(pattern: str) -> str:
-    r"""Return a pattern for JavaScript, to which ``\s`` and ``\w`` mean other characters beyond ASCII."""
+    r"""Return a pattern for JavaScript, where ``\s`` and ``\w`` match other characters beyond ASCII."""
     spaces = "".join(chr(k) for k in range(256) if chr(k).isspace())
     letters = "0-9A-Z_a-z" + "".join(chr(k) for k in range(128, 256) if chr(k).isalnum())
     return pattern.replace("\\s", spaces).replace("\\w", letters)

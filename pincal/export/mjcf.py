@@ -1,8 +1,8 @@
-"""The calibrated robot as a MuJoCo model: bodies where the calibrated geometry puts them, linear compliances as springs.
+"""The calibrated robot as a MuJoCo model: bodies in the calibrated geometry, linear compliances as springs.
 
-A spring is the same thing as a compliance where the moment that bends and the rotation that follows are about one axis of
-one frame: about a joint's own axis in every convention, across it where moments are taken and bend the arm in one place.
-MuJoCo balances the arm as it is bent; how far that is from moments taken on the straight arm is reported.
+A spring is equivalent to a compliance if the moment and the resulting rotation are about the same axis of the same frame:
+about a joint's own axis in every convention, across it where moments are taken and act at the same place. MuJoCo computes
+the equilibrium of the deflected arm; its distance from the model with moments on the undeflected arm is reported.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import exponentials, quaternions, rotation, rotation_matrices, transform, translation
 
-# MuJoCo has no bodies without mass or inertia [kg, kg m^2].
+# MuJoCo requires a mass and an inertia of each body [kg, kg m^2].
 _LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9
-# MuJoCo's own [s]: a spring that swings faster needs armature and damping to be stable.
+# MuJoCo's default [s]: a spring with a faster oscillation needs armature and damping to be stable.
 _TIME_STEP = 2e-3
 _CHECKED_POSES = 100
-# Equations of a closure that are about a place; and where on its axis a second place is [m].
+# Number of equations of a closure on position; position of a second point on its axis [m].
 _PLACES, _ON_AXIS = 3, 0.1
 
 
@@ -42,9 +42,9 @@ class _Springs:
     Attributes:
         compliances: shape (n, 3), about three axes at each joint, the last its own [rad/(N m)]; zero where there is none.
         axes: shape (n, 3, 3), these axes in columns, in the axes of the joint's moments.
-        carried: the effects that they are of.
-        refused: names of those among them that no spring has, since they yield against the load.
-        rigid: names of those of loops that no spring has, since it would share the loads of the loop.
+        carried: their effects.
+        refused: names of negative compliances, which are left out.
+        rigid: names of joints in loops without springs across their axes, which would share the loads of the loop.
     """
 
     compliances: np.ndarray
@@ -57,7 +57,7 @@ class _Springs:
 @FORMATS.register
 @dataclass(frozen=True)
 class MujocoModel(Format):
-    """A MJCF file: bodies, joints, masses, and springs in addition to the joints."""
+    """An MJCF file: bodies, joints, masses, and springs in addition to the joints."""
 
     name: ClassVar[str] = "mjcf"
     meaning: ClassVar[str] = "a MuJoCo model"
@@ -93,16 +93,16 @@ class MujocoModel(Format):
 
 
 def _followers(robot: Robot) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield what makes joints follow those that they mimic."""
+    """Yield the constraints of mimic joints."""
     for mimic in robot.mimics:
         polynomial = _numbers(np.array([mimic.offset, mimic.multiplier, 0.0, 0.0, 0.0]))
         yield "joint", {"joint1": mimic.joint, "joint2": mimic.source, "polycoef": polynomial}
 
 
 def _closed(model: Model, values: np.ndarray, bodies: Mapping[int, ET.Element]) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield what closes loops, between sites that are put on bodies: of each closure what its passive joints can meet.
+    """Yield the constraints that close loops, between sites added to bodies: what the passive joints can satisfy.
 
-    What they can't, such as how far a planar loop is out of its plane, pulls at them to second order alone.
+    What they can't satisfy, such as the out-of-plane error of a planar loop, affects them to second order only.
     """
     for closure, frames in closure_frames(model, values):
         turns = max(closure.rows) >= _PLACES
@@ -115,7 +115,7 @@ def _closed(model: Model, values: np.ndarray, bodies: Mapping[int, ET.Element]) 
 
 
 def _springs(model: Model, values: np.ndarray) -> _Springs:
-    """Return the compliances that a spring between two links has, too."""
+    """Return the compliances that are equivalent to springs between two links."""
     chain, n = model.chain, model.chain.robot.n_joints
     at, moments = Conditions.at(np.zeros((1, n))), np.ones((1, 3 * n))
     matrices, carried, refused = np.zeros((n, 3, 3)), [], []
@@ -145,7 +145,7 @@ def _springs(model: Model, values: np.ndarray) -> _Springs:
 
 
 def _entry(term: Term, places: Mapping[int, tuple[int, int]]) -> tuple[int, int, int] | None:
-    """Return joint, row and column of a term in the matrices of compliances, shape (n, 3, 3); None if it has no place."""
+    """Return joint, row and column of a term in the compliance matrices, shape (n, 3, 3); None if it is not in them."""
     if term.coordinate not in places or term.moment is None or term.slope is not None:
         return None
     (i, row), (joint, column) = places[term.coordinate], divmod(term.moment, 3)
@@ -171,12 +171,12 @@ def _joints(model: Model, values: np.ndarray, springs: _Springs, *, i: int) -> I
         for c in (2, 1, 0)
         if springs.compliances[i, c] > 0.0
     ]
-    # A carriage slides behind its springs in every convention, see pincal.model.chain.
+    # A carriage slides after its springs in every convention, see pincal.model.chain.
     yield from (*elastic, own) if before or kind == "slide" else (own, *elastic)
 
 
 def _spring(name: str, foot: str, axis: np.ndarray, stiffness: float) -> dict[str, str]:
-    """Return the attributes of a spring; statics feels neither its armature nor its damping."""
+    """Return the attributes of a spring; armature and damping do not affect statics."""
     return {
         "name": name,
         "type": "hinge",
@@ -189,7 +189,7 @@ def _spring(name: str, foot: str, axis: np.ndarray, stiffness: float) -> dict[st
 
 
 def _add_mass(body: ET.Element, model: Model, values: np.ndarray, *, i: int) -> None:
-    """Give a body its mass, its centre where the calibrated link has it, and the inertia of the URDF."""
+    """Add to a body its mass and centre of mass in the calibrated link, and the inertia of the URDF."""
     chain, robot = model.chain, model.chain.robot
     layout, x = model.layout(values), model.rigid_coordinates(values)
     d, a, alpha = (x[chain.joint(i, symbol)] for symbol in ("d", "a", "alpha"))
@@ -210,7 +210,7 @@ def _add_mass(body: ET.Element, model: Model, values: np.ndarray, *, i: int) -> 
 
 
 def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
-    """Say what MuJoCo does otherwise, and what it does not know."""
+    """Return the differences between the MuJoCo model and the calibrated one."""
     model, robot = calibrated.model, calibrated.model.chain.robot
     carried = (*springs.carried, *(effect for effect in model.effects if effect.bodies(model.chain)))
     left = model.with_effects([effect for effect in model.effects if effect not in carried])
@@ -218,17 +218,17 @@ def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
     masses = model.layout(calibrated.model_values).masses
     below = [f"{name} ({mass:.3g} kg)" for name, mass in zip(robot.joint_names, masses, strict=True) if mass < 0.0]
     if below:
-        notes += (f"masses behind {', '.join(below)}: negative, which is not physical; left out, so that moments differ",)
+        notes += (f"masses after {', '.join(below)}: negative, which is not physical; left out, so that moments differ",)
     if springs.refused:
         notes += (f"{', '.join(springs.refused)}: negative, which is not physical; left out",)
     if springs.rigid:
         notes += (f"bearings of {', '.join(springs.rigid)}: rigid here, as springs in a closed loop would share its loads",)
     if robot.closures:
-        notes += ("loops are closed between sites, which old versions of MuJoCo can't read",)
+        notes += ("loops are closed between sites, which old versions of MuJoCo do not support",)
     if np.any(springs.compliances):
         notes += (
-            "springs have the arm's deflection at rest under its own weight; their armature and damping keep MuJoCo stable "
-            "at a step of 2 ms and are not measured",
+            "springs reproduce the arm's static deflection under its own weight; their armature and damping keep MuJoCo "
+            "stable at a step of 2 ms and are not measured",
             *([] if model.equilibrium else [_bent(calibrated)]),
         )
     if robot.massless:
@@ -237,7 +237,7 @@ def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
 
 
 def _bent(calibrated: CalibratedModel) -> str:
-    """Say how far moments on the bent arm are from those on the straight one."""
+    """Return a note on the distance between equilibrium and moments on the undeflected arm."""
     own = calibrated.with_effects(lambda effect: effect.scope == "robot" and not effect.needs)
     q = own.model.chain.robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0))
     at = Conditions.at(q)
@@ -249,7 +249,7 @@ def _bent(calibrated: CalibratedModel) -> str:
 
 
 def _error(model: Model, values: np.ndarray, text: str) -> float:
-    """Return how far the bodies of a file put the ends of paths from the calibrated geometry at most [m]."""
+    """Return the largest distance between ends of paths by the bodies of a file and by the calibrated geometry [m]."""
     robot, root = model.chain.robot, ET.fromstring(text)
     q = rigid_joints(model, values, robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0)))
     bodies = {body.get("name"): body for body in root.iter("body")}
@@ -270,7 +270,7 @@ def _error(model: Model, values: np.ndarray, text: str) -> float:
 
 
 def _paths(robot: Robot, own: LinkPath) -> tuple[LinkPath, ...]:
-    """Return the path of a model, and those of the robot's others."""
+    """Return the path of a model, and the paths to the robot's other links."""
     return own, *(robot.between(*ends) for ends in robot.links)
 
 
@@ -280,7 +280,7 @@ def _read(element: ET.Element) -> np.ndarray:
 
 
 def _moved(joint: ET.Element, position: float) -> np.ndarray:
-    """Return what a joint does to its body."""
+    """Return the displacement of a joint's body."""
     axis, foot = (np.array(joint.attrib[key].split(), float) for key in ("axis", "pos"))
     if joint.get("type") == "slide":
         return translation(*(position * axis))

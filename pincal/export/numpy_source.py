@@ -1,4 +1,4 @@
-"""The calibrated model as a Python file that needs NumPy alone."""
+"""The calibrated model as a Python file that needs only NumPy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.measure.heading import NUMBERED
 from pincal.units import UNITS, size_of
 
-# Largest distance of the formulas' poses from the model's [m, and elements of the rotation matrix].
+# Largest difference between poses of the formulas and of the model [m, elements of the rotation matrix].
 TOLERANCE = 1e-12
 _ARGUMENTS = "q, payload, temperature, time, approach, target"
 
@@ -43,9 +43,9 @@ _NUMPY = Language(
 @FORMATS.register
 @dataclass(frozen=True)
 class NumpySource(Format):
-    """A Python file without dependencies but NumPy: forward kinematics and compensation of many poses at once.
+    """A Python file whose only dependency is NumPy: forward kinematics and compensation of many poses at once.
 
-    It is a program, too, that corrects a table: ``python arm.py program.csv corrected.csv``.
+    It is also a program that corrects a table: ``python arm.py program.csv corrected.csv``.
 
     Attributes:
         frame: frame of the poses: "instrument" or "base".
@@ -53,7 +53,7 @@ class NumpySource(Format):
 
     frame: str = "instrument"
     name: ClassVar[str] = "python"
-    meaning: ClassVar[str] = "a Python file that needs NumPy alone"
+    meaning: ClassVar[str] = "a Python file that needs only NumPy"
 
     def export(self, calibrated: CalibratedModel) -> Exported:
         formulas = formulas_of(placed_in(calibrated, self.frame))
@@ -101,10 +101,10 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
 
 
 def refuse_wrong(calibrated: CalibratedModel, *, text: str) -> float:
-    """Return how far the poses of a file are from those of the model at most [m, elements of the rotation matrix].
+    """Return the largest difference between poses of a file and of the model [m, elements of the rotation matrix].
 
     Raises:
-        BadInputError: if it is more than rounding, naming the effect whose formula differs.
+        BadInputError: if it exceeds rounding, naming the effect whose formula differs.
     """
     worst = _error(calibrated, text)
     if worst <= TOLERANCE:
@@ -134,7 +134,7 @@ def _error(calibrated: CalibratedModel, text: str) -> float:
 
 
 def _functions(formulas: Formulas) -> tuple[str, str]:
-    """Return the functions that evaluate the formulas, and the tables that they need."""
+    """Return the functions that evaluate the formulas, and their tables."""
     moments, pose, columns, used = written(_NUMPY, formulas.moments, formulas.pose, formulas.columns)
     functions, taken, m = [], "", 3 * formulas.calibrated.model.chain.robot.n_joints
     if formulas.moments:

@@ -1,8 +1,8 @@
-"""A plain part of Python as JavaScript, so that a page runs the same readers of programs as the command.
+"""Translation of a subset of Python to JavaScript, so that a page runs the same readers of programs as the command.
 
-What is translated is what the modules of :mod:`pincal.programs` are written in: functions, classes and dataclasses,
-comprehensions, generators, and the methods of texts, lists, dictionaries and sets, whose meaning the page's ``python.js``
-keeps. Anything else is refused with its line, at export.
+The subset is what the modules of :mod:`pincal.programs` use: functions, classes and dataclasses, comprehensions, generators,
+and the methods of strings, lists, dictionaries and sets, which the page's ``python.js`` implements. Anything else is refused
+with its line, at export.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-# Words that are no names in JavaScript; functions of Python; methods of texts, lists, dictionaries and sets, of which the
-# page's python.js finds the one that is meant.
+# Reserved words of JavaScript; built-in functions of Python; methods of strings, lists, dictionaries and sets, which the
+# page's python.js dispatches by type.
 _WORDS = """
 arguments break case catch class const continue default delete do else enum export extends false finally for function
 if import in instanceof let new null package private protected public return static super switch this throw true try
@@ -35,11 +35,11 @@ _ORDER = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}
 
 @dataclass
 class Translator:
-    """Modules of one package as JavaScript.
+    """Translates the modules of a package.
 
     Attributes:
+        skip: names of functions, methods (``Class.method``) and classes that the page implements itself.
         signatures: names of the parameters of functions, methods and classes, by their names.
-        skip: names of functions, methods (``Class.method``) and classes that the page has its own of.
     """
 
     skip: frozenset[str] = frozenset()
@@ -47,10 +47,10 @@ class Translator:
     _fields: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
 
     def translate(self, modules: Mapping[str, str]) -> str:
-        """Return the modules, whose texts are given by their names, in their order, as constants ``MODULES.name``.
+        """Return modules, given as texts by name, in their order as constants ``MODULES.name``.
 
         Raises:
-            NotImplementedError: for what is not of the part of Python that is translated.
+            NotImplementedError: for Python outside the subset.
         """
         trees = {name: ast.parse(text) for name, text in modules.items()}
         for tree in trees.values():
@@ -335,7 +335,7 @@ class Translator:
         return f"{owner}.{name}({arguments})"
 
     def _arguments(self, node: ast.Call, name: str) -> str:
-        """Return the arguments in their order, those by name in the places that the signature has for them."""
+        """Return the arguments in order, keyword arguments at their positions in the signature."""
         if name in _BUILTIN or name in ("zip", "fromkeys"):
             keywords = {k.arg: self._expression(k.value) for k in node.keywords if k.arg != "strict"}
             last = [f"{{ {', '.join(f'{key}: {value}' for key, value in keywords.items())} }}"] if keywords else []
@@ -366,7 +366,7 @@ def _plain(name: str) -> str:
 
 
 def as_text(value: str) -> str:
-    """Return a text that stays one inside of a script element."""
+    """Return a string literal that is safe within a script element."""
     return json.dumps(value).replace("<", "\\u003c").replace(">", "\\u003e")
 
 
@@ -379,7 +379,7 @@ def _targets(node: ast.expr) -> list[str]:
 
 
 def _locals(nodes: Iterable[ast.stmt]) -> Iterator[str]:
-    """Yield the names that statements set, those of comprehensions left out."""
+    """Yield the names that statements assign, except within comprehensions."""
     for statement in nodes:
         for node in ast.walk(statement):
             if isinstance(node, ast.Assign):

@@ -1,15 +1,15 @@
 r"""How far machines are from a population, and how likely each of their elements was hit.
 
 With machines :math:`x \sim N(\mu, \Sigma)` and readings with information H and g on one of them
-(:mod:`pincal.identify.quadratic`), its distance from the population enters through a score and its covariance,
+(:mod:`pincal.identify.quadratic`), its distance from the population enters the likelihood by a score and its covariance,
 
 .. math:: q = \Sigma^{-1} C (g - H \mu), \qquad Q = \Sigma^{-1} - \Sigma^{-1} C \Sigma^{-1}, \qquad
     C = (\Sigma^{-1} + H)^{-1},
 
 the gradient of the log likelihood along the machine's deviation, and its covariance if the machine belongs to the
 population. They are computed in units of the spread, :math:`L^T q` and :math:`L^T Q L = 1 - (1 + L^T H L)^{-1}` with
-:math:`L L^T = \Sigma`, which is exact however little or much is known of a direction. If some parameters deviate by an amount
-with covariance :math:`T^2`, the readings are more likely by the factor
+:math:`L L^T = \Sigma`, which is exact however little or much is known of a direction. If some parameters deviate with
+covariance :math:`T^2`, the readings are more likely by the factor
 
 .. math:: |1 + T Q T|^{-1/2} \exp(\tfrac12 q^T (T^{-2} + Q)^{-1} q),
 
