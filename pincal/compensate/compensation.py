@@ -112,12 +112,9 @@ def compensate_poses(
         >>> found.status.tolist(), float((found.q - program.q)[0, 2].round(9))
         (['ok'], -0.002)
     """
-    for name, value, known in (
-        ("frame", frame, get_args(PoseFrame)),
-        ("orientation", orientation, get_args(KeptOrientation)),
-    ):
-        if value not in known:
-            raise BadInputError(f"{name} {value!r}; expected one of {', '.join(known)}")
+    for name, value, known in (("frame", frame, PoseFrame), ("orientation", orientation, KeptOrientation)):
+        if value not in get_args(known):
+            raise BadInputError(f"{name} {value!r}; expected one of {', '.join(get_args(known))}")
     n = calibrated.model.chain.robot.n_joints
     if conditions.q.ndim != 2 or conditions.q.shape[1] != n or not np.isfinite(conditions.q).all():
         raise BadInputError(f"seeds have shape {conditions.q.shape}; expected (N, {n}), all of them numbers")

@@ -108,12 +108,10 @@ def export_model(
     except TypeError as error:
         raise BadInputError(f"format {format!r}: {error}") from None
     exported = chosen.export(calibrated.robot_model() if chosen.of_robot else calibrated.to_model())
-    robot = calibrated.robot_model().model.chain.robot if chosen.of_robot else None
-    if robot is not None and robot.couplings:
-        coupled = ", ".join(dict.fromkeys(one.joint for one in robot.couplings))
-        exported = replace(
-            exported, notes=(*exported.notes, f"{coupled}: as in the URDF, not as reported by the controller")
-        )
+    if chosen.of_robot and (couplings := calibrated.robot_model().model.chain.robot.couplings):
+        coupled = ", ".join(dict.fromkeys(one.joint for one in couplings))
+        note = f"{coupled}: as in the URDF, not as reported by the controller"
+        exported = replace(exported, notes=(*exported.notes, note))
     if path is not None:
         exported.write(path)
     return exported

@@ -24,9 +24,6 @@ from pincal.model.symbols import Expression, Symbol, either_way, multiply, scala
 from pincal.recorded import RECORDABLE
 from pincal.robot.robot import Robot
 
-# Inputs with a value per joint.
-_PER_JOINT = ("q", "approach")
-
 
 @dataclass(frozen=True)
 class Formulas:
@@ -93,15 +90,10 @@ def formulas_of(calibrated: CalibratedModel) -> Formulas:
 
 
 def _symbolic_conditions(chain: Chain, payload_centre: np.ndarray) -> Conditions:
-    robot = chain.robot
-    columns = {}
-    for name in _PER_JOINT:
-        columns[name] = np.zeros((1, robot.n_joints), object)
-        columns[name][0, robot.own_joints] = symbols(*(f"{name}[{i}]" for i in range(len(robot.own_joints))))
-    columns = {
-        "q": robot.from_reported(robot.following(columns["q"])),
-        "approach": sides_following(robot, columns["approach"]),
-    }
+    robot, own = chain.robot, chain.robot.own_joints
+    q, approach = np.zeros((2, 1, robot.n_joints), object)
+    q[0, own], approach[0, own] = (symbols(*(f"{name}[{i}]" for i in range(len(own)))) for name in ("q", "approach"))
+    columns = {"q": robot.from_reported(robot.following(q)), "approach": sides_following(robot, approach)}
     columns |= {name: symbols(name) for name in ("payload", "temperature", "time")}
     target = symbols("target") if len(chain.targets) > 1 else np.zeros(1, int)
     return Conditions(**columns, target=target, payload_centre=np.asarray(payload_centre, float))

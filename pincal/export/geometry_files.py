@@ -158,21 +158,18 @@ class ControllerFrames(Format):
         if self.controller not in get_args(Controller):
             raise BadInputError(f"controller {self.controller!r}; expected one of {', '.join(get_args(Controller))}")
         convention, frames = CONVENTIONS[self.controller], _frames(calibrated)
-        unit = "m" if self.controller == "ur" else "mm"
-        rows = [(name, T, np.concatenate([T[:3, 3] * (1.0 if unit == "m" else 1e3), convention.values(T[:3, :3])])) for
-                name, T in frames.items()]  # fmt: skip
-        numbers = [(name, [f"{value:.{_DIGITS}f}" for value in values]) for name, _, values in rows]
+        unit, per_metre = ("m", 1.0) if self.controller == "ur" else ("mm", 1e3)
+        poses = {name: [*per_metre * T[:3, 3], *convention.values(T[:3, :3])] for name, T in frames.items()}
+        cells = {name: [f"{value:.{_DIGITS}f}" for value in pose] for name, pose in poses.items()}
         angles = f" [{convention.unit}]" if convention.unit else ""
         notes = _notes(calibrated, convention.words)
         head = ",".join(["frame", *(f"{axis} [{unit}]" for axis in "xyz"), *(f"{c}{angles}" for c in convention.columns)])
         lines = [
             *(f"# {note}" for note in notes),
             head,
-            *(f"{as_comment(name)},{','.join(cells)}" for name, cells in numbers),
+            *(f"{as_comment(name)},{','.join(row)}" for name, row in cells.items()),
         ]
-        scale = 1.0 if unit == "m" else 1e-3
-        lost = [np.linalg.norm(T[:3, 3] - scale * np.array(cells[:3], float))
-                for (_, T, _), (_, cells) in zip(rows, numbers, strict=True)]  # fmt: skip
+        lost = [np.linalg.norm(T[:3, 3] - np.array(cells[name][:3], float) / per_metre) for name, T in frames.items()]
         return Exported({"": ("\n".join(lines) + "\n").encode()}, notes, float(max(lost)))
 
 
@@ -228,15 +225,12 @@ class UrKinematics(Format):
         for joint, part in zip(robot.joint_names, _JOINTS.values(), strict=True):
             pose = (*origins[joint].xyz, *origins[joint].rpy)
             lines.append(f"  {part}:")
-            lines += [f"    {key}: {float(value)!r}" for key, value in zip(_KEYS, pose, strict=True)]
+            lines += [f"    {key}: {float(value)!r}" for key, value in zip(_POSE, pose, strict=True)]
         digest = int.from_bytes(hashlib.sha256("\n".join(lines).encode()).digest()[:8]) >> 1
         lines.append(f"  hash: calib_{digest}")
         notes = (*rigid_notes(model, what="yaml of ur_description"), *_tip_note(calibrated))
         text = "\n".join([*(f"# {as_comment(note)}" for note in notes), *lines]) + "\n"
         return Exported({"": text.encode()}, notes, found.max_error_m)
-
-
-_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def _refuse_others(calibrated: CalibratedModel) -> None:

@@ -28,9 +28,16 @@ upper lower split partition strip lstrip rstrip startswith endswith removesuffix
 rjust find rfind append pop items keys values get setdefault update add union fromkeys index count
 """
 _RESERVED, _BUILTIN, _SHARED = (frozenset(words.split()) for words in (_WORDS, _FUNCTIONS, _METHODS))
-_BINARY = {ast.Add: "add", ast.BitOr: "or", ast.BitAnd: "and", ast.Sub: "sub", ast.MatMult: "matmul"}
-_PLAIN = {ast.Mult: "*", ast.Div: "/", ast.LShift: "<<", ast.RShift: ">>", ast.Pow: "**"}
-_ORDER = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}
+# Operations of two operands: those of Python's types by python.js, and those of numbers.
+_OPERATIONS: dict[type, str] = {
+    **{kind: f"py.{name}({{0}}, {{1}})" for kind, name in {
+        ast.Add: "add", ast.BitOr: "or", ast.BitAnd: "and", ast.Sub: "sub", ast.MatMult: "matmul", ast.Eq: "same"}.items()},
+    **{kind: f"({{0}} {sign} {{1}})" for kind, sign in {
+        ast.Mult: "*", ast.Div: "/", ast.LShift: "<<", ast.RShift: ">>", ast.Pow: "**",
+        ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}.items()},
+    ast.NotEq: "!py.same({0}, {1})", ast.In: "py.has({1}, {0})", ast.NotIn: "!py.has({1}, {0})",
+    ast.Is: "(({0}) ?? null) === ({1})", ast.IsNot: "(({0}) ?? null) !== ({1})",
+}  # fmt: skip
 
 
 @dataclass
@@ -120,16 +127,12 @@ class Translator:
                 return [head, f"{self._target(target)} = $each;", *self._block(body), "}"]
             case ast.While(test, body, []):
                 return [f"while ({self._truth(test)}) {{", *self._block(body), "}"]
-            case ast.Assign([target], value):
+            case ast.Assign([target], value) | ast.AnnAssign(target, _, ast.expr() as value):
                 return [self._assigned(target, self._expression(value))]
-            case ast.AnnAssign(target, _, value) if value is not None:
-                return [self._assigned(target, self._expression(value))]
-            case ast.AnnAssign() | ast.Pass():
+            case ast.AnnAssign() | ast.Pass() | ast.Expr(ast.Constant(str())):
                 return []
             case ast.AugAssign(target, operator, value):
-                return [self._assigned(target, self._binary(operator, self._expression(target), self._expression(value)))]
-            case ast.Expr(ast.Constant(str())):
-                return []
+                return [self._assigned(target, self._operation(operator, target, value))]
             case ast.Expr(value):
                 return [f"{self._expression(value)};"]
             case ast.Raise(exc) if exc is not None:
@@ -190,8 +193,9 @@ class Translator:
     # --- expressions
 
     def _truth(self, node: ast.expr) -> str:
-        if isinstance(node, ast.Compare) or (isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)):
-            return self._expression(node)
+        match node:
+            case ast.Compare() | ast.UnaryOp(ast.Not()):
+                return self._expression(node)
         return f"py.truth({self._expression(node)})"
 
     def _list(self, nodes: Iterable[ast.expr]) -> str:
@@ -247,10 +251,9 @@ class Translator:
             case ast.UnaryOp(ast.Invert(), value):
                 return f"~{self._expression(value)}"
             case ast.BinOp(left, operator, right):
-                return self._binary(operator, self._expression(left), self._expression(right))
+                return self._operation(operator, left, right)
             case ast.Compare(left, operators, rights):
-                sides = [left, *rights]
-                parts = [self._compared(operator, sides[k], sides[k + 1]) for k, operator in enumerate(operators)]
+                parts = [self._operation(*pair) for pair in zip(operators, [left, *rights], rights, strict=False)]
                 return parts[0] if len(parts) == 1 else f"({' && '.join(parts)})"
             case ast.JoinedStr(parts):
                 return f"({' + '.join([self._formatted(part) for part in parts]) or as_text('')})"
@@ -279,29 +282,10 @@ class Translator:
             inner = f"for ({each}) {{ {tests}{inner} }}"
         return f"(() => {{ const $out = []; {inner} return $out; }})()"
 
-    def _binary(self, operator: ast.operator, left: str, right: str) -> str:
-        if type(operator) in _BINARY:
-            return f"py.{_BINARY[type(operator)]}({left}, {right})"
-        if type(operator) in _PLAIN:
-            return f"({left} {_PLAIN[type(operator)]} {right})"
-        raise _unknown(operator)
-
-    def _compared(self, operator: ast.cmpop, left: ast.expr, right: ast.expr) -> str:
-        a, b = self._expression(left), self._expression(right)
-        match operator:
-            case ast.Is():
-                return f"(({a}) ?? null) === ({b})"
-            case ast.IsNot():
-                return f"(({a}) ?? null) !== ({b})"
-            case ast.Eq():
-                return f"py.same({a}, {b})"
-            case ast.NotEq():
-                return f"!py.same({a}, {b})"
-            case ast.In():
-                return f"py.has({b}, {a})"
-            case ast.NotIn():
-                return f"!py.has({b}, {a})"
-        return f"({a} {_ORDER[type(operator)]} {b})"
+    def _operation(self, operator: ast.operator | ast.cmpop, left: ast.expr, right: ast.expr) -> str:
+        if type(operator) not in _OPERATIONS:
+            raise _unknown(operator)
+        return _OPERATIONS[type(operator)].format(self._expression(left), self._expression(right))
 
     def _formatted(self, node: ast.expr) -> str:
         if not isinstance(node, ast.FormattedValue):

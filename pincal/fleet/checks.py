@@ -21,7 +21,7 @@ its robots before these are judged.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -294,7 +294,7 @@ class FleetWatch:
             return None
         active[robot].is_changed = True
         step = active[robot].steps[int(np.argmax(active[robot].parts()))]
-        self._last[robot] = LastCheck(**{**vars(self._last[robot]), "log_e": logs[robot]})
+        self._last[robot] = replace(self._last[robot], log_e=logs[robot])
         return self._described(robot, step, day, logs[robot], is_group=False)
 
     def _drift(self, active: Mapping[str, _Epoch], day: str, *, least: float) -> FleetChange | None:

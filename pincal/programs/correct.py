@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -114,14 +115,11 @@ class Corrector:
 
     def frames(self, point: Point, program: Program) -> tuple[np.ndarray, np.ndarray] | str:
         """Return the transforms before and after a point's pose between base and tip, or why they are not known."""
-        found = []
-        places = (("base", point.base, self.cell.bases, program.bases), ("tool", point.tool, self.cell.tools, program.tools))
-        for option, frame, given, declared in places:
-            pose = _known(frame or Frame(""), given, declared, option)
-            if isinstance(pose, str):
-                return pose
-            found.append(pose)
-        return self.cell.world @ found[0], np.linalg.inv(self.cell.flange @ found[1])
+        base = _known(point.base or Frame(""), self.cell.bases, program.bases, "base")
+        tool = _known(point.tool or Frame(""), self.cell.tools, program.tools, "tool")
+        if isinstance(base, str) or isinstance(tool, str):
+            return base if isinstance(base, str) else str(tool)
+        return self.cell.world @ base, np.linalg.inv(self.cell.flange @ tool)
 
     def changes(self, program: Program) -> tuple[dict[PointKey, Change], list[Skipped]]:
         """Return the corrections of a program's points, and what is not corrected."""
@@ -173,11 +171,11 @@ class Corrector:
     def joints(self, point: Point, values: np.ndarray | None = None) -> np.ndarray:
         """Return the joint positions of a point in axes, shape (n,) [rad or m]."""
         given = point.values if values is None else values
-        return np.asarray(self.cell.axes.to_robot((given * self._units())[None])[0])
+        return np.asarray(self.cell.axes.to_robot((given * self._units)[None])[0])
 
+    @cached_property
     def _units(self) -> np.ndarray:
-        turns = np.array([kind != "prismatic" for kind in self.robot.joint_types])
-        return self.language.joint_units(turns)
+        return self.language.joint_units(np.array([kind != "prismatic" for kind in self.robot.joint_types]))
 
     def _chosen(self, point: Point, found: np.ndarray, use: _Use, joints: Mapping[PointKey, np.ndarray]) -> np.ndarray | str:
         """Return the joint positions with which a controller reaches a pose, or why they are not known.
@@ -241,7 +239,7 @@ class Corrector:
             if point.kind == "pose":
                 values = self.language.numbers(after, point.values)
             else:
-                values = self.cell.axes.to_program(commanded[i : i + 1])[0] / self._units()
+                values = self.cell.axes.to_program(commanded[i : i + 1])[0] / self._units
             turn = float(np.linalg.norm(rotation_vectors((after[:3, :3] @ before[:3, :3].T)[None])))
             shift = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
             posture = point.posture

@@ -78,7 +78,6 @@ class Draft:
         self.read(origins)
 
     def names(self) -> Mapping[str, list[Point]]:
-        """Return the points by their names."""
         return self._points
 
     def finish(self) -> Program:

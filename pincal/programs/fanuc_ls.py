@@ -67,7 +67,6 @@ class FanucLs(ControllerLanguage):
     grammars = (_LINES, _POSITIONS)
 
     def read(self, sources: Sequence[Source]) -> Program:
-        """Return the program of a listing."""
         draft = Draft(sources, by_itself=True)
         draft.frame("0", np.eye(4), ["tool", "base"])
         for i, source in enumerate(sources):
@@ -75,16 +74,12 @@ class FanucLs(ControllerLanguage):
             begin = next(token for token in lines if getattr(token, "type", "") == "POS").end_pos
             end = next(token for token in lines if getattr(token, "type", "") == "END").start_pos
             for block in source.parse(_POSITIONS, _WORDS, part=(begin, end)).children:
-                self._declare(draft, i, source, block)
+                place, *groups = block.children
+                name, line = _place(str(place)), source.place(place.start_pos)[0]
+                point = self._point(i, name, line, groups[0].children)
+                draft.take(Skipped(name, i, line, point) if isinstance(point, str) else point)
             self._move(draft, i, [line for line in lines if hasattr(line, "data")])
         return draft.finish()
-
-    def _declare(self, draft: Draft, i: int, source: Source, block: Tree[Token]) -> None:
-        """Note a position."""
-        place, *groups = block.children
-        name, line = _place(str(place)), source.place(place.start_pos)[0]  # type: ignore[union-attr, arg-type]
-        point = self._point(i, name, line, groups[0].children)  # type: ignore[union-attr]
-        draft.take(Skipped(name, i, line, point) if isinstance(point, str) else point)
 
     def _point(self, i: int, name: str, line: int, group: Sequence[Any]) -> Point | str:
         """Return the point of a group, or why it can't be used."""

@@ -76,11 +76,8 @@ def followed(
     Raises:
         ProgramError: if a block is not closed, or closed without being open.
     """
-    effects = _effects([steps for _, _, steps in files])
-    changed = [[step.sets.union(step.clears, *(effects.get(name, outside) for name in step.calls)) for step in steps]
-               for _, _, steps in files]  # fmt: skip
-    inside = [_set_within(source, statements, steps, changed=of)
-              for (source, statements, steps), of in zip(files, changed, strict=True)]  # fmt: skip
+    blocks = [_blocks(source, statements, steps) for source, statements, steps in files]
+    effects = _effects([(steps, around) for (_, _, steps), around in zip(files, blocks, strict=True)])
     at_any_time: dict[str, int | str] = {}
     for _, statements, steps in files:
         for statement, step in zip(statements, steps, strict=True):
@@ -88,101 +85,96 @@ def followed(
                 why = f"{name}, which line {statement.line} starts, may set it at any time"
                 at_any_time |= dict.fromkeys(effects.get(name, ()), why)
     return [
-        _followed(statements, steps, inside=within, effects=effects, outside=outside, at_any_time=at_any_time)
-        for (_, statements, steps), within in zip(files, inside, strict=True)
+        _followed(statements, steps, around, effects=effects, outside=outside, at_any_time=at_any_time)
+        for (_, statements, steps), around in zip(files, blocks, strict=True)
     ]
 
 
 def _followed(
     statements: Sequence[Statement],
     steps: Sequence[Step],
+    blocks: Sequence[tuple[int, ...]],
     *,
-    inside: Mapping[int, set[str]],
     effects: Mapping[str, frozenset[str]],
     outside: frozenset[str],
     at_any_time: Mapping[str, int | str],
 ) -> list[InForce]:
+    inside: dict[int, set[str]] = {i: set() for i, step in enumerate(steps) if step.opens}
+    for i, step in enumerate(steps):
+        changed = step.sets.union(step.clears, *(effects.get(name, outside) for name in step.calls))
+        for block in (*(blocks[i][:-1] if step.closes else blocks[i]), *([i] if step.opens else [])):
+            inside[block] |= changed
     known: list[InForce] = []
-    stack: list[int] = []
     state: dict[str, int | str] = {}
-    saved: list[tuple[dict[str, int | str], int]] = []
-    run, routine = 0, -1
+    saved: list[dict[str, int | str]] = []
+    run = 0
     for i, step in enumerate(steps):
         line = statements[i].line
         if step.routine:
-            saved.append((state, routine))
-            state, routine = {}, i
+            saved.append(state)
+            state = {}
         if step.closes or step.is_jump:
-            block = stack[-1] if stack else i
+            block = blocks[i][-1] if blocks[i] else i
             where = f"it is set on some paths only through the block of line {statements[block].line}"
             state = state | dict.fromkeys(inside.get(block, ()), where)
         if step.is_loop:
             state = state | dict.fromkeys(inside[i], f"it is set within the loop of line {line}")
         run += bool(step.opens or step.closes or step.is_jump)
-        known.append(InForce({**state, **at_any_time}, tuple(stack), run, routine))
+        routine = i if step.routine else _routine(steps, blocks[i])
+        known.append(InForce({**state, **at_any_time}, blocks[i], run, routine))
         for name in step.calls:
             why = f"line {line} calls {name}, which "
             why += "sets it" if name in effects else OUTSIDE
             state = state | dict.fromkeys(effects.get(name, outside), why)
         if step.sets or step.clears:
             state = state | dict.fromkeys(step.clears, f"line {line} may set it") | dict.fromkeys(step.sets, i)
-        if step.closes and steps[stack.pop()].routine:
-            state, routine = saved.pop()
-        if step.opens:
-            stack.append(i)
+        if step.closes and steps[blocks[i][-1]].routine:
+            state = saved.pop()
     return known
 
 
-def _effects(files: Sequence[Sequence[Step]]) -> dict[str, frozenset[str]]:
+def _routine(steps: Sequence[Step], blocks: tuple[int, ...]) -> int:
+    """Return the index of the statement that opens the innermost routine of some blocks, -1 outside any."""
+    return next((i for i in reversed(blocks) if steps[i].routine), -1)
+
+
+def _effects(files: Sequence[tuple[Sequence[Step], Sequence[tuple[int, ...]]]]) -> dict[str, frozenset[str]]:
     """Return the variables that each routine may set, directly or by its calls, by its name."""
     own, calls = dict[str, set[str]](), dict[str, set[str]]()
-    for steps in files:
-        stack: list[str] = []
-        names: list[str] = []
-        for step in steps:
-            if step.closes and names and stack:
-                names = names[:-1] if stack.pop() else names
-            if step.routine:
-                names = [*names, step.routine]
-                own.setdefault(step.routine, set())
-                calls.setdefault(step.routine, set())
-            elif names:
-                own[names[-1]] |= step.sets | step.clears
-                calls[names[-1]] |= set(step.calls)
-            if step.opens:
-                stack.append(step.routine)
+    for steps, blocks in files:
+        for k, step in enumerate(steps):
+            i = k if step.routine else _routine(steps, blocks[k][:-1] if step.closes else blocks[k])
+            if i >= 0:
+                name = steps[i].routine
+                own[name] = own.get(name, set()) | step.sets | step.clears
+                calls[name] = calls.get(name, set()) | set(step.calls)
     for _ in own:
         for name, called in calls.items():
             own[name] = own[name].union(*(own[other] for other in called if other in own))
     return {name: frozenset(found) for name, found in own.items()}
 
 
-def _set_within(
-    source: Source, statements: Sequence[Statement], steps: Sequence[Step], *, changed: Sequence[frozenset[str]]
-) -> dict[int, set[str]]:
-    """Return the variables set within each block, by the index of the statement that opens it."""
-    inside: dict[int, set[str]] = {}
-    stack: list[int] = []
+def _blocks(source: Source, statements: Sequence[Statement], steps: Sequence[Step]) -> list[tuple[int, ...]]:
+    """Return, for each statement, the indices of the statements that open the blocks around it."""
+    found: list[tuple[int, ...]] = []
+    blocks: tuple[int, ...] = ()
     for i, step in enumerate(steps):
+        found.append(blocks)
         if step.closes:
             word = str(statements[i].items[0])
-            if not stack:
+            if not blocks:
                 opened = " or ".join(step.closes)
                 raise source.error(f"{word!r} closes nothing; expected {opened} before it", statements[i].start)
-            done = stack.pop()
-            if steps[done].opens not in step.closes:
+            block = blocks[-1]
+            if steps[block].opens not in step.closes:
                 raise source.error(
-                    f"{word!r} within {steps[done].opens} of line {statements[done].line}; expected the end of that first",
+                    f"{word!r} within {steps[block].opens} of line {statements[block].line}; expected the end of that first",
                     statements[i].start,
                 )
-            if stack:
-                inside[stack[-1]] |= inside[done]
+            blocks = blocks[:-1]
         if step.opens:
-            stack.append(i)
-            inside[i] = set()
-        if stack:
-            inside[stack[-1]] |= changed[i]
-    if stack:
-        opens, line = steps[stack[-1]].opens, statements[stack[-1]].line
+            blocks = (*blocks, i)
+    if blocks:
+        opens, line = steps[blocks[-1]].opens, statements[blocks[-1]].line
         raise source.error(f"the end of the file within {opens} of line {line}: is it truncated?", len(source.content))
-    return inside
+    return found

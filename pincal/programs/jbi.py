@@ -60,11 +60,6 @@ class Jbi(ControllerLanguage):
     digits = (4, 6, 0)
 
     def with_pulses(self, text: str) -> Jbi:
-        """Return the language with pulses per degree, one number per axis.
-
-        Raises:
-            BadInputError: for any other text.
-        """
         try:
             found = tuple(float(word) for word in text.replace(",", " ").split())
         except ValueError:
@@ -74,11 +69,9 @@ class Jbi(ControllerLanguage):
         return Jbi(found)
 
     def joint_units(self, turns: np.ndarray) -> np.ndarray:
-        """Return the angle of a pulse of each axis [rad]."""
         return np.deg2rad(1.0 / np.array(self.pulses or (1.0,) * len(turns)))
 
     def refusal(self, point: Point) -> str:
-        """Return why a point in pulses can't be interpreted, or ""."""
         if point.kind == "joints" and self.pulses is None:
             return "it is in pulses: give the pulses per degree (--pulses)"
         if point.kind == "joints" and len(self.pulses or ()) != len(point.numbers):
@@ -86,7 +79,6 @@ class Jbi(ControllerLanguage):
         return ""
 
     def read(self, sources: Sequence[Source]) -> Program:
-        """Return the program of a job."""
         draft = Draft(sources, by_itself=True)
         for i, source in enumerate(sources):
             tree = source.parse(_GRAMMAR, _WORDS)

@@ -85,7 +85,6 @@ class Krl(ControllerLanguage):
     grammars = (nested(_TOKENS),)
 
     def read(self, sources: Sequence[Source]) -> Program:
-        """Return the program of a ``.src`` and its ``.dat``."""
         draft = Draft(sources)
         files = []
         for source in sources:

@@ -94,7 +94,6 @@ class Frame:
     reason: str = ""
 
     def __eq__(self, other: object) -> bool:
-        """Return whether another is the same frame."""
         if not isinstance(other, Frame) or (self.name, self.reason) != (other.name, other.reason):
             return False
         return self.pose is other.pose or (

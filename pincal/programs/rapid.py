@@ -58,7 +58,6 @@ class Rapid(ControllerLanguage):
     grammars = (GRAMMAR,)
 
     def read(self, sources: Sequence[Source]) -> Program:
-        """Return the program of a module."""
         draft = Draft(sources)
         draft.frame("TOOL0", np.eye(4), ["tool"])
         draft.frame("WOBJ0", np.eye(4), ["base"])

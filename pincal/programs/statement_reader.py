@@ -44,7 +44,6 @@ class Reader:
         return Skipped(name, self.file, line, reason)
 
     def words(self, items: Sequence[Any]) -> set[str]:
-        """Return the names in items."""
         return set(words_in(items, case=self.case))
 
     def parameters(self, k: int) -> set[str]:

@@ -62,7 +62,6 @@ class UrScript(ControllerLanguage):
     grammars = (nested(_TOKENS, over_lines=True),)
 
     def read(self, sources: Sequence[Source]) -> Program:
-        """Return the program of a script."""
         draft = Draft(sources)
         files = []
         for source in sources:
@@ -82,11 +81,9 @@ class UrScript(ControllerLanguage):
         return draft.finish()
 
     def key(self, name: str) -> str:
-        """Return the name unchanged."""
         return name
 
     def statement(self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture) -> str:
-        """Return the motion with its target replaced by a pose."""
         start, end = motion.span
         pose = ",".join(f"{value:.{7 if k < 3 else 8}f}" for k, value in enumerate(values))
         return source.text[motion.statement.start : start] + f"p[{pose}]" + source.text[end : motion.statement.end]
