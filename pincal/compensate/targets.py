@@ -22,10 +22,9 @@ from pincal.model.conditions import Conditions
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import compose, inverse, rotation_matrices
 
-POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 # Further columns that the command writes: they are ignored, so that its output can be its input.
 _WRITTEN = ("status", "error_mm", "error_mrad", "sigma_mm", "change_max", "large_change",
-            *(f"false_{name}" for name in POSE_COLUMNS))  # fmt: skip
+            *(f"false_{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw")))  # fmt: skip
 _FIELDS = tuple(known_fields()[name] for name in ("position", "quaternion", *CONDITIONS) if name != "point")
 # Share of a free rotation below which the target can't rotate about an axis.
 _HARDLY = 0.1

@@ -42,7 +42,6 @@ from pincal.spread import spread
 
 # End of the names of results that contain the reason of a failure.
 _FAILED = "-failed"
-_DIAGNOSIS = FileKind("a diagnosis", ModelFileError, whole="what pincal diagnose writes")
 
 
 class _NotYetError(BadInputError):
@@ -312,7 +311,7 @@ def load_diagnosis(path: Path) -> DiagnosisFile:
     Raises:
         ModelFileError: if it can't be read.
     """
-    return read_json(path, DiagnosisFile, _DIAGNOSIS)
+    return read_json(path, DiagnosisFile, FileKind("a diagnosis", ModelFileError, whole="what pincal diagnose writes"))
 
 
 def add_diagnosis(store: Store, machine: str, day: str, path: Path) -> None:

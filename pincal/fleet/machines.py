@@ -131,15 +131,9 @@ def kinds_of(parameters: Sequence[Parameter]) -> np.ndarray:
 def machines_frame(machines: Iterable[Machine]) -> pl.DataFrame:
     """Return machines as a table, one row per machine."""
     found = list(machines)
-    return pl.DataFrame(
-        {
-            "schema": pl.Series([SCHEMA_VERSION] * len(found), dtype=pl.Int32),
-            "machine": pl.Series([machine.name for machine in found], dtype=pl.String),
-            "arm": pl.Series([machine.information.robot for machine in found], dtype=pl.String),
-            "information": pl.Series([machine.information.text() for machine in found], dtype=pl.String),
-            "labels": labelled([machine.labels for machine in found]),
-        }
-    )
+    rows = [(SCHEMA_VERSION, one.name, one.information.robot, one.information.text()) for one in found]
+    schema = {"schema": pl.Int32, "machine": pl.String, "arm": pl.String, "information": pl.String}
+    return pl.DataFrame(rows, schema, orient="row").with_columns(labelled([machine.labels for machine in found]))
 
 
 def labelled(labels: Sequence[Mapping[str, str]]) -> pl.Series:

@@ -111,7 +111,7 @@ class Draft:
             if point.key in used:
                 continue
             is_framed = point.tool is not None and point.base is not None
-            if self._is_read(point.name):
+            if point.name in self._read or _any(point.name) in self._read:
                 program.skipped.append(point.skip("other positions are computed from it, and no motion uses it itself"))
             elif point.kind == "joints" or (self.by_itself and is_framed):
                 used[point.key] = point
@@ -158,9 +158,6 @@ class Draft:
     def _why(self, name: str) -> str:
         """Return why a name may have another value than the one in numbers, or ""."""
         return next((self._written[one] for one in (name, _any(name), _stem(name)) if one in self._written), "")
-
-    def _is_read(self, name: str) -> bool:
-        return name in self._read or _any(name) in self._read
 
     def _elements(self, name: str, points: Iterable[str]) -> list[str]:
         """Return the names of the points that a target may refer to: for a computed index, all of the array."""

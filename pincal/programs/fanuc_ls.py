@@ -105,7 +105,7 @@ class FanucLs(ControllerLanguage):
 
     def _move(self, draft: Draft, i: int, lines: Sequence[Tree[Token]]) -> None:
         """Note the motions."""
-        run, via, unstated = 0, "", Frame("")
+        run, via = 0, ""
         for line in lines:
             parts = {token.type: token for token in line.children if not hasattr(token, "data")}
             rest = str(parts.get("REST", parts.get("OTHER", "")))
@@ -147,7 +147,7 @@ class FanucLs(ControllerLanguage):
             path = "circle" if via else {"J": "joint", "L": "line"}.get(kind, "joint")
             span = (place.start_pos or 0, place.end_pos or 0)
             stops, statement = (via, target) if via else (target,), Statement((), *span, at)
-            draft.motions.append(Motion(path, stops, statement, i, unstated, unstated, span, run))  # type: ignore[arg-type]
+            draft.motions.append(Motion(path, stops, statement, i, span=span, run=run))  # type: ignore[arg-type]
             via = ""
 
 

@@ -93,15 +93,11 @@ class Jbi(ControllerLanguage):
     def _positions(self, draft: Draft, i: int, source: Source, parts: Sequence[Any]) -> None:
         """Note the positions, each with the tags before it."""
         tags = {"TOOL": "", "USER": "", "POSTYPE": ""}
-        posture = Posture()
-        expected, seen = 0, 0
+        posture, seen = Posture(), 0
         for part in parts:
             if part.data == "tag":
                 name, *rest = (str(child) for child in part.children)
                 tags[name.lstrip("/")] = rest[0].strip() if rest else ""
-                if name == "///NPOS":
-                    counts = [text.strip() for text in tags["NPOS"].split(",")]
-                    expected = sum(int(text) for text in counts if text.isdigit())
             elif part.data == "configuration":
                 posture = _posture([number_at(token) for token in part.children[1:]])
             elif part.data == "position":
@@ -111,7 +107,9 @@ class Jbi(ControllerLanguage):
                 point = self._point(i, name, place.line, [number_at(token) for token in values], tags, posture)
                 if point:
                     draft.take(Skipped(name, i, place.line, point) if isinstance(point, str) else point)
-        if "NPOS" in tags and seen != expected:
+        counts = [text.strip() for text in tags.get("NPOS", str(seen)).split(",")]
+        expected = sum(int(text) for text in counts if text.isdigit())
+        if seen != expected:
             raise source.error(f"{seen} positions; expected the {expected} of ///NPOS", 0)
 
     def _point(
@@ -165,8 +163,7 @@ class Jbi(ControllerLanguage):
                 continue
             elif len(arc) == 3:
                 path, targets = "circle", (arc[1], target)
-            statement, unstated = Statement((), *span, place.line), Frame("")
-            draft.motions.append(Motion(path, targets, statement, i, unstated, unstated, span, run))
+            draft.motions.append(Motion(path, targets, Statement((), *span, place.line), i, span=span, run=run))
 
 
 def _name(text: str) -> str:

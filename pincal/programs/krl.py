@@ -25,7 +25,7 @@ from pincal.programs.syntax import (
     is_token,
     nested,
     number_of,
-    span_of,
+    place_of,
     split,
     text_of_items,
     word,
@@ -222,7 +222,7 @@ class _Reader(Reader):
         targets = tuple(self.target(k, part) for part in parts)
         path = "joint" if arcs or len(parts) != 1 + (_MOTIONS[first] == "circle") else _MOTIONS[first]
         can_insert = path == "line" and not any(self.steps[j].opens.endswith("SPLINE") for j in known.blocks)
-        span, takes_posture = span_of(parts[-1]), first in _BY_POSTURE
+        span, takes_posture = place_of(parts[-1]), first in _BY_POSTURE
         self.draft.motions.append(
             Motion(path, targets, statement, self.file, tool, base, span, known.run, can_insert, takes_posture)
         )
@@ -314,7 +314,7 @@ def _bits(items: tuple[Any, ...]) -> Number | None:
         digits = text[2:-1]
         if text[1] in "Bb" and digits.strip("01"):
             return None
-        return Number(int(digits, 2 if text[1] in "Bb" else 16), *span_of(items), text)
+        return Number(int(digits, 2 if text[1] in "Bb" else 16), *place_of(items), text)
     number = number_of(items)
     return number if number is not None and number.text.isdigit() else None
 

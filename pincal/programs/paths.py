@@ -149,7 +149,8 @@ class Follower:
                 words = f"leaves its path by {1e3 * deviation.size:.3f} mm, and no points are inserted: {poses}"
                 skipped.append(Skipped(name, motion.source, motion.statement.line, words))
                 continue
-            point, ending, text = leg.ends[-1].point, _line_end(source.text, begin), ""
+            ending = "\r\n" if source.text.endswith("\r\n", 0, begin) else source.text[:begin][-1:] or "\n"
+            point, text = leg.ends[-1].point, ""
             near = point.values
             for pose in poses:
                 near = language.numbers(pose, near)
@@ -158,13 +159,6 @@ class Follower:
             edits.append(Edit(motion.source, begin, begin, text))
             count += len(poses)
         return edits, skipped, count
-
-
-def _line_end(text: str, at: int) -> str:
-    """Return the line end before a position."""
-    if at >= 2 and text[at - 2 : at] == "\r\n":
-        return "\r\n"
-    return text[at - 1] if at else "\n"
 
 
 def _between(stops: np.ndarray, s: float) -> np.ndarray:

@@ -23,7 +23,7 @@ from pincal.programs.syntax import (
     calls_in,
     element_name,
     numbers_of,
-    span_of,
+    place_of,
     split,
     text_of_items,
     word,
@@ -234,7 +234,7 @@ class _Reader(Reader):
         if "CORR" in options or displaced:
             base = Frame("displacement", reason=displaced or "the motion is corrected by a sensor (Corr)")
         can_insert = first == "MOVEL" and self.steps[k - 1].opens != ONCE
-        span, takes_posture = span_of(places[-1]), self._takes_posture(known, "CONFJ" if path == "joint" else "CONFL")
+        span, takes_posture = place_of(places[-1]), self._takes_posture(known, "CONFJ" if path == "joint" else "CONFL")
         self.draft.motions.append(
             Motion(path, targets, statement, self.file, tool, base, span, known.run, can_insert, takes_posture)
         )

@@ -14,7 +14,7 @@ from pincal.programs.syntax import (
     calls_in,
     is_token,
     nested,
-    span_of,
+    place_of,
     split,
     text_of_items,
     word,
@@ -122,7 +122,7 @@ def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, S
 
 def _part(whole: Statement, items: Sequence[Any]) -> Statement:
     line = whole.line if isinstance(items[0], Brackets) else items[0].line
-    return Statement(tuple(items), *span_of(items), line)
+    return Statement(tuple(items), *place_of(items), line)
 
 
 def _step(statement: Statement, opening: str, *, is_label: bool) -> Step:

@@ -153,7 +153,7 @@ class Source:
         for tree in self.parse(nested(tokens, over_lines=over_lines), words).children:
             items = tuple(self._items(tree.children, words))
             if items:
-                start, end = span_of(items)
+                start, end = place_of(items)
                 line = self.place(start)[0] if isinstance(items[0], Brackets) else items[0].line
                 found.append(Statement(items, start, end, line or 0))
         return found
@@ -182,7 +182,7 @@ def parser_of(grammar: str) -> Lark:
     return Lark(grammar, parser="lalr", lexer="contextual", propagate_positions=True)
 
 
-def span_of(items: Sequence[Any]) -> tuple[int, int]:
+def place_of(items: Sequence[Any]) -> tuple[int, int]:
     """Return start and end of items, at least one, in the text."""
     return items[0].start_pos, items[-1].end_pos
 

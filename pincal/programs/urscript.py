@@ -24,7 +24,7 @@ from pincal.programs.syntax import (
     is_token,
     nested,
     numbers_of,
-    span_of,
+    place_of,
     split,
 )
 
@@ -170,7 +170,7 @@ class _Reader(Reader):
             return
         targets = tuple(self.target(k, part) for part in places)
         displaced = self.displaced(k, self.displacements, _ENDS_IT)
-        base, span = Frame("", reason=displaced) if displaced else Frame("base", np.eye(4)), span_of(places[-1])
+        base, span = Frame("", reason=displaced) if displaced else Frame("base", np.eye(4)), place_of(places[-1])
         self.draft.motions.append(
             Motion(path, targets, statement, self.file, self._tool(known), base, span, known.run, path == "line")
         )

@@ -36,11 +36,11 @@ class Source {
     return parsed(table, `${text}\n\x04`, fail);
   }
   statements(tokens, words, over_lines = false) {
-    const found = [], { Statement, span_of } = MODULES.syntax;
+    const found = [], { Statement, place_of } = MODULES.syntax;
     for (const tree of this.parse(MODULES.syntax.nested(tokens, over_lines), words).children) {
       const items = this.items(tree.children, words);
       if (!items.length) continue;
-      const [start, end] = span_of(items);
+      const [start, end] = place_of(items);
       found.push(new Statement(items, start, end, items[0].line ?? this.place(start)[0]));
     }
     return found;
