@@ -164,13 +164,10 @@ class ControllerFrames(Format):
         angles = f" [{convention.unit}]" if convention.unit else ""
         notes = _notes(calibrated, convention.words)
         head = ",".join(["frame", *(f"{axis} [{unit}]" for axis in "xyz"), *(f"{c}{angles}" for c in convention.columns)])
-        lines = [
-            *(f"# {note}" for note in notes),
-            head,
-            *(f"{as_comment(name)},{','.join(row)}" for name, row in cells.items()),
-        ]
+        body = [",".join([as_comment(name), *row]) for name, row in cells.items()]
         lost = [np.linalg.norm(T[:3, 3] - np.array(cells[name][:3], float) / per_metre) for name, T in frames.items()]
-        return Exported({"": ("\n".join(lines) + "\n").encode()}, notes, float(max(lost)))
+        text = "\n".join([*(f"# {note}" for note in notes), head, *body]) + "\n"
+        return Exported({"": text.encode()}, notes, float(max(lost)))
 
 
 def _frames(calibrated: CalibratedModel) -> dict[str, np.ndarray]:
@@ -237,10 +234,7 @@ def _refuse_others(calibrated: CalibratedModel) -> None:
     """Refuse an arm that is not one of ur_description with an error that names the difference."""
     robot = calibrated.model.chain.robot
     expected = "expected a robot of ur_description, expanded from its xacro"
-    matches = len(robot.joint_names) == len(_JOINTS) and all(
-        name.endswith(end) for name, end in zip(robot.joint_names, _JOINTS, strict=True)
-    )
-    if not matches:
+    if len(robot.joint_names) != len(_JOINTS) or not all(map(str.endswith, robot.joint_names, _JOINTS)):
         raise BadInputError(f"{robot.name}: joints {', '.join(robot.joint_names)} are not the joints of a UR; {expected}")
     tree = parse_urdf(robot.urdf, source=robot.source)
     foot = next(joint.parent for joint in tree.joints if joint.name == robot.joint_names[0])

@@ -199,14 +199,8 @@ def _add_mass(body: ET.Element, model: Model, values: np.ndarray, *, i: int) -> 
     moments, axes = np.linalg.eigh(inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     centre = link[:3, :3] @ layout.centres[i] + link[:3, 3]
-    _add(
-        body,
-        "inertial",
-        mass=repr(float(max(layout.masses[i], _LEAST_MASS))),
-        diaginertia=_numbers(np.maximum(moments, _LEAST_INERTIA)),
-        pos=_numbers(centre),
-        quat=_quaternion(axes),
-    )
+    mass, moments = float(max(layout.masses[i], _LEAST_MASS)), np.maximum(moments, _LEAST_INERTIA)
+    _add(body, "inertial", mass=repr(mass), diaginertia=_numbers(moments), pos=_numbers(centre), quat=_quaternion(axes))
 
 
 def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:

@@ -135,15 +135,8 @@ def population_of(forms: Forms, kinds: np.ndarray) -> Population:
     if few is not forms:
         found, counts = _uncorrelated(forms, kinds, found)
     root, scale = _correlated(forms, found, counts), np.outer(found.spread, found.spread)
-    return Population(
-        found.spread * found.mean,
-        root @ root.T,
-        found.mean_covariance * scale,
-        found.variance,
-        _seen(forms, counts),
-        counts,
-        found.hit,
-    )
+    mean, mean_covariance = found.spread * found.mean, found.mean_covariance * scale
+    return Population(mean, root @ root.T, mean_covariance, found.variance, _seen(forms, counts), counts, found.hit)
 
 
 def _begun(forms: Forms, kinds: np.ndarray, *, by_median: bool = False) -> _Uncorrelated:
