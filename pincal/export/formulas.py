@@ -44,7 +44,7 @@ class Formulas:
 
     @property
     def joints(self) -> np.ndarray:
-        """Indices of the m joints whose positions are inputs: those that do not mimic another."""
+        """Indices of the m joints whose positions are inputs, without mimic joints."""
         return self.calibrated.model.chain.robot.own_joints
 
     @property

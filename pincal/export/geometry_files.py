@@ -182,7 +182,7 @@ def _frames(calibrated: CalibratedModel) -> dict[str, np.ndarray]:
 def _notes(calibrated: CalibratedModel, words: str) -> tuple[str, ...]:
     model, robot = calibrated.model, calibrated.model.chain.robot
     base, tip = as_comment(robot.base), as_comment(robot.tip)
-    turned = "" if model.has_tool_orientation else "; only their positions were measured, their axes are those of the tip"
+    turned = "" if model.has_tool_orientation else "; only their positions were measured, their axes are the tip's"
     moving = [e.name for e in model.effects if e.scope == "station" and e.needs]
     lacking = (f"{', '.join(moving)}: the frames are those at its reference",) if moving else ()
     return (

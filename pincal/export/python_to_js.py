@@ -28,7 +28,7 @@ upper lower split partition strip lstrip rstrip startswith endswith removesuffix
 rjust find rfind append pop items keys values get setdefault update add union fromkeys index count
 """
 _RESERVED, _BUILTIN, _SHARED = (frozenset(words.split()) for words in (_WORDS, _FUNCTIONS, _METHODS))
-# Operations of two operands: those of Python's types by python.js, and those of numbers.
+# Operations of two operands: of Python's types by python.js, and of numbers.
 _OPERATIONS: dict[type, str] = {
     **{kind: f"py.{name}({{0}}, {{1}})" for kind, name in {
         ast.Add: "add", ast.BitOr: "or", ast.BitAnd: "and", ast.Sub: "sub", ast.MatMult: "matmul", ast.Eq: "same"}.items()},
@@ -163,9 +163,9 @@ class Translator:
         names = [(_plain(a.arg), value) for a, value in pairs if a.arg not in ("self", "cls")]
         if node.args.kwarg or node.args.vararg:
             raise _unknown(node)
-        said = ", ".join(name if value is None else f"{name} = {self._expression(value)}" for name, value in names)
+        parameters = ", ".join(name if value is None else f"{name} = {self._expression(value)}" for name, value in names)
         local = sorted(set(_locals(node.body)) - {name for name, _ in names})
-        lines = [f"{head}({said}) {{"] + ([f"let {', '.join(local)};"] if local else [])
+        lines = [f"{head}({parameters}) {{"] + ([f"let {', '.join(local)};"] if local else [])
         return [*lines, *self._block(node.body), *([] if _yields(node) else ["return null;"]), "}"]
 
     def _class(self, node: ast.ClassDef) -> list[str]:
@@ -173,9 +173,9 @@ class Translator:
         lines = [f"class {node.name}{f' extends {bases[0]}' if bases else ''} {{"]
         fields = self._fields[node.name]
         if fields:
-            said = ", ".join(f"{_plain(name)} = {default}" for name, default in fields)
+            parameters = ", ".join(f"{_plain(name)} = {default}" for name, default in fields)
             sets = [f"this.{name} = {_plain(name)};" for name, _ in fields]
-            lines += [f"constructor({said}) {{", *(["super();"] if bases else []), *sets, "}"]
+            lines += [f"constructor({parameters}) {{", *(["super();"] if bases else []), *sets, "}"]
         constants = []
         for part in node.body:
             if isinstance(part, ast.FunctionDef) and f"{node.name}.{part.name}" not in self.skip:

@@ -212,8 +212,8 @@ def _uncorrelated(forms: Forms, kinds: np.ndarray, start: _Uncorrelated) -> tupl
 
 def _spreads(kinds: np.ndarray) -> list[np.ndarray]:
     """Return the grid of prior covariances of log variances, shape (P, P) each."""
-    alike, own = (kinds[:, None] == kinds).astype(float), np.eye(len(kinds))
-    return [_LEVEL**2 + k**2 * alike + u**2 * own for k in _KINDS for u in _UNLIKE]
+    same, own = (kinds[:, None] == kinds).astype(float), np.eye(len(kinds))
+    return [_LEVEL**2 + k**2 * same + u**2 * own for k in _KINDS for u in _UNLIKE]
 
 
 def _log_likelihood(forms: Forms, kinds: np.ndarray, at: _Uncorrelated) -> float:

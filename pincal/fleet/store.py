@@ -63,7 +63,7 @@ class Key:
         """Return the key of a path that ends as :attr:`path`.
 
         Raises:
-            BadInputError: for any other path, such as that of a copy.
+            BadInputError: for any other path, such as a copy's.
         """
         kind, machine, day, name = path.replace("\\", "/").split("/")[-4:]
         machine, day = unquote(machine.removeprefix("machine=")), day.removeprefix("day=")
@@ -174,7 +174,7 @@ class Store:
                 columns = [self.frame(key).schema for key in some]
                 odd = min(range(len(some)), key=lambda k: columns.count(columns[k]))
                 raise BadInputError(
-                    f"{self.place}/{some[odd].path}: columns {', '.join(columns[odd])[:200]}; expected those of other "
+                    f"{self.place}/{some[odd].path}: columns {', '.join(columns[odd])[:200]}; expected the columns of other "
                     f"{kind}: move it elsewhere"
                 ) from None
             if len(frame) != len(some):

@@ -296,13 +296,13 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
         Column("what", kind=Kind.NAME),
         Column("last check", kind=Kind.LABEL),
         Column("log10 e", kind=Kind.NUMBER, show=fixed(1)),
-        Column("p of it", kind=Kind.NUMBER, show="{:.2g}".format),
+        Column("p-value", kind=Kind.NUMBER, show="{:.2g}".format),
         Column("adjusted", kind=Kind.NUMBER, show="{:.2g}".format),
     )
     what = {one.subject: f"{one.what} {_by(one)}".removesuffix(" -") for one in found.changes}
     state = {one.machine: "watch" for one in found.last if one.q_value < _ALPHA}
     state = dict.fromkeys(found.drifted, "drifted") | state | dict.fromkeys(found.open, "changed")
-    order = ("changed", "watch", "drifted", "as it was")
+    order = ("changed", "watch", "drifted", "unchanged")
     ranked = sorted(found.last, key=lambda one: (order.index(state.get(one.machine, order[-1])), -one.log_e))
     rows = [
         (
@@ -317,7 +317,7 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
         for one in ranked[:most]
     ]
     note = (
-        "p of it: p-value of the last check if nothing changed; adjusted: for the false discovery rate among all checks of "
+        "p-value: of the last check if nothing changed; adjusted: for the false discovery rate among all checks of "
         "that round (Benjamini and Hochberg 1995)"
     )
     return Table("Look at these first", columns, tuple(rows), (note,))
