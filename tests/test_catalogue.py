@@ -765,7 +765,7 @@ def test_a_term_without_a_name_knows_its_column(kuka: Robot) -> None:
     model, conditions = Model(Chain.of(kuka), (effect,)), Conditions.at(np.zeros((2, 6)))
 
     assert effect.missing(conditions) == ("time",)
-    with pytest.raises(BadInputError, match="follows time, which these poses do not have; add the column"):
+    with pytest.raises(BadInputError, match="depends on time, which these poses lack; add the column"):
         model.predict(np.zeros(model.n_parameters), conditions)
 
 

@@ -1,4 +1,4 @@
-"""What one station among several shows and the others do not: a drift of its own, a joint that jumped between two days."""
+"""Effects present at one of several stations only: a drift of its own, a joint that jumped between two days."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ from pincal.parameters import Parameter, Scope
 class AtStation(Effect):
     """An effect with separate parameters at one station.
 
-    For an effect that all stations share, the parameters of this station differ: they end in ``_here`` and add to the
-    robot's.
+    For an effect that all stations share, the station's parameters are added to the robot's; their names end in ``_here``.
 
     Distinguished by:
-        measuring one or two poses of the station again at another: what persists belongs to the robot, the rest to the
-            station.
+        measuring one or two poses of the station again at another station: what persists belongs to the robot, the rest to
+            the station.
 
     Source:
         pincal's own, for effects of the catalogue.
@@ -43,23 +42,23 @@ class AtStation(Effect):
 
     @property
     def locus(self) -> Locus:
-        """That of the effect, at its station."""
+        """Locus of the effect, at this station."""
         at = self.effect.locus
         return replace(at, joint=at.joint or self.joint, station=self.station, cause=self.effect.name)
 
     @property
     def is_sighted(self) -> bool:
-        """As the effect."""
+        """Whether the effect is."""
         return self.effect.is_sighted
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Those of the effect that belong to its joint."""
+        """The effect's parameters of the joint."""
         of_effect, mark = self.effect.parameters(chain), "" if self.effect.scope == "station" else "_here"
         kept = [of_effect[i] for i in self._kept(chain)]
         return tuple(replace(p, name=p.name + mark, effect=self.name, nominal=0.0) for p in kept)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add what the effect does."""
+        """Return the effect's terms of these parameters."""
         place = {i: k for k, i in enumerate(self._kept(chain))}
         found = [term for term in self.effect.terms(chain, conditions, moments) if term.parameter in place]
         return tuple(term._replace(parameter=place[term.parameter]) for term in found)
@@ -70,7 +69,7 @@ class AtStation(Effect):
 
 
 def own_effects(candidates: Iterable[Candidate], station: str) -> Iterator[AtStation]:
-    """Yield those of a station's candidates that belong to stations, such as a drift, about its own times."""
+    """Yield the effects of station scope, such as a drift, among a station's candidates."""
     for candidate in candidates:
         yield from (AtStation(form, station) for form in candidate.forms if form.scope == "station")
 
@@ -78,10 +77,10 @@ def own_effects(candidates: Iterable[Candidate], station: str) -> Iterator[AtSta
 def changed_effects(
     effects: Collection[Effect], situation: PoseSet, tested: Sequence[Candidate], station: str
 ) -> list[AtStation]:
-    """Return what may be other at a station: of what a model has of single joints, and drives' curves.
+    """Return the effects of single joints whose parameters may differ at a station.
 
-    These are drives' zeros, causes with a name, and curves of drives, from coarse to fine as far as the station's poses,
-    the situation with its candidates, carry them; of drives that have no curve in the model, the coarsest.
+    These are joint offsets, named causes, and drive curves from coarse to fine as far as the station's poses (``situation``)
+    support them; of the curves ``tested`` for drives that have none in the model, the coarsest.
     """
     found, joints = list[AtStation](), situation.joints
     for effect in effects:
@@ -99,7 +98,7 @@ def changed_effects(
 
 
 def drive_forms(effects: Iterable[Effect], tested: Iterable[Candidate]) -> list[Effect]:
-    """Return the simplest forms of those candidates by which a drive errs with its own position and has no curve yet."""
+    """Return the simplest form of each candidate error of a drive with its own position, for drives without a curve."""
     with_curves = [effect.locus.joint for effect in effects if isinstance(effect, Curve)]
     forms = (form for of in tested for form in of.forms[:1] if form.locus.joint not in with_curves)
     return [form for form in forms if form.locus.acts_on == "drive" and form.locus.follows == form.locus.joint]

@@ -1,4 +1,4 @@
-"""The extended model as ordinary Pinocchio models, for all that Pinocchio can do with one."""
+"""The extended model as ordinary Pinocchio models, for use with any of Pinocchio's algorithms."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 def augmented_model(chain: Chain, *, payload: float = 0.0, payload_centre: np.ndarray | None = None) -> pin.Model:
-    """Return the robot with one Pinocchio joint a coordinate (60 for a 6R arm), from its base on.
+    """Return the robot with one Pinocchio joint per coordinate (60 for a 6R arm), from its base on.
 
     Its configuration vector is the joints' part of :meth:`Model.coordinates` (joint positions included in theta or d), with
-    d - h in place of d.
+    d - h instead of d.
     Its frame Jacobian at "tip" is the kinematic Jacobian by coordinates; its generalised gravity is minus the static
     moment about each coordinate; its gravity derivatives are those of the moments.
 
@@ -36,7 +36,7 @@ def augmented_model(chain: Chain, *, payload: float = 0.0, payload_centre: np.nd
     model = pin.Model()
     model.name = f"{chain.robot.name}_augmented"
     model.gravity = pin.Motion(np.asarray(chain.gravity), np.zeros(3))
-    # By the kinds of coordinates, see pincal.model.kernel_inputs.Layout.
+    # Indexed by the kind of a coordinate, see pincal.model.kernel_inputs.Layout.
     kinds = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ)
     layout, path, last = chain.layout, chain.path, {-1: 0}
     for i, name in enumerate(chain.robot.joint_names):
@@ -56,20 +56,16 @@ def augmented_model(chain: Chain, *, payload: float = 0.0, payload_centre: np.nd
 
 
 def _body(mass: float, centre: np.ndarray) -> pin.Inertia:
-    """A body whose turning inertia is nil: statics knows none."""
+    """Return a body without rotational inertia, which statics does not need."""
     import pinocchio as pin
 
     return pin.Inertia(float(mass), np.array(centre, float), np.zeros((3, 3)))
 
 
 def joint_placements(model: Model, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the calibrated geometry, without elastic effects, puts the URDF's own joint frames.
+    """Return the calibrated poses of the URDF's joint frames and of the tip, without elastic effects.
 
-    The URDF's joint frame i turns about its own axis; its fixed place on this axis stays as the URDF has it.
-
-    Args:
-        model: the calibrated model.
-        values: shape (P,), its parameters.
+    Joint frame i rotates about its own axis; its position along and angle about this axis are those of the URDF.
 
     Returns:
         Shape (n, 4, 4): joint frame i at q = 0 in the joint frame that carries it, or in the base frame; and shape (4, 4):
@@ -80,22 +76,20 @@ def joint_placements(model: Model, values: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def link_placements(model: Model, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the calibrated geometry puts the URDF's joint frames, as above, and what stands behind them.
+    """Return the calibrated poses of the URDF's joint frames, and of the link frames in them.
 
     Returns:
         Shape (n, 4, 4), as :func:`joint_placements`; and shape (n + 1, 4, 4): the base frame, then the link frame of each
-        joint in its URDF joint frame, in which a link on it has a fixed place.
+        joint in its URDF joint frame, in which the joint's links are fixed.
     """
     placed, behind, _ = _placements(model.chain, model.rigid_coordinates(values), joint_mounts(model.chain))
     return placed, behind
 
 
 def closure_frames(model: Model, values: np.ndarray) -> list[tuple[Closure, tuple[np.ndarray, np.ndarray]]]:
-    """Return where the calibrated geometry puts the frames of what closes loops.
+    """Return each loop closure with the calibrated frames at the start and end of its path.
 
-    Returns:
-        For each closure its frames where its path starts and ends, shape (4, 4), each in the URDF's joint frame of the joint
-        that carries it, or in the base frame.
+    The frames, shape (4, 4), are given in the URDF's joint frame of the joint that carries them, or in the base frame.
     """
     chain, behind, x, found = model.chain, link_placements(model, values)[1], model.rigid_coordinates(values), []
     for closure in chain.robot.closures:
@@ -110,13 +104,16 @@ def closure_frames(model: Model, values: np.ndarray) -> list[tuple[Closure, tupl
 
 
 def joint_mounts(chain: Chain) -> np.ndarray:
-    """Return the URDF's joint frames in the frames that turn with the joints, about their z, behind theta, (n, 4, 4)."""
+    """Return the URDF's joint frames in the frames after theta, which turn with the joints about z, shape (n, 4, 4)."""
     _, _, turning = _placements(chain, chain.nominal, np.tile(np.eye(4), (chain.robot.n_joints, 1, 1)))
     return np.asarray(np.linalg.inv(turning) @ (chain.robot.frames.T_base_link @ chain.robot.T_link_joint))
 
 
 def _placements(chain: Chain, coordinates: np.ndarray, mounts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return relative placements of the joints, the link frames in theirs behind the base's, and turning frames."""
+    """Return the joints' placements relative to their carriers, the link frames in the joint frames, and frames after theta.
+
+    ``mounts`` are the joint frames in the frames after theta; the link frames begin with the base's.
+    """
     robot, n = chain.robot, chain.robot.n_joints
     placed, turning, behind = np.empty((n, 4, 4)), np.empty((n, 4, 4)), np.tile(np.eye(4), (n + 1, 1, 1))
     frames = {-1: np.eye(4)}
@@ -132,14 +129,10 @@ def _placements(chain: Chain, coordinates: np.ndarray, mounts: np.ndarray) -> tu
 
 
 def pinocchio_model(model: Model, values: np.ndarray) -> pin.Model:
-    """Return the robot's ``pin.Model`` with the calibrated joint and tip frames.
+    """Return the robot's ``pin.Model`` with the calibrated joint and tip frames, at parameter values of shape (P,).
 
     It has the joints, names and configuration vector of :meth:`Robot.pinocchio_model`; the frame of the path's tip is the
-    calibrated tip. Elastic effects are not in it: a ``pin.Model`` has no place for what changes with the load.
-
-    Args:
-        model: the calibrated model.
-        values: shape (P,), its parameters.
+    calibrated tip. Elastic effects are left out, as a ``pin.Model`` can't represent a dependence on the load.
     """
     import pinocchio as pin
 

@@ -14,16 +14,9 @@ FEWEST_SPLINES = _DEGREE + 1
 
 
 def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.ndarray:
-    """Return uniform cubic B-splines over [lower, upper], constant beyond.
+    """Return the values at x, shape (N,), of ``size`` (at least 4) uniform cubic B-splines, shape (size, N).
 
-    Args:
-        x: shape (N,), where.
-        lower: the least knot.
-        upper: the largest knot.
-        size: number of splines, at least 4.
-
-    Returns:
-        Shape (size, N); the splines add up to 1.
+    Their knots lie in [lower, upper]; beyond it they are constant. They add up to 1.
 
     Example:
         >>> spline_basis(np.array([0.0, 0.5, 7.0]), 0.0, 1.0, 4).sum(axis=0).tolist()
@@ -41,12 +34,12 @@ def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.nda
 
 @lru_cache(maxsize=32)
 def spline_roughness(lower: float, upper: float, size: int) -> np.ndarray:
-    """Return the integrals of products of second derivatives of these splines, shape (size, size), not to be written to."""
+    """Return the integrals of products of second derivatives of these splines, shape (size, size), read-only."""
     from scipy.interpolate import BSpline
 
     knots = _knots(lower, upper, size)
     places, step = knots[_DEGREE : size + 1], (upper - lower) / (size - _DEGREE)
-    # Second derivatives are straight between knots: Gauss's two points make the integrals of their products exact.
+    # Second derivatives are linear between knots, so two-point Gauss quadrature of their products is exact.
     middle, aside = 0.5 * (places[:-1] + places[1:]), 0.5 * step / np.sqrt(3.0)
     x = np.concatenate([middle - aside, middle + aside])
     bend = BSpline(knots, np.eye(size), _DEGREE).derivative(2)(x)
@@ -62,7 +55,7 @@ def _knots(lower: float, upper: float, size: int) -> np.ndarray:
 
 @lru_cache(maxsize=32)
 def _splines(lower: float, upper: float, size: int) -> tuple[Cubic, ...]:
-    """Return the splines by their pieces."""
+    """Return the splines as piecewise cubics."""
     from scipy.interpolate import BSpline, PPoly
 
     knots = _knots(lower, upper, size)

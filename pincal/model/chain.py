@@ -10,14 +10,14 @@ From the instrument's frame to the target, if the path between them is a serial 
     A_i = R(x; s_x) R(y; s_y) R(z; q + \theta) R(z; \gamma_z) Tr(z; h) R(y; \gamma_y) R(x; \gamma_x) Tr(z; d - h) Tr(x; a)
           R(x; \alpha)
 
-which with the bearing at the frame's origin (h = 0) is DH,s,e of the paper to the letter, between a base frame and a tool
-frame. The two reference rotations (bars) hold any orientation of instrument and tool, so that the six angles beside them
-stay small and never meet a singularity. The joint position of a prismatic joint adds to d instead of theta.
+which with the bearing at the frame's origin (h = 0) is exactly the paper's DH,s,e, between a base frame and a tool frame.
+The two reference rotations (bars) absorb any orientation of instrument and tool, so that the six angles next to them stay
+small and away from singularities. The joint position of a prismatic joint is added to d instead of theta.
 
-A path between any two links of a tree goes up from the first to where both hang on and down to the other. On the way up the
-transforms stand inverted and in reverse order; the coordinates are the same. The first joint of a branch, which hangs on a
-link whose frame another joint continues, has Tr(x) Tr(y) before its A_i: with s_x and s_y they place its axis. So has a pin
-that closes a loop, where it is on a link that goes on beyond it; at the end of a rod it has none, as a is the rod's length.
+A path between any two links of a tree runs up from the first to their common ancestor and down to the other. On the way up
+the transforms are inverted and in reverse order; the coordinates are the same. The first joint of a branch, carried by a
+link whose frame another joint continues, has Tr(x) Tr(y) before its A_i: with s_x and s_y they locate its axis. So has a pin
+that closes a loop, if its link extends beyond it; at the end of a rod it has none, as a is the rod's length.
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ MomentFrame = Literal["paper", "before", "after"]
 MOMENT_FRAMES: tuple[MomentFrame, ...] = ("paper", "before", "after")
 
 _JOINT_SYMBOLS = ("s_x", "s_y", "theta", "gamma_z", "h", "gamma_y", "gamma_x", "d", "a", "alpha")
-# How far the first axis of a branch lies beside the frame on the link that carries it.
+# Lateral offset of the first axis of a branch from the frame of the link that carries it.
 MOUNT_SYMBOLS = ("x", "y")
-# A compliance that stays with the previous link bends before the joint turns.
+# A compliance fixed to the previous link acts before the joint turns.
 _JOINT_SYMBOLS_BEFORE = ("s_x", "s_y", "h", "gamma_z", "gamma_y", "gamma_x", "theta", "d", "a", "alpha")
 _KIND = {
     "s_x": 0, "s_y": 1, "theta": 2, "gamma_z": 2, "h": 5, "gamma_y": 1, "gamma_x": 0, "d": 5, "a": 3, "alpha": 0,
     "rx": 0, "ry": 1, "rz": 2, "x": 3, "y": 4, "z": 5,
 }  # fmt: skip
-# Paths of one robot that are kept.
+# Largest number of paths kept of one robot.
 _MOST_PATHS = 64
-# A joint nearer than this to the origin of its frame is there [m].
+# A joint closer than this to the origin of its frame is taken to be there [m].
 _AT_ORIGIN = 1e-6
 # Columns of DhFrames.parameters.
 _DH_COLUMN = {"s_x": 0, "s_y": 1, "theta": 2, "d": 3, "a": 4, "alpha": 5}
@@ -65,17 +65,16 @@ class Chain:
     Attributes:
         robot: the arm.
         moment_frame: the frame in which moments are taken and deflect the arm: "paper" takes them before q and
-            deflects after it, "before" and "after" do both there. Those of a prismatic joint deflect before its motion in
-            all three.
+            deflects after it, "before" and "after" do both there. A prismatic joint deflects before its motion in all three.
         gravity: shape (3,), in the robot's base frame [m/s^2].
         base_rotation: shape (3, 3), reference orientation of the robot's base in the instrument's frame; of several set-ups
             shape (S, 3, 3).
         targets: names of the tool frames.
-        tool_rotations: shape (targets, 3, 3), reference orientations of the targets in the tip frame; of several set-ups
-            those of each after the other's.
+        tool_rotations: shape (targets, 3, 3), reference orientations of the targets in the tip frame; of several set-ups one
+            after the other.
         bearing_heights: shape (n,), distance of each joint's bearing along its axis from the preceding frame [m].
-        ends: the links between which readings are; default: those of the robot.
-        kept: what was evaluated with this chain and with those made of it.
+        ends: the links between which readings are taken; default: those of the robot's path.
+        kept: results cached for this chain and the chains derived from it.
     """
 
     robot: Robot
@@ -101,10 +100,9 @@ class Chain:
         targets: tuple[str, ...] = ("tool",),
         path: LinkPath | None = None,
     ) -> Chain:
-        """Return the chain of a robot whose base and tool frames stand at the instrument and the tip.
+        """Return the chain of a robot with its base frame at the instrument and its tool frames at the tip.
 
-        In the paper a joint has its bearing at the origin of its frame; "before" and "after" have it where the URDF has the
-        joint.
+        In the paper a joint's bearing is at the origin of its frame; with "before" and "after" it is at the URDF's joint.
         """
         if moment_frame not in MOMENT_FRAMES:
             raise ValueError(f"moment_frame is {moment_frame!r}; expected one of {', '.join(MOMENT_FRAMES)}")
@@ -114,7 +112,7 @@ class Chain:
         return cls(robot, moment_frame, g, np.eye(3), targets, tools, heights, path)
 
     def with_moment_frame(self, moment_frame: MomentFrame) -> Chain:
-        """Return the same chain whose moments are taken and bend the arm elsewhere: one object for each convention."""
+        """Return the same chain with another moment frame: always the same object for each convention."""
         known = self._in_frames
         if moment_frame not in known:
             heights = self.kept.about("heights", self.robot)
@@ -136,7 +134,7 @@ class Chain:
 
     @property
     def path(self) -> LinkPath:
-        """The links between which readings are, and where they are on the joints that carry them."""
+        """The links between which readings are taken, and their poses on the joints that carry them."""
         return self.robot.path if self.ends is None else self.ends
 
     @property
@@ -146,7 +144,7 @@ class Chain:
 
     @property
     def symbols(self) -> tuple[str, ...]:
-        """The symbol of each coordinate, e.g. "theta"; which joint it belongs to follows from its place."""
+        """The symbol of each coordinate, e.g. "theta"."""
         return _symbols(*self._shape)
 
     @cached_property
@@ -159,12 +157,12 @@ class Chain:
 
     @cached_property
     def pins(self) -> tuple[Closure, ...]:
-        """What closes loops at a place of its own on a link, beside the length of a rod."""
+        """Loop closures with a position of their own on a link, in addition to the length of a rod."""
         return tuple(closure for closure in self.robot.closures if closure.pinned(self.robot.parents))
 
     @cached_property
     def mounts(self) -> frozenset[str]:
-        """Names of the coordinates that say where an arm is mounted on a link that bears another one as well."""
+        """Names of the coordinates that locate an arm's mount on a link that carries another arm as well."""
         names = (self.robot.joint_names[i] for i in self.robot.frames.branches)
         return frozenset(f"{name}.{symbol}" for name in names for symbol in (*MOUNT_SYMBOLS, "d", "theta", "s_x", "s_y"))
 
@@ -177,16 +175,16 @@ class Chain:
 
     @cached_property
     def _in_frames(self) -> dict[MomentFrame, Chain]:
-        """This chain in the conventions that were asked for, which share this: what is known of one is found again."""
+        """This chain in the moment frames requested so far; these chains share this dictionary, so that caches persist."""
         return {self.moment_frame: self}
 
     def known(self, what: str, *objects: object) -> dict[Any, Any]:
-        """Return what is known of some kind of this very chain, and objects, to be added to."""
+        """Return the cache of one kind of result for this very chain and some objects, to be added to."""
         return self.kept.about(what, self.token, *objects)
 
     @cached_property
     def token(self) -> object:
-        """What stands for this very chain without holding it."""
+        """An identity of this very chain that does not keep it alive."""
         return object()
 
     @cached_property
@@ -220,7 +218,7 @@ class Chain:
         return _places(*self._shape)[i]
 
     def pin(self, i: int, symbol: str) -> int:
-        """Return the index of a coordinate of a pin, "x" or "y", by its place among :attr:`pins`."""
+        """Return the index of the coordinate "x" or "y" of pin ``i`` of :attr:`pins`."""
         return int(self._static["starts"][-1]) + MOUNT * i + MOUNT_SYMBOLS.index(symbol)
 
     def base(self, symbol: str) -> int:
@@ -232,7 +230,7 @@ class Chain:
         return self.size - FRAME + FRAME_SYMBOLS.index(symbol)
 
     def height_on_axis(self, i: int) -> float:
-        """Return where on its axis, from the frame before it, the URDF has joint i [m]."""
+        """Return the position of the URDF's joint i along its axis, from the preceding frame [m]."""
         return float(_heights_on_axes(self.robot)[i])
 
     @cached_property
@@ -252,7 +250,7 @@ class Chain:
         )
 
     def loop_layout(self, closure: Closure) -> Layout:
-        """Return the layout of the walk from one end of a closure to the other; those of base and tool are to be zero."""
+        """Return the layout of the walk from one end of a closure to the other; base and tool coordinates must be zero."""
         nothing, side = range(0), closure.pinned(self.robot.parents)
         at = self.pin(self.pins.index(closure), "x") if side else 0
         pin = range(at, at + MOUNT)
@@ -263,7 +261,7 @@ class Chain:
     def _routes(self, path: LinkPath, start: range = range(0), end: range = range(0)) -> dict[str, Any]:
         """Return the walks over the tree and along a path, and the fixed transforms of both.
 
-        Further coordinates may move the frame on the link where it starts, and the one where it ends.
+        ``start`` and ``end`` are further coordinates that move the frame at which the path starts or ends.
         """
         starts, frames = self._static["starts"], self.robot.frames
         fixed = [frames.T_base_first, *frames.T_branch_first, path.T_joint_tip]
@@ -305,7 +303,7 @@ class Chain:
         }
 
     def _loads(self, path: LinkPath) -> dict[str, np.ndarray]:
-        """Return which joints bend a path by what they bear, and which act on that; all where loops pass it on."""
+        """Return the joints whose loads bend a path, and those that act on these loads; all joints if there are loops."""
         n, parents = self.robot.n_joints, self.robot.parents
         bears = np.full(n, bool(self.robot.closures))
         bears[[joint for joint, _ in path.steps(parents)]] = True
@@ -318,14 +316,14 @@ class Chain:
 
 
 def _product(A: np.ndarray | None, B: np.ndarray | None) -> np.ndarray | None:
-    """Return the product of two transforms, shape (4, 4), None standing for none."""
+    """Return the product of two transforms, shape (4, 4), of which either may be missing."""
     if A is None or B is None:
         return B if A is None else A
     return np.asarray(A @ B)
 
 
 def _heights_on_axes(robot: Robot) -> np.ndarray:
-    """Return where on its axis, from the frame before it, the URDF has each joint, shape (n,) [m]."""
+    """Return the position of each URDF joint along its axis, from the preceding frame, shape (n,) [m]."""
     d, alpha = robot.frames.parameters[:, [_DH_COLUMN["d"], _DH_COLUMN["alpha"]]].T
     y, z = robot.T_link_joint[:, 1:3, 3].T
     return np.asarray(d + np.sin(alpha) * y + np.cos(alpha) * z)
@@ -353,7 +351,7 @@ def _places(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...],
 
 @cache
 def _order(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...], n_pins: int) -> dict[str, Any]:
-    """Return the part of a layout that only the order of the coordinates matters to; all chains share it."""
+    """Return the part of a layout that depends on the order of the coordinates alone, shared by all chains."""
     symbols = _symbols(moment_frame, n_joints, branches, n_pins)
     starts = FRAME + BLOCK * np.arange(n_joints + 1) + MOUNT * np.searchsorted(sorted(branches), np.arange(n_joints + 1))
     less = np.full(len(symbols), -1)

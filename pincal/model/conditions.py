@@ -1,4 +1,4 @@
-"""What is known of poses before anything is measured, and the variables that effects follow."""
+"""Conditions of poses, known before anything is measured, and the variables that effects depend on."""
 
 from __future__ import annotations
 
@@ -19,13 +19,12 @@ from pincal.model.loops import borne_moments
 from pincal.model.symbols import are_symbols
 from pincal.recorded import RECORDABLE, RECORDED, Recorded
 
-# A joint that turns is at the same place after a turn [rad].
 TURN = 2.0 * np.pi
-# What else an effect may follow: the static moment on a joint.
+# The variable of effects that depend on the static moment on a joint.
 MOMENT = "moment"
-# Positions closer than this part of their range are one: a grid whose encoders were read is still a grid.
+# Positions closer than this fraction of their range count as equal, so that encoder readings on a grid remain a grid.
 _CLOSE = 1e-3
-# A moment below this part of the largest on the arm is there only because the base is not quite level.
+# A moment below this fraction of the largest on the arm is there only because the base is not quite level.
 UNFELT = 1e-3
 
 
@@ -38,11 +37,11 @@ class Conditions(Recorded):
         target: shape (N,), index into the chain's targets.
         payload: shape (N,), mass at the tip [kg].
         payload_centre: shape (3,), its centre of mass in the tip frame [m].
-        setup: shape (N,), index of the set-up of instrument and targets, where there are several; else None.
-        sighted: shape (N, 3), where the instrument sees the target in its own frame [m]; None where nothing was read yet.
-        inertial: shape (N, n, 6), force [N] and moment [N m] that the inertia of all that a moving joint carries exerts on
-            it, in the axes behind its motion and about the origin of the frame before; None at rest.
-        around: the K moments about each pose by which a sensor reads it; None for sensors that read one pose at a time.
+        setup: shape (N,), index of the set-up of instrument and targets if there are several, else None.
+        sighted: shape (N, 3), position of the target in the instrument's frame [m]; None before it was read.
+        inertial: shape (N, n, 6), inertial force [N] and moment [N m] of everything that a moving joint carries on this
+            joint, in the axes after its motion and about the origin of the preceding frame; None at rest.
+        around: the K instants about each pose on which a sensor's reading depends; None for sensors that read single poses.
     """
 
     q: np.ndarray
@@ -52,7 +51,7 @@ class Conditions(Recorded):
     setup: np.ndarray | None = None
     sighted: np.ndarray | None = None
     inertial: np.ndarray | None = None
-    # A Moving, or None; arrays stand beside it in dictionaries of columns.
+    # A Moving, or None; Any, as dictionaries of columns hold it together with arrays.
     around: Any = None
 
     @classmethod
@@ -64,7 +63,7 @@ class Conditions(Recorded):
 
     @classmethod
     def of_everything(cls, n_joints: int) -> Conditions:
-        """Return the conditions of one pose with all that may be recorded, all of it zero."""
+        """Return the conditions of one pose in which every recordable column is zero."""
         recorded = {name: np.zeros((1, n_joints) if of.of_joints else 1) for name, of in RECORDED.items()}
         return replace(cls.at(np.zeros((1, n_joints))), **recorded, sighted=np.ones((1, 3)))
 
@@ -84,7 +83,7 @@ class Conditions(Recorded):
 
     @cached_property
     def at_moments(self) -> Conditions:
-        """The poses that readings depend on: these, or N K of the moments about them, those of one row together."""
+        """The poses that readings depend on: these, or the N K poses at the instants about them, row by row."""
         if self.around is None or self.around.q is None:
             return self
         n, K, joints = self.around.q.shape
@@ -106,13 +105,7 @@ _PARTS = Latest["Conditions"](16)
 
 
 def part_of(whole: Conditions, rows: slice | np.ndarray, key: Hashable) -> Conditions:
-    """Return the conditions of some rows, the same object if asked again: what was evaluated there is then known.
-
-    Args:
-        whole: the conditions.
-        rows: the rows.
-        key: tells them from other rows of these conditions.
-    """
+    """Return the conditions of some rows, identified by a key: the same object each time, so that caches of it apply."""
     known = _PARTS.of(whole)
     if key not in known:
         known[key] = whole.select(rows)
@@ -122,9 +115,9 @@ def part_of(whole: Conditions, rows: slice | np.ndarray, key: Hashable) -> Condi
 def joined_conditions(parts: Sequence[Conditions]) -> Conditions:
     """Return the poses of several set-ups, one after the other.
 
-    Targets, which are others in each, are all the first one. Times have a zero of their own in each, so they are left out;
-    so are temperatures, droops and sights that some lack. Directions of approach and moves are unknown where they were not
-    recorded, and poses without a speed were held.
+    Every target becomes the first one, as each set-up has its own. Times, whose origin differs between set-ups, are left
+    out; so are temperatures, droops and sighted positions if some set-up lacks them. Directions of approach and moves are
+    unknown where they were not recorded, and poses without a velocity were held.
     """
     if len(parts) == 1:
         return parts[0]
@@ -138,7 +131,7 @@ def joined_conditions(parts: Sequence[Conditions]) -> Conditions:
 def _one_column(
     columns: Sequence[np.ndarray | None], parts: Sequence[Conditions], unknown: float | None
 ) -> np.ndarray | None:
-    """Return a column of several set-ups, with what stands for unknown where some lack it; None if that can't be said."""
+    """Return a column of several set-ups, filled with ``unknown`` where some lack it; None if there is no such value."""
     known = [column for column in columns if column is not None]
     if len(known) == len(parts):
         return np.concatenate(known)
@@ -150,12 +143,12 @@ def _one_column(
 
 
 def varies(column: np.ndarray | None) -> bool:
-    """Return whether a column is there and its rows are not all the same."""
+    """Return whether a column is present and its rows are not all equal."""
     return column is not None and bool(np.any(column != column[:1]))
 
 
 def distinct_values(x: np.ndarray) -> int:
-    """Return how many values a variable takes, shape (N,); those closer than a thousandth of its range are one value.
+    """Return the number of distinct values of a variable, shape (N,), to a thousandth of its range.
 
     Example:
         >>> distinct_values(np.array([0.0, 1.0, 1.0, 2.0, 1.0 + 1e-4]))
@@ -165,19 +158,14 @@ def distinct_values(x: np.ndarray) -> int:
     width = _CLOSE * float(values[-1] - values[0])
     if not width:
         return 1
-    # Values that follow each other closely fill a stretch; one at least of each width of it.
+    # Closely spaced values form an interval, which counts once for each width.
     last = np.append(np.flatnonzero(np.diff(values) > width), len(values) - 1)
     first = np.append(0, last[:-1] + 1)
     return len(last) + int(np.sum((values[last] - values[first]) // width))
 
 
 def into_range(angles: np.ndarray, lower: ArrayLike, upper: ArrayLike) -> np.ndarray:
-    """Return angles moved by whole turns into a range; those inside, and those that no turn brings there, stay as they are.
-
-    Args:
-        angles: any shape [rad].
-        lower: lower end of the range, to be broadcast with the angles [rad].
-        upper: its upper end.
+    """Return angles shifted by whole turns into a range [rad], to be broadcast with them, where that is possible.
 
     Example:
         >>> into_range(np.array([0.5, 7.0, -6.0, 4.0]), -1.0, 1.0).round(2).tolist()
@@ -194,17 +182,17 @@ def into_range(angles: np.ndarray, lower: ArrayLike, upper: ArrayLike) -> np.nda
 def recorded_variable(
     chain: Chain, conditions: Conditions, name: str, *, joint: str | None = None, span: tuple[float, float] | None = None
 ) -> np.ndarray:
-    """Return a variable that an effect may follow, shape (N,).
+    """Return a variable that an effect may depend on, shape (N,).
 
     Args:
         chain: the chain.
         conditions: the N poses.
         name: a joint, for its position [rad or m], or a column of the conditions.
-        joint: the joint whose direction of approach is meant.
-        span: the range in which the variable was seen: a joint that turns is taken at the turn that lies within.
+        joint: the joint to select from a column of joints, such as the directions of approach.
+        span: range of the variable, into which positions of revolute joints are shifted by whole turns.
 
     Raises:
-        BadInputError: if these poses come without the column.
+        BadInputError: if these poses lack the column.
     """
     names = chain.robot.joint_names
     if name in names:
@@ -213,13 +201,13 @@ def recorded_variable(
         return q if span is None or chain.robot.joint_types[i] == "prismatic" else into_range(q, *span)
     column = conditions.column(name) if name in RECORDABLE else None
     if column is None:
-        told_by = RECORDABLE[name].column if name in RECORDABLE else name
-        raise BadInputError(f"an effect follows {name}, which these poses do not have; add the column {told_by}")
+        missing = RECORDABLE[name].column if name in RECORDABLE else name
+        raise BadInputError(f"an effect depends on {name}, which these poses lack; add the column {missing}")
     return np.asarray(column if joint is None or column.ndim < 2 else column[:, names.index(joint)])
 
 
 def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool = False) -> np.ndarray:
-    """Return the moments on the nominal arm, shape (N, 3 n) [N m], of all it carries or of the payload's weight alone."""
+    """Return the moments on the nominal arm, shape (N, 3 n) [N m], of all bodies or of the payload's weight alone."""
     constant, n = chain.nominal, chain.robot.n_joints
     layout = chain.layout._replace(masses=np.zeros(n)) if payload_only else chain.layout
     if are_symbols(conditions.q):
@@ -239,9 +227,9 @@ def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool 
 
 
 def inertial_moments(chain: Chain, conditions: Conditions) -> np.ndarray | float:
-    """Return what inertia adds to the static moments on the nominal arm, shape (N, 3 n) [N m]; zero at rest.
+    """Return the moments of inertia forces on the nominal arm, shape (N, 3 n) [N m]; zero at rest.
 
-    They are taken about the bearings and in the axes of the chain's convention.
+    They are about the bearings, in the axes of the chain's moment frame.
     """
     if conditions.inertial is None:
         return 0.0
@@ -258,12 +246,12 @@ def inertial_moments(chain: Chain, conditions: Conditions) -> np.ndarray | float
 
 @dataclass(frozen=True)
 class PoseSet:
-    """An arm in the poses that were or will be measured, from which effects propose candidates.
+    """An arm in the poses that were or will be measured, for which effects propose candidates.
 
     Attributes:
         chain: the chain.
         conditions: the N poses.
-        compliances: shape (3 n,), those of each joint about x, y, z as far as they are known [rad/(N m)]; default: zero.
+        compliances: shape (3 n,), known compliances of each joint about x, y, z [rad/(N m)]; default: zero.
     """
 
     chain: Chain
@@ -272,23 +260,23 @@ class PoseSet:
 
     @cached_property
     def moments(self) -> np.ndarray:
-        """Moments on the nominal arm, shape (N, 3 n) [N m]: static ones, and those of inertia where it moves."""
+        """Static and inertial moments on the nominal arm, shape (N, 3 n) [N m]."""
         return nominal_moments(self.chain, self.conditions)
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints that readings can be about, from the base, without the passive ones of loops."""
+        """Names of the joints that readings depend on, from the base, without the passive ones of loops."""
         robot = self.chain.robot
         return tuple(name for name in robot.measured_joints if name not in robot.passive)
 
     @property
     def revolute(self) -> tuple[str, ...]:
-        """Names of the joints that turn."""
+        """Names of the revolute joints."""
         types = dict(zip(self.chain.robot.joint_names, self.chain.robot.joint_types, strict=True))
         return tuple(name for name in self.joints if types[name] != "prismatic")
 
     def index(self, joint: str) -> int:
-        """Return the place of a joint in the columns of the poses."""
+        """Return the column of a joint in the poses."""
         return self.chain.robot.joint_names.index(joint)
 
     def positions(self, joint: str) -> np.ndarray:

@@ -1,11 +1,11 @@
-"""The interface of effects: physical causes, each with named parameters and what they add to a chain's coordinates.
+"""The interface of effects: physical causes with named parameters and their contributions to a chain's coordinates.
 
-An effect knows no chain but by the names of coordinates, and the chain knows no effect. Coordinates are sums over effects,
+An effect addresses a chain by the names of its coordinates only, and a chain is independent of effects. With
 
     x_k(pose) = nominal_k + sum over terms of  basis(pose) * parameter,
 
-so the order of effects means nothing, and a new effect is one small class: its parameters, its terms, and what it says of
-itself. All that discovery, reports, the viewer and the design of measurements know of an effect, they know from here.
+the order of effects does not matter, and a new effect is one small class: its parameters, terms and description.
+Discovery, reports, the viewer and the design of measurements use effects through this interface alone.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from pincal.recorded import RECORDABLE
 
 
 class Term(NamedTuple):
-    """What one parameter adds to one coordinate: ``basis * parameter``.
+    """Contribution of one parameter to one coordinate: ``basis * parameter``.
 
     Attributes:
         parameter: index among the effect's parameters.
         coordinate: index in the chain.
         basis: shape (N,), or None for 1 at every pose.
-        moment: index 3 i + component of the static moment that the basis is a function of, or None.
+        moment: index 3 i + component of the static moment on which the basis depends, or None.
         slope: shape (N,), derivative of the basis by this moment; None for 1. Only with ``moment``.
     """
 
@@ -44,11 +44,11 @@ class Term(NamedTuple):
 
 
 class Body(NamedTuple):
-    """What one unit of a parameter adds to the mass that a joint moves.
+    """Contribution of one unit of a parameter to the mass of a link.
 
     Attributes:
         parameter: index among the effect's parameters.
-        joint: index of the joint; the mass moves with it but not with the next.
+        joint: index of the joint that moves the link; the next joint does not.
         mass: [kg].
         moment: first moment of mass in the joint's link frame [kg m].
     """
@@ -60,7 +60,7 @@ class Body(NamedTuple):
 
 
 class Family(Enum):
-    """What kind of cause an effect is, as far as it matters to whoever looks for missing ones."""
+    """Kind of cause, as far as the search for missing effects distinguishes them."""
 
     EXTRINSICS = "where the robot and its targets are"
     GEOMETRY = "constant deviations of links and joints"
@@ -79,15 +79,15 @@ class Locus:
         joint: the joint it acts on; None for several joints, the whole arm, its base or the instrument.
         acts_on: what it moves: "drive" (about or along the joint's own axis), a coordinate of the joint such as "gamma_x",
             "tilt" (both directions across its axis), "link", "lengths", "base" or "tool".
-        follows: the variable that it is a function of: the name of a joint, for its position, "approach", "moment",
-            "payload", "temperature" or "time"; None for a constant, or where there is no one variable.
+        follows: its independent variable: the name of a joint, for its position, "approach", "moment", "payload",
+            "temperature" or "time"; None for a constant, or if there is no single variable.
         order: cycles per revolution.
-        frame: the side of a joint from which it is seen: "before" or "after".
-        shape: the form of a dependence without a name.
-        place: where along the variable it breaks [unit of the variable].
-        station: name of the station that alone has it, where there are several; None for all of them.
-        cause: name of the effect that it is an instance of, where that is another's.
-        span: lower and upper end of the variable as far as it was seen, beyond which it keeps its end value.
+        frame: the side of a joint in whose frame it is constant: "before" or "after".
+        shape: the form of an unnamed dependence.
+        place: breakpoint along the variable [unit of the variable].
+        station: name of the only station that has it, if there are several; None for all of them.
+        cause: name of the effect of which it is an instance, if not its own.
+        span: observed range of the variable, beyond which the effect is constant.
     """
 
     joint: str | None = None
@@ -103,7 +103,7 @@ class Locus:
 
     @property
     def source(self) -> str | None:
-        """The joint whose position it follows, if that is another one than it acts on."""
+        """The joint whose position it depends on, if not the joint it acts on."""
         is_joint = self.follows is not None and self.follows != MOMENT and self.follows not in RECORDABLE
         return self.follows if is_joint and self.follows != self.joint else None
 
@@ -113,13 +113,13 @@ class Effect(ABC):
 
     Attributes:
         name: its name in reports and files.
-        meaning: what a machine with this effect does, in plain words.
-        family: what kind of cause it is.
-        scope: whose parameters it has: the robot's, or those of a station, the set-up of an instrument and its targets.
-        stays: whether it stays as a calibration found it, so that rows of another day are not asked for a change of it.
+        meaning: how a machine with this effect behaves, in plain words.
+        family: kind of cause.
+        scope: owner of its parameters: the robot, or a station, the set-up of an instrument and its targets.
+        stays: whether it is constant after a calibration, so that a diagnosis tests no change of it.
         uses_moments: whether its terms need the static moments.
-        alike: whether its basis functions are one function in several places, as those of a curve: one that the poses
-            hardly touch is as large as the others then, and its coefficient no larger.
+        alike: whether its basis functions are translates of one function, as those of a curve, and so share one scale, even
+            those that the poses hardly excite.
     """
 
     name: ClassVar[str]
@@ -133,16 +133,16 @@ class Effect(ABC):
     @property
     @abstractmethod
     def locus(self) -> Locus:
-        """Where it acts and what it follows."""
+        """Where it acts and what it depends on."""
 
     @property
     def is_sighted(self) -> bool:
-        """Whether its terms need where the instrument sees the target: ``Conditions.sighted``."""
+        """Whether its terms need the target's position in the instrument's frame: ``Conditions.sighted``."""
         return False
 
     @property
     def least_moment(self) -> float:
-        """Part of the largest moment on the arm that a moment it follows is taken as at least, when its size is judged."""
+        """Lower bound of the moment that scales its prior, as a fraction of the largest moment on the arm."""
         return 0.1
 
     @abstractmethod
@@ -151,7 +151,7 @@ class Effect(ABC):
 
     @abstractmethod
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Return what each parameter adds to which coordinate.
+        """Return the contributions of its parameters to the coordinates.
 
         Args:
             chain: the chain.
@@ -160,20 +160,17 @@ class Effect(ABC):
         """
 
     def bodies(self, chain: Chain) -> tuple[Body, ...]:
-        """Return what each parameter adds to the masses of which the static moments are taken; most add nothing."""
+        """Return the contributions of its parameters to the masses that cause the static moments; none of most effects."""
         return ()
 
     def smoothness(self) -> np.ndarray | None:
-        """Return what is believed of its K parameters together, as information beyond their sizes, shape (K, K).
-
-        None, as for most effects, if they are independent.
-        """
+        """Return the joint prior information on its K parameters beyond their sizes, shape (K, K); None if independent."""
         return None
 
     def belief(self, members: Sequence[Parameter]) -> np.ndarray | None:
-        """Return what is believed of its K parameters if it is as rough as is known, as information, shape (K, K).
+        """Return the joint prior information on its K parameters, shape (K, K).
 
-        None where no roughness is known, or these are some of the parameters only.
+        None without a known roughness, or if ``members`` are only some of its parameters.
         """
         smooth = self.smoothness()
         if smooth is None or len(smooth) != len(members):
@@ -182,22 +179,22 @@ class Effect(ABC):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """The columns that must be recorded of the poses."""
+        """The columns that must be recorded with the poses."""
         follows = self.locus.follows
         return (follows,) if follows in RECORDABLE else ()
 
     def missing(self, conditions: Conditions) -> tuple[str, ...]:
-        """Return what the effect needs and these poses lack: columns that are absent or the same in all rows."""
+        """Return the columns that the effect needs and that these poses lack or have the same value of in all rows."""
         return tuple(column for column in self.needs if not varies(conditions.column(column)))
 
     @cached_property
     def identity(self) -> tuple[str, Locus]:
-        """What distinguishes it from other effects: two effects of one identity are variants of each other."""
+        """Identity: two effects with the same one are variants of each other."""
         return self.locus.cause or self.name, replace(self.locus, place=None, span=None)
 
     @property
     def looks(self) -> float:
-        """How many others its place or frequency was chosen among before it was tested: its p-value pays for them."""
+        """Number of trials among which its place or frequency was selected, for which its p-value is corrected."""
         return 1.0
 
     @property
@@ -212,18 +209,18 @@ class Effect(ABC):
 
     @property
     def heading(self) -> tuple[str, str | None, str | None]:
-        """Name, joint, and of a named effect the source joint: effects that a summary calls the same have the same."""
+        """Name, joint, and for a named effect the source joint: effects with the same ones share a line of a summary."""
         return self.locus.cause or self.name, self.locus.joint, None if self.is_nameless else self.locus.source
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect in one place of an arm, as a discovery may try it.
+    """An effect at one place of an arm, as a discovery may try it.
 
     Attributes:
         effect: the effect.
-        variants: the forms that are worth telling apart, from few parameters to many; default: itself. None of them
-            if it can't be tried before more is known.
+        variants: the forms worth distinguishing, from few parameters to many; default: the effect itself. Empty if it can't
+            be tried yet.
         obstacle: why it can't be tested, if the effect itself gives a reason; empty otherwise.
     """
 
@@ -243,27 +240,27 @@ class Discoverable(Effect):
     @classmethod
     @abstractmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield the effect in every place of an arm where it could act, whether these poses show it or not."""
+        """Yield the effect at every place of an arm where it could act, whether these poses excite it or not."""
 
 
 class Reducible(ABC):
-    """An effect that can be stated in fewer parameters."""
+    """An effect that can be expressed in fewer parameters."""
 
     @abstractmethod
     def reduced(self, situation: PoseSet) -> Effect:
-        """Return the effect in the fewest parameters, in which its detectable size is predicted."""
+        """Return the effect in the fewest parameters, for which its detectable size is predicted."""
 
 
 class Resolvable(Effect):
-    """An effect that can be stated more or less finely, and that the data tell how finely."""
+    """An effect whose resolution the data determine."""
 
     @abstractmethod
     def resolutions(self, situation: PoseSet) -> Sequence[Effect]:
-        """Return the effect from coarse to fine, as far as the poses carry it; none if there is nothing to choose."""
+        """Return the effect from coarse to fine, as far as the poses support it; empty if there is no choice."""
 
 
 class Curve(Discoverable, Reducible):
-    """A drive error that is any curve of its joint's position (family ``CURVE``), in a resolution that the data decide."""
+    """A drive error that is a free curve of its joint's position (family ``CURVE``), with a resolution set by the data."""
 
     family: ClassVar[Family] = Family.CURVE
     alike: ClassVar[bool] = True
@@ -279,7 +276,7 @@ class Curve(Discoverable, Reducible):
 
     @abstractmethod
     def smooth(self, situation: PoseSet, roughness: float | None, resolution: int | None = None) -> Curve:
-        """Return the curve in so many pieces, or in fine ones, as smooth as a roughness says, if one is given."""
+        """Return the curve with so many pieces, or with fine ones, and with a smoothness prior if a roughness is given."""
 
     @abstractmethod
     def basis(self, q: np.ndarray) -> np.ndarray:
@@ -290,40 +287,40 @@ class Harmonic(Discoverable):
     """A wave of a joint's own position, about its own axis, of any number of cycles per revolution."""
 
     band: ClassVar[tuple[float, float] | None] = None
-    """Waves a turn among which a discovery searches; None if it can't be searched for."""
+    """Range of cycles per revolution in which a discovery searches; None if it can't be searched for."""
 
     @abstractmethod
     def tuned(self, order: float, chosen_among: float = 1.0) -> Harmonic:
-        """Return the wave of another number of cycles per revolution, chosen among so many by what the data show."""
+        """Return the wave with another order (cycles per revolution), selected by the data among ``chosen_among``."""
 
     @property
     def same(self) -> tuple[Harmonic, ...]:
-        """Other causes of this very wave, which no data can tell from it."""
+        """Other causes of exactly this wave, which no data can distinguish from it."""
         return ()
 
     @property
     def orders(self) -> tuple[float, ...]:
-        """The cycles per revolution that it consists of."""
+        """The orders (cycles per revolution) of its components."""
         return () if self.locus.order is None else (self.locus.order,)
 
     def suggested(self, resolution: float) -> Harmonic:
-        """Return the cause that the order of this wave suggests, known to so many cycles a revolution; else itself."""
+        """Return the cause that the order suggests, if known to ``resolution`` cycles per revolution; else itself."""
         return self
 
     def origin(self, order: float, resolution: float, wheels: Mapping[float, str]) -> str:
-        """Return what an order suggests of where a wave comes from, in words; empty if nothing, or as well by chance.
+        """Return the origin that an order suggests, in words; empty if none, or if the match may be chance.
 
         Args:
             order: cycles per revolution.
-            resolution: by how much they may be off, either way.
-            wheels: what may turn so many times a turn, in words by this number.
+            resolution: tolerance on the order, either way.
+            wheels: description of each rotating part by its revolutions per revolution of the joint.
         """
         return ""
 
 
 class ExponentialDrift(Discoverable):
-    """An effect with a time constant, linearised about what is expected of its parameters."""
+    """An effect with a time constant, linearised about expected values of its parameters."""
 
     @abstractmethod
     def about(self, values: np.ndarray) -> ExponentialDrift:
-        """Return the effect linearised about values of its parameters (less nominal); itself once they hardly move."""
+        """Return the effect linearised about values of its parameters (less nominal); itself once they hardly change."""

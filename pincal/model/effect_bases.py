@@ -1,4 +1,4 @@
-"""What the effects of the catalogue share: effects of one drive, joints by name, recorded columns, moments in other axes."""
+"""Common parts of the catalogue's effects: effects of one drive, recorded columns, tilts, moments in other axes."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from pincal.model.conditions import MOMENT, Conditions, PoseSet
 from pincal.model.effect import Candidate, Discoverable, Effect, Family, Locus, Term
 from pincal.parameters import Parameter
 
-# Typical sizes of what an effect does to its coordinate [rad or m]: some tenths of a milliradian or of a millimetre, ratios
-# to a thousandth. They are priors where the data can't tell, so the order of magnitude is what counts.
+# Typical sizes of effects on their coordinates [rad or m]: some tenths of a milliradian or of a millimetre, ratios of a
+# thousandth. They serve as priors of parameters that the data do not determine, so only the order of magnitude matters.
 PLAY = 2e-4
 WAVE = 3e-4
 TILT = 1e-4
 GROWTH = 3e-4
 RATIO = 1e-3
 
-# Direction cosine below which a moment has no part along an axis: rounding of a URDF's rotations.
+# Direction cosine below which a moment has no component along an axis: rounding of a URDF's rotations.
 _ACROSS = 1e-12
 
 
 def joint_index(chain: Chain, joint: str) -> int:
-    """Return the place of a joint, 0 at the base.
+    """Return the index of a joint, 0 at the base.
 
     Raises:
         BadInputError: if the arm has no such joint.
@@ -53,15 +53,15 @@ def recorded(effect: Effect, column: str, values: np.ndarray | None) -> np.ndarr
     """Return a column of conditions.
 
     Raises:
-        BadInputError: if these poses come without it.
+        BadInputError: if these poses lack it.
     """
     if values is None:
-        raise BadInputError(f"{effect.name} needs the column {column}, which these poses do not have; add it")
+        raise BadInputError(f"{effect.name} needs the column {column}, which these poses lack; add it")
     return values
 
 
 def parameters_of(effect: Effect, element: str, symbols: Iterable[str], *, unit: str, size: float) -> tuple[Parameter, ...]:
-    """Return parameters of one element that share unit and typical size; each is zero in the nominal robot."""
+    """Return parameters of one element with the same unit and typical size; each is zero in the nominal robot."""
     return tuple(Parameter(f"{element}.{symbol}", unit, effect.name, 0.0, size) for symbol in symbols)
 
 
@@ -84,17 +84,16 @@ def turning(chain: Chain, conditions: Conditions, i: int) -> np.ndarray:
 def tilt_terms(
     chain: Chain, conditions: Conditions, joint: str, *, seen_from: str, tilts: Iterable[tuple[int, int, np.ndarray]]
 ) -> tuple[Term, ...]:
-    """Return the terms of tilts of a joint's axis about its bearing.
+    """Return the terms of tilts of a revolute joint's axis about its bearing.
 
-    Beside the origin of its frame the bearing is where its compliance acts, found there if the data say where; at the origin
-    the tilts are s_x and s_y.
+    A bearing off the origin of its frame tilts where its compliance acts; one at the origin tilts by s_x and s_y.
 
     Args:
         chain: the chain.
         conditions: the N poses.
-        joint: the joint, one that turns.
-        seen_from: the side in whose axes they are: "before" or "after" q.
-        tilts: of each its parameter, its axis (0 for x, 1 for y) and its basis, shape (N,).
+        joint: the joint.
+        seen_from: the side in whose axes the tilts are given: "before" or "after" q.
+        tilts: parameter, axis (0 for x, 1 for y) and basis, shape (N,), of each.
     """
     i = joint_index(chain, joint)
     side, symbol = (chain.moment_frame, "gamma") if chain.bearing_heights[i] else ("before", "s")
@@ -114,14 +113,9 @@ def moment_axes(chain: Chain, conditions: Conditions, i: int) -> np.ndarray:
 
 
 def moment_terms(parameter: int, coordinate: int, i: int, *, axis: np.ndarray, moments: np.ndarray) -> tuple[Term, ...]:
-    """Return the terms of one parameter driven by the moment of joint i about an axis: one a component.
+    """Return the terms of one parameter driven by the moment of joint i about an axis, one for each component.
 
-    Args:
-        parameter: index among the effect's parameters.
-        coordinate: index in the chain.
-        i: the joint.
-        axis: shape (N, 3), the axis in the axes of the moment.
-        moments: shape (N, 3 n), static moments [N m].
+    The axis, shape (N, 3), is given in the axes of the moment; ``moments`` are the static ones, shape (N, 3 n) [N m].
     """
     return tuple(
         Term(parameter, coordinate, axis[:, c] * moments[:, 3 * i + c], 3 * i + c, axis[:, c].copy())
@@ -132,17 +126,17 @@ def moment_terms(parameter: int, coordinate: int, i: int, *, axis: np.ndarray, m
 
 @dataclass(frozen=True)
 class DriveEffect(Discoverable):
-    """An effect that turns one joint about its axis, or moves it along: basis functions times parameters.
+    """An effect that rotates one joint about its axis, or moves it along: basis functions times parameters.
 
     Attributes:
         joint: the joint.
-        symbol: of its parameter, if it is one.
+        symbol: of its parameter, if it has only one.
         unit: of its parameters; empty for the unit of the joint's position.
-        typical: size that is typical of them.
+        typical: their typical size.
         acts_on: "drive", or "gamma_z" for the elastic rotation.
-        follows: the variable that it is a function of; empty for the joint's own position.
-        recorded_as: what a table has to hold for that.
-        turns: whether only joints that turn have it.
+        follows: its independent variable; empty for the joint's own position.
+        recorded_as: column of the table that holds this variable.
+        turns: whether only revolute joints have it.
     """
 
     joint: str
@@ -156,12 +150,12 @@ class DriveEffect(Discoverable):
 
     @property
     def locus(self) -> Locus:
-        """Its joint, by the variable that it follows."""
+        """Its joint and the variable that it depends on."""
         return Locus(self.joint, self.acts_on, self.follows or self.joint)
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every joint, or on every one that turns."""
+        """Yield it on every joint, or on every revolute one."""
         yield from (Candidate(cls(joint)) for joint in (situation.revolute if cls.turns else situation.joints))
 
     def symbols(self) -> Sequence[str]:
@@ -184,11 +178,11 @@ class DriveEffect(Discoverable):
         return int(chain.drives[i]) if self.acts_on == "drive" else chain.joint(i, self.acts_on)
 
     def bases(self, chain: Chain, conditions: Conditions) -> Iterable[np.ndarray]:
-        """Return the basis function of each parameter, shape (N,); that of one alone is the variable that it follows."""
+        """Return the basis function of each parameter, shape (N,); by default the independent variable alone."""
         return (self.variable(chain, conditions),)
 
     def variable(self, chain: Chain, conditions: Conditions) -> np.ndarray:
-        """Return the variable that it follows, shape (N,)."""
+        """Return the independent variable, shape (N,)."""
         if not self.follows:
             return positions(chain, conditions, self.joint)
         column = recorded(self, self.recorded_as.replace("<joint>", self.joint), conditions.column(self.follows))
@@ -196,7 +190,7 @@ class DriveEffect(Discoverable):
 
 
 class DriveInMotion(DriveEffect):
-    """A function of a joint's own velocity; it needs none, as poses without any were held."""
+    """A function of a joint's own velocity; without recorded velocities the poses were held."""
 
     follows: ClassVar[str] = "velocity"
     needs: ClassVar[tuple[str, ...]] = ()
@@ -223,7 +217,7 @@ class DriveWaves(DriveEffect):
     """Sines and cosines of multiples of a joint's own position.
 
     Attributes:
-        pattern: of the symbols of its amplitudes, by ``wave`` and ``order``.
+        pattern: format of the symbols of its amplitudes, in terms of ``wave`` and ``order``.
     """
 
     unit: ClassVar[str] = "rad"
@@ -233,10 +227,10 @@ class DriveWaves(DriveEffect):
     @property
     @abstractmethod
     def orders(self) -> tuple[float, ...]:
-        """The cycles per revolution that it consists of."""
+        """The orders (cycles per revolution) of its components."""
 
     def symbols(self) -> Sequence[str]:
-        """Return the symbols of its amplitudes, in which a point has a meaning of its own."""
+        """Return the symbols of its amplitudes; an underscore replaces the decimal point, which names reserve."""
         marks = [f"{order:.10g}".replace(".", "_") for order in self.orders]
         return [self.pattern.format(wave=wave, order=mark) for mark in marks for wave in ("sin", "cos")]
 
@@ -247,23 +241,23 @@ class DriveWaves(DriveEffect):
 
 
 class DriveHarmonic(DriveWaves):
-    """Waves of a joint's own position that the number of the first a turn, its ``order``, tells from others."""
+    """Waves of a joint's own position, identified by their fundamental ``order`` (cycles per revolution)."""
 
     order: float
 
     @property
     def orders(self) -> tuple[float, ...]:
-        """Its order alone."""
+        """The fundamental order alone."""
         return (self.order,)
 
     @property
     def locus(self) -> Locus:
-        """Its joint, in waves of its own position."""
+        """Its joint and order, as a function of the joint's own position."""
         return Locus(self.joint, self.acts_on, self.joint, order=self.order)
 
 
 class LoadedDrive(DriveEffect):
-    """A function of the static moment on a joint's axis, beside the linear compliance that every drive has."""
+    """A function of the static moment on a joint's axis, in addition to the linear compliance that every drive has."""
 
     follows: ClassVar[str] = MOMENT
     turns: ClassVar[bool] = True
@@ -271,7 +265,7 @@ class LoadedDrive(DriveEffect):
     uses_moments: ClassVar[bool] = True
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add the function, which comes with its slope, so that the Jacobian stays exact through the moments."""
+        """Add the function with its slope, so that the Jacobian through the moments is exact."""
         assert moments is not None
         moment = 3 * joint_index(chain, self.joint) + 2
         basis, slope = self.of_moment(chain, conditions, moments[:, moment])
@@ -279,4 +273,4 @@ class LoadedDrive(DriveEffect):
 
     @abstractmethod
     def of_moment(self, chain: Chain, conditions: Conditions, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the function at moments [N m] and its slope by them, both of shape (N,)."""
+        """Return the function at moments [N m] and its derivative, both of shape (N,)."""

@@ -1,4 +1,4 @@
-"""Effects by name: those of pincal, those of plugins, and what a user registers."""
+"""Effects by name: pincal's own, those of plugins, and those that a user registers."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ EFFECTS: Registry[Effect] = Registry("effect", group="pincal.effects", name_of=l
 
 
 register_effect = EFFECTS.register
-"""Make an effect known to model files, discovery and reports, by its name; a class decorator."""
+"""Class decorator that registers an effect by name for model files, discovery and reports."""
 
 
 def meaning_of(name: str) -> str:
-    """Return what a machine with an effect does, in plain words; empty for a name that nobody knows.
+    """Return how a machine with an effect behaves, in plain words; empty for an unknown name.
 
     Example:
         >>> meaning_of("joint_elasticity")

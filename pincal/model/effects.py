@@ -1,6 +1,6 @@
-"""The effects that a model is made of: geometry, linear elasticity, and where base and tool are.
+"""The effects of every model: geometry, linear elasticity, and the base and tool frames.
 
-The catalogue (:mod:`pincal.model.catalogue`) holds what a discovery looks for beyond these.
+The catalogue (:mod:`pincal.model.catalogue`) holds the further effects that a discovery searches for.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from pincal.model.effect import Candidate, Discoverable, Effect, Family, Locus, 
 from pincal.model.loops import inert_coordinates
 from pincal.parameters import FRAME_SYMBOLS, Parameter, Scope
 
-# Size of real errors by kind [rad, m], used as prior where the data can't tell. The paper (IV.C) knows of deviations of
-# up to 1 cm at the tip; makers' tolerances are some tenths of a mm and of a mrad, cobots' several times that.
+# Sizes of real errors [rad, m], used as priors. The paper (IV.C) reports deviations of up to 1 cm at the tip; makers'
+# tolerances are some tenths of a mm and of a mrad, those of cobots several times that.
 ANGLE_SIZE = 3e-3
 LENGTH_SIZE = 3e-3
 # Size of real elastic rotations [rad], likewise.
 BENDING_SIZE = 1e-3
-# How far an arm may stand from its place beside another one [m], and how far it may be turned [rad].
+# Deviation of an arm's mount next to another arm from its nominal pose [m, rad].
 _MOUNT_SIZE = 1e-2
 LENGTHS = ("d", "a", *MOUNT_SYMBOLS)
 """Symbols of the coordinates of a joint that are lengths."""
@@ -39,7 +39,7 @@ class _Geometry(Effect):
     """Constants that are added to coordinates of every joint."""
 
     family: ClassVar[Family] = Family.GEOMETRY
-    # Coordinates of a joint that turns, of one that slides, and further ones of a joint that begins a branch.
+    # Coordinates of a revolute joint, of a prismatic one, and further ones of a joint that begins a branch.
     turning: ClassVar[tuple[str, ...]]
     sliding: ClassVar[tuple[str, ...]]
     branching: ClassVar[tuple[str, ...]] = ()
@@ -64,7 +64,7 @@ class _Geometry(Effect):
         return tuple(Term(p, k) for p, (_, _, k) in enumerate(self._places(chain)))
 
     def _places(self, chain: Chain) -> Iterator[tuple[str, str, int]]:
-        """Yield element, symbol and coordinate of what readings can be about."""
+        """Yield element, symbol and coordinate of each parameter that readings can depend on."""
         robot, inert = chain.robot, inert_coordinates(chain)
         for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_types, strict=True)):
             if name in robot.unmeasured:
@@ -82,8 +82,8 @@ class JointOffset(_Geometry):
     """The zero of each joint is off by a constant (paper: theta_i; d_i of a prismatic joint).
 
     Distinguished by:
-        large joint motions, targets off the last axis. That of the first joint is equivalent to a rotation of the base, that
-        of the last to a rotation of the tool, unless these are known.
+        large joint motions, targets off the last axis. The offset of the first joint is equivalent to a rotation of the
+        base, and the offset of the last to a rotation of the tool, unless these are known.
 
     Source:
         Radkhah et al., Eq. (1): theta_i.
@@ -100,8 +100,8 @@ class JointOffset(_Geometry):
 class LinkGeometry(_Geometry):
     """Link offset d, link length a and link twist alpha deviate (paper, Eq. (1)).
 
-    A prismatic joint has theta in place of d, which is its joint offset. The first joint of a branch has x and y besides:
-    where its axis lies on the link that carries it; so has a pin that closes a loop.
+    A prismatic joint has theta instead of d, which is its joint offset. The first joint of a branch also has x and y, the
+    position of its axis on the link that carries it; so has a pin that closes a loop.
 
     Distinguished by:
         poses over the whole range of every joint. For parallel axes only the sum of the link offsets is observable; offset
@@ -143,8 +143,7 @@ class BaseFrame(Effect):
     """Pose of the robot in the instrument's frame.
 
     Distinguished by:
-        three or more non-collinear targets, in poses that do not move joint 1 alone. It is identified for every
-        set-up.
+        three or more non-collinear targets, in poses that do not move joint 1 alone. It is identified for every set-up.
 
     Source:
         Radkhah et al.
@@ -208,12 +207,12 @@ def _frame_parameter(element: str, effect: str, symbol: str) -> Parameter:
 
 @dataclass(frozen=True)
 class Compliance(Discoverable):
-    """Elastic rotations that follow the static moments of some joints (paper, III.B).
+    """Elastic rotations in proportion to the static moments of some joints (paper, III.B).
 
     Attributes:
         joints: the joints; default: all.
-        acts_on: what of a joint is compliant.
-        axes: about which it does, "x", "y" and "z" that of the joint.
+        acts_on: as in :class:`Locus`.
+        axes: the compliant axes, of "x", "y" and "z", the joint's own.
     """
 
     joints: tuple[str, ...] | None = None
@@ -224,17 +223,17 @@ class Compliance(Discoverable):
 
     @property
     def least_moment(self) -> float:
-        """None of one joint alone: where it is all that is compliant, the data see it."""
+        """Zero for a single joint, whose compliance the data show."""
         return super().least_moment if self.only is None else 0.0
 
     @property
     def locus(self) -> Locus:
-        """The elastic rotations of its joints, which follow the moments there."""
+        """The elastic rotations of its joints as functions of the moments there."""
         return Locus(self.only, self.acts_on, MOMENT)
 
     @property
     def only(self) -> str | None:
-        """The joint, if it is one alone."""
+        """The joint, if there is only one."""
         return self.joints[0] if self.joints is not None and len(self.joints) == 1 else None
 
     @final
@@ -261,7 +260,7 @@ class Compliance(Discoverable):
         )
 
     def _places(self, chain: Chain) -> list[tuple[int, str, int]]:
-        """Return joint, axis and coordinate, those left out that loops make meaningless."""
+        """Return joint, axis and coordinate, except where a loop makes the compliance meaningless."""
         names, inert = chain.robot.joint_names, inert_coordinates(chain)
         joints = [names.index(name) for name in (chain.robot.measured_joints if self.joints is None else self.joints)]
         places = [(i, axis, chain.joint(i, f"gamma_{axis}")) for i in joints for axis in self.axes]
@@ -273,8 +272,8 @@ class JointElasticity(Compliance):
     """Each drive is compliant about its own axis: gamma_z = k_z n_z.
 
     Distinguished by:
-        two payloads in the same poses: deflection grows with the load. With one load a gravity compensator, a gear
-        eccentricity of order 1 or an error of the masses looks similar.
+        two payloads in the same poses: deflection grows with the load. With one load it resembles a gravity compensator, a
+        gear eccentricity of order 1 or an error of the masses.
 
     Source:
         Radkhah et al., Eq. (3); Whitney, Lozinski and Rourke (1986).
@@ -289,8 +288,8 @@ class JointElasticity(Compliance):
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield the elasticity of all drives that these poses load.
 
-        About a vertical axis gravity has a moment only as far as the base is not level. Any tilt goes, since the base's own
-        makes up for it, so that such a compliance could take the place of a true effect of that joint's position.
+        About a vertical axis gravity has a moment only if the base is not level. The base frame absorbs any tilt, so that
+        such a compliance could imitate a true effect of that joint's position.
         """
         heaviest = UNFELT * np.abs(situation.moments).max(initial=0.0)
         joints = situation.joints
@@ -302,12 +301,12 @@ class JointElasticity(Compliance):
 class BearingElasticity(Compliance):
     r"""Each bearing is compliant across its axis: gamma_x = k_x n_x, gamma_y = k_y n_y.
 
-    With the paper's moment frame it acts exactly as there: about the origin of the Denavit-Hartenberg frame, whose place is
-    a convention. With "before" and "after" the moment is taken and the link rotates at the bearing, at the height h on
+    With the paper's moment frame it acts exactly as there: about the origin of the Denavit-Hartenberg frame, whose position
+    is a convention. With "before" and "after" the moment is taken and the link rotates at the bearing, at the height h along
     its axis.
 
     Distinguished by:
-        payloads, and poses in which the load acts across the axis. That of joint 1 resembles a compliant foundation.
+        payloads, and poses in which the load acts across the axis. Compliance of joint 1 resembles a compliant foundation.
 
     Source:
         Radkhah et al., Eq. (3); Nubiola and Bonev (2013) for joints alone.

@@ -1,7 +1,7 @@
-"""What effects that use no moments add to the coordinates at some poses, kept for as long as it is asked for again.
+"""Cached contributions of effects that use no moments, and the coordinates and masses at values of the parameters.
 
-A fit asks for the same terms at every step, and a discovery for those of the same candidates after every fit. Curves of many
-pieces are kept as what is not zero of them. With these stand the coordinates and the masses at values of parameters.
+A fit needs the same terms at every step, and a discovery the terms of the same candidates after every fit. Curves of many
+pieces are kept sparse.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from pincal.model.kernel_inputs import Layout, Values
 from pincal.model.sparse_basis import SparseBasis, dense_rows, sparse_across, sparse_rows
 from pincal.parameters import Parameter
 
-# Parameters that act on one coordinate by a basis function from which their column is shared.
+# Least number of parameters with basis functions on one coordinate for which sharing a column pays.
 WORTH_SHARING = 6
-# Part of a curve's basis functions that is not zero, below which it is kept sparse.
+# Non-zero fraction of a curve's basis functions below which it is kept sparse.
 _THIN = 0.25
-# Numbers that are kept at most (24 MB), and tables that they are of.
+# Most numbers that are kept (48 MB), and tables that they belong to.
 _MOST_NUMBERS, _TABLES = 6_000_000, 16
-# A link that weighs less than this [kg] is given it: its centre is its first moment over its mass.
+# Least mass of a link [kg], as its centre is its first moment over its mass.
 _LIGHTEST = 1e-9
 
 
 class Thin(NamedTuple):
-    """Parameters of one effect that each are a basis function on the same coordinate, mostly zero.
+    """Parameters of one effect with sparse basis functions on the same coordinate.
 
     Attributes:
-        parameters: shape (S,), their places.
+        parameters: shape (S,), their indices.
         coordinate: index in the chain.
         basis: the functions.
     """
@@ -44,20 +44,20 @@ class Thin(NamedTuple):
     basis: SparseBasis
 
     def terms(self) -> Iterator[tuple[int, Term]]:
-        """Yield them as terms, each with the place of its parameter."""
+        """Yield them as terms, each with the index of its parameter."""
         for p, row in zip(self.parameters.tolist(), dense_rows(self.basis), strict=True):
             yield p, Term(p, self.coordinate, row)
 
 
 class Plain(NamedTuple):
-    """What effects add to coordinates: terms with the places of their parameters, and curves."""
+    """Contributions of effects to coordinates: terms with the indices of their parameters, and curves."""
 
     terms: list[tuple[int, Term]]
     curves: list[Thin]
 
 
 class _OfEffect(NamedTuple):
-    """Terms, or a curve, of an effect, which is held, too; and how many numbers they have."""
+    """An effect with its terms, or its curve, and their size in numbers."""
 
     effect: Effect
     terms: tuple[Term, ...]
@@ -66,7 +66,7 @@ class _OfEffect(NamedTuple):
 
 
 class _Table(NamedTuple):
-    """What was evaluated over some poses, which are held, too, with a chain, for which its token stands."""
+    """Results for some poses and a chain, identified by its token."""
 
     conditions: Conditions
     chain: object
@@ -74,8 +74,8 @@ class _Table(NamedTuple):
 
 
 def parameters_of_each(effects: Sequence[Effect], chain: Chain) -> list[tuple[Parameter, ...]]:
-    """Return the parameters of effects, equal ones the same objects, so that many stations hold the robot's but once."""
-    # By equal effects, which are held, too. How base and tool stand does not matter: chains of many stations have the same.
+    """Return the parameters of effects; equal ones are one object, so that many stations share the robot's."""
+    # The pose of base and tool does not matter: the chains of many stations share these.
     known, found = chain.kept.about("parameters", chain.robot, chain.gravity, chain.bearing_heights), []
     for effect in effects:
         key = chain.moment_frame, chain.targets, key_of(effect)
@@ -92,14 +92,7 @@ def _interned(parameter: Parameter, sign: float) -> Parameter:
 
 
 def plain_terms(effects: Sequence[Effect], starts: Sequence[int], chain: Chain, conditions: Conditions) -> Plain:
-    """Return what effects that use no moments add to coordinates.
-
-    Args:
-        effects: the effects.
-        starts: where the parameters of each begin.
-        chain: the chain.
-        conditions: the poses.
-    """
+    """Return the contributions of effects that use no moments, the parameters of each from ``starts`` on."""
     found, plain = _evaluated(effects, chain, conditions), Plain([], [])
     for start, (_, terms, curve, _) in zip(starts, found, strict=True):
         plain.terms.extend([(start + term.parameter, term) for term in terms])
@@ -115,9 +108,9 @@ def _evaluated(effects: Sequence[Effect], chain: Chain, conditions: Conditions) 
     keys = [key_of(effect) for effect in effects]
     found = [known.get(key) or _of_effect(effect, chain, conditions) for key, effect in zip(keys, effects, strict=True)]
     asked = dict(zip(keys, found, strict=True))
-    # Rows of several set-ups are put together anew each time: to keep what is found there would only keep these.
+    # Rows of several set-ups are joined afresh each time, so a cache of them would never be used.
     if conditions.setup is None and (past is None or not asked.keys() <= known.keys()):
-        # What is asked for now goes before what was asked for once.
+        # Current requests take precedence over earlier ones.
         of_effect = next((kept for kept in (known | asked, asked) if _numbers(kept) <= _MOST_NUMBERS), {})
         kept, room = [_Table(conditions, chain.token, of_effect)], _MOST_NUMBERS - _numbers(of_effect)
         for table in reversed([table for table in tables if table is not past]):
@@ -130,7 +123,7 @@ def _evaluated(effects: Sequence[Effect], chain: Chain, conditions: Conditions) 
 
 
 def key_of(effect: Effect) -> object:
-    """Return what tells an effect from others: equal ones have the same terms."""
+    """Return a key by which equal effects, which have the same terms, are equal."""
     try:
         hash(effect)
     except TypeError:
@@ -155,11 +148,11 @@ def _of_effect(effect: Effect, chain: Chain, conditions: Conditions) -> _OfEffec
 
 
 class RowValues(NamedTuple):
-    """Values of the parameters, where some may differ from row to row.
+    """Values of the parameters, of which some may differ from row to row.
 
     Attributes:
-        of_parameter: for each parameter its value, or its values at all rows, shape (N,).
-        varied: the parameters that have several.
+        of_parameter: for each parameter its value, or its values in all rows, shape (N,).
+        varied: the parameters with several values.
     """
 
     of_parameter: Sequence[float | np.ndarray] | np.ndarray
@@ -167,7 +160,7 @@ class RowValues(NamedTuple):
 
     @classmethod
     def of(cls, values: np.ndarray, setup: np.ndarray) -> RowValues:
-        """Return the values at all rows, given for each set-up, and the set-up of each row."""
+        """Return the values in all rows from those of each set-up, shape (P,) or (P, S), and the set-up of each row."""
         if values.ndim == 1:
             return cls(values.tolist())
         varied = np.any(values != values[:, :1], axis=1)
@@ -178,7 +171,7 @@ class RowValues(NamedTuple):
 def coordinates_of(
     chain: Chain, by_row: RowValues, conditions: Conditions, terms: list[tuple[int, Term]], curves: list[Thin]
 ) -> Values:
-    """Return the coordinates at some poses; terms come with the places of their parameters among all."""
+    """Return the coordinates at some poses; terms come with the indices of their parameters among all."""
     slot = np.full(chain.size, -1)
     slot[chain.drives] = np.arange(len(chain.drives))
     return moved_by(Values(np.zeros(chain.size), slot, conditions.q.T), by_row, terms, curves, by=chain.nominal)
@@ -187,9 +180,9 @@ def coordinates_of(
 def moved_by(
     at: Values, by_row: RowValues, terms: list[tuple[int, Term]], curves: Sequence[Thin] = (), by: np.ndarray | None = None
 ) -> Values:
-    """Return coordinates moved by terms, which come with the places of their parameters among all, by curves and numbers."""
+    """Return coordinates changed by terms, with the indices of their parameters among all, by curves and by constants."""
     values, varied = by_row
-    # Python adds its own numbers faster than those of an array. Candidates of a discovery stand at zero, hundreds of them.
+    # Python adds its own floats faster than elements of an array; hundreds of candidates of a discovery are at zero.
     added: list[Any] = [0.0] * len(at.constant) if by is None else by.tolist()
     by_pose = list[tuple[int, float | np.ndarray]]()
     for p, term in terms:
@@ -217,10 +210,7 @@ def moved_by(
 
 
 def laden(chain: Chain, bodies: Sequence[Body], by_row: RowValues) -> Layout:
-    """Return the chain's layout with the masses that the links have at these values, the same at all poses.
-
-    Each body comes with the place of its parameter among all.
-    """
+    """Return the chain's layout with the link masses at these values; bodies refer to parameters by index among all."""
     layout = chain.layout
     if not bodies:
         return layout

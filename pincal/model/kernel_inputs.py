@@ -1,4 +1,4 @@
-"""What the compiled loops take: the constant part of a chain, values of its coordinates, and what parameters do to them."""
+"""Inputs of the compiled loops: the constant part of a chain, values of its coordinates, their derivatives by parameters."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Coordinates a joint, a frame (base or tool), and how far the first axis of a branch lies beside the link that carries it.
+# Numbers of coordinates: of a joint, of a frame (base or tool), and of the mount of a branch.
 BLOCK = 10
 FRAME = 6
 MOUNT = 2
@@ -16,8 +16,8 @@ class Route(NamedTuple):
     """A walk over coordinates.
 
     Attributes:
-        coordinate: shape (S,), the coordinates in the order in which they are passed.
-        sign: shape (S,), 1.0 where a coordinate is passed along, -1.0 where it is passed backwards.
+        coordinate: shape (S,), the coordinates in order.
+        sign: shape (S,), 1.0 where a coordinate is traversed forwards, -1.0 where backwards.
         fixed_before: shape (S,), index of the fixed transform that precedes a step, -1 for none.
     """
 
@@ -32,12 +32,12 @@ class Layout(NamedTuple):
     Attributes:
         kind: shape (K,), 0, 1, 2 for rotations about x, y, z and 3, 4, 5 for translations along them.
         less: shape (K,), an earlier coordinate whose translation coordinate k takes back, -1 for none.
-        starts: shape (n + 1,), the first coordinate of each joint, and the first one behind the last joint.
+        starts: shape (n + 1,), the first coordinate of each joint, and the first one after the last joint.
         parents: shape (n,), the joint that carries each joint, an earlier one, -1 for the base.
-        tree: the walk over the joints' coordinates, each joint's behind the link that carries it.
+        tree: the walk over the joints' coordinates, each joint's after the link that carries it.
         path: the walk from the instrument to the target.
         bears: shape (n,), joints whose moments bend the path.
-        acting: shape (A,), joints that carry these, are carried by them, or are they: what moves or turns their loads.
+        acting: shape (A,), joints that move or turn the loads of these: they themselves, and those above and below them.
         fixed: shape (F, 3, 4), the fixed transforms.
         tip: index of the fixed transform to the tip, from the link frame of the joint that carries it.
         tip_joint: that joint, -1 for the base.
@@ -72,11 +72,11 @@ class Layout(NamedTuple):
 
 
 class Values(NamedTuple):
-    """Values of all coordinates at all poses: a constant part and the columns that differ from pose to pose.
+    """Values of all coordinates at all poses: constants, and columns that differ from pose to pose.
 
     Attributes:
         constant: shape (K,), coordinates [rad or m].
-        slot: shape (K,), column of ``varying`` that coordinate k takes its value from, -1 for the constant.
+        slot: shape (K,), row of ``varying`` with the values of coordinate k, -1 for the constant.
         varying: shape (V, N).
     """
 
@@ -86,11 +86,11 @@ class Values(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """Which parameter moves which coordinate, as a list of terms: d x_k / d parameter = basis.
+    """Derivatives of coordinates by parameters, as a list of terms: d x_k / d parameter = basis.
 
     Attributes:
         coordinate, parameter: shape (E,).
-        slot: shape (E,), column of ``basis``, -1 where the derivative is 1.
+        slot: shape (E,), row of ``basis``, -1 where the derivative is 1.
         elastic: shape (E,), whether the term depends on the static moments.
         basis: shape (S, N).
     """
@@ -103,7 +103,7 @@ class Terms(NamedTuple):
 
 
 class Compliances(NamedTuple):
-    """How coordinates follow the moments: d x_k / d n_l.
+    """Derivatives of coordinates by moments: d x_k / d n_l.
 
     Attributes:
         coordinate, moment: shape (C,), k and l = 3 i + component of joint i.
@@ -116,10 +116,10 @@ class Compliances(NamedTuple):
 
 
 class MassTerms(NamedTuple):
-    """What parameters add to the masses beyond joints.
+    """Contributions of parameters to the masses of links.
 
     Attributes:
-        joint, parameter: shape (E,), the link that an entry belongs to, and the parameter's column.
+        joint, parameter: shape (E,), the link of each entry, and the parameter's column.
         mass: shape (E,), by one unit of the parameter [kg].
         moment: shape (E, 3), first moment of mass in the link frame by one unit [kg m].
     """
@@ -131,7 +131,7 @@ class MassTerms(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Which reference orientations hold at each pose: of the base, and of the tool; both of shape (N,)."""
+    """Index of the reference orientation of the base, and of the tool, at each pose; both of shape (N,)."""
 
     base: np.ndarray
     tool: np.ndarray
@@ -145,17 +145,16 @@ class Payload(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """The columns that are asked for.
+    """The requested columns.
 
     Attributes:
-        terms: the parameters.
-        compliances: how coordinates follow the moments; may be empty.
-        masses: the parameters that masses depend on; may be empty.
+        terms: derivatives of coordinates by parameters.
+        compliances: derivatives of coordinates by moments; may be empty.
+        masses: contributions of parameters to masses; may be empty.
         n_columns: number P of columns.
         rows: 3 for the velocity of the target, 6 for velocity and angular velocity, in the instrument's axes; 0 for the
             moments themselves instead of columns.
-        sweeps: 0 for moments on the undeformed arm; else how often the effect of deformation on the moments is
-            followed round.
+        sweeps: 0 for moments on the undeformed arm; else the number of iterations for the effect of deformation on moments.
     """
 
     terms: Terms

@@ -1,4 +1,4 @@
-"""What was found out about the latest of some objects, and is asked for again; and who keeps that of a chain."""
+"""Caches of results about the latest of some objects, and the cache of a chain."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ V = TypeVar("V")
 
 
 class Latest(Generic[V]):
-    """Findings by any key, kept for these very objects, not for equal ones, until others come.
+    """Results by any key for the latest objects, compared by identity.
 
     Example:
         >>> lengths = Latest[int](2)
@@ -20,11 +20,11 @@ class Latest(Generic[V]):
     """
 
     def __init__(self, most: int) -> None:
-        """Keep those of so many."""
+        """Keep the results of at most so many objects."""
         self._kept: deque[tuple[tuple[object, ...], dict[object, V]]] = deque(maxlen=most)
 
     def of(self, *objects: object) -> dict[object, V]:
-        """Return what is known about objects, to be added to; they are held as well."""
+        """Return the results about objects, to be added to; the objects are kept alive."""
         for held, known in tuple(self._kept):
             if len(held) == len(objects) and all(a is b for a, b in zip(held, objects, strict=True)):
                 return known
@@ -34,21 +34,18 @@ class Latest(Generic[V]):
 
 
 class Evaluations:
-    """What was evaluated with the chains of an arm: they share it, and it goes with them.
-
-    A copy in another process begins anew.
+    """Results shared by the chains of an arm; a copy in another process begins empty.
 
     Attributes:
-        tables: what effects add to coordinates over tables, the latest last (see :mod:`pincal.model.evaluated`).
+        tables: contributions of effects over tables, the latest last (see :mod:`pincal.model.evaluated`).
     """
 
     def __init__(self) -> None:
-        """Know nothing yet."""
         self.tables: tuple[Any, ...] = ()
         self._latest: dict[str, Latest[Any]] = {}
 
     def about(self, what: str, *objects: object, most: int = 4) -> dict[Any, Any]:
-        """Return what is known of some kind about objects, the latest of each kind only, to be added to."""
+        """Return the results of one kind about objects, to be added to; only the latest of each kind are kept."""
         return self._latest.setdefault(what, Latest(most)).of(*objects)
 
     def __reduce__(self) -> tuple[type[Evaluations], tuple[()]]:

@@ -1,16 +1,16 @@
-r"""Closed loops of the calibrated arm: where passive joints stand, how they follow, and what loads act through them.
+r"""Closed loops of the calibrated arm: positions of passive joints, their derivatives, and the loads that they transmit.
 
-The equations C of the closures that passive joints P meet hold on the chain's coordinates x, deformed ones too:
+The closure equations C that passive joints P satisfy hold for the chain's coordinates x, including deformed ones:
 
 .. math:: C(x) = 0, \qquad \frac{d x_P}{d x_k} = D_k = -C_P^{-1} C_k
 
-A passive joint bears nothing about its own axis. What its subtree weighs there, n_P, acts on the joints that move it: by
-virtual work a drive i of a loop bears n_i + D_i . n_P. With the forces at the pins, lambda = C_P^{-T} n_P, its derivative is
+A passive joint supports no moment about its own axis. The moment n_P of its subtree acts on the joints that move it: by
+virtual work a drive i of a loop supports n_i + D_i . n_P. With the pin forces lambda = C_P^{-T} n_P, its derivative is
 
 .. math:: d n_i + D_i \cdot d n_P - \lambda \cdot (d C_i + dC_P D_i)
 
-All of that is a linear map of coordinates, so it is one more list of terms: where a parameter moves a coordinate of a loop,
-it moves those of the passive joints as well.
+All of this is linear in the coordinates, so it yields further terms: a parameter that moves a coordinate of a loop also
+moves the coordinates of the passive joints.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from pincal.model.chain import Chain
 from pincal.model.kernel_inputs import FRAME, Compliances, Layout, Payload, Places, Terms, Values
 from pincal.robot.closure import CLOSED, Closure, least_step
 
-# From where the nominal arm closes, errors of millimetres need three steps; the last is one that begins nearer than this.
+# Newton steps, and the gap [m, rad] from which one more suffices; from the nominal arm, errors of millimetres need three.
 _STEPS, _LAST = 12, 1e-8
-# Farther off [m, rad] steps are kept short.
+# Steps are limited while the gap is larger than this [m, rad].
 _NEAR = 0.1
-# What moves passive joints by less than this part of a unit moves nothing.
+# A coordinate that moves passive joints by less than this per unit counts as inert.
 _STILL = 1e-3
-# Poses in which it is looked at.
+# Poses in which that is tested.
 _SAMPLES = 8
 
 
 @dataclass(frozen=True, eq=False)
 class _Walk:
-    """One closure: its walk, and where each coordinate stands on it."""
+    """One closure: its walk, and the step of each coordinate on it."""
 
     closure: Closure
     layout: Layout
@@ -53,10 +53,10 @@ class Loops:
     """The loops of a chain.
 
     Attributes:
-        walks: of each closure.
-        passive: shape (p,), the joints that follow.
+        walks: one for each closure.
+        passive: shape (p,), the passive joints.
         follow: shape (p,), the coordinates of their positions.
-        drives: the other joints of the loops that turn, with the coordinates of their positions.
+        drives: the other revolute joints of the loops, with the coordinates of their positions.
         size: number K of coordinates of the chain.
     """
 
@@ -83,12 +83,12 @@ class Loops:
 
     @cached_property
     def coordinates(self) -> frozenset[int]:
-        """The coordinates that move passive joints, and theirs."""
+        """The coordinates of the loops."""
         on_walks = frozenset(k for walk in self.walks for k in walk.order)
         return on_walks & frozenset(range(FRAME, self.size - FRAME))
 
     def closed(self, values: Values) -> Values:
-        """Return coordinates at N poses with passive joints where the loops close, or as near as they come."""
+        """Return coordinates at N poses with the passive joints where the loops close, or as nearly as possible."""
         values = values._replace(varying=values.varying.copy())
         for _ in range(_STEPS):
             missing, C, _ = self._motion(values, self.follow)
@@ -104,9 +104,9 @@ class Loops:
     def _motion(
         self, values: Values, coordinates: Sequence[int] | np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
-        """Return what the loops are open by, shape (N, p), its derivatives by M coordinates, shape (N, p, M), and ends.
+        """Return the gaps of the loops, shape (N, p), their derivatives by M coordinates, shape (N, p, M), and the ends.
 
-        Of each walk these are where it ends, shape (N, 3, 4), and how that moves and turns, shape (M, 6, N).
+        The ends are the last frame of each walk, shape (N, 3, 4), and its velocities, shape (M, 6, N).
         """
         N, M = values.varying.shape[1], len(coordinates)
         constant, slot = values.constant.copy(), values.slot.copy()
@@ -126,13 +126,13 @@ class Loops:
         return np.concatenate(missing, axis=1), np.concatenate(derivatives, axis=1), ends
 
     def rates(self, values: Values, coordinates: Sequence[int]) -> np.ndarray:
-        """Return how passive joints follow coordinates at closed positions, shape (M, p, N)."""
+        """Return the derivatives of passive joints by coordinates at closed positions, shape (M, p, N)."""
         p = len(self.follow)
         _, C, _ = self._motion(values, [*self.follow, *coordinates])
         return _solved(C[..., :p], -C[..., p:]).transpose(2, 1, 0)
 
     def borne(self, values: Values, moments: np.ndarray) -> np.ndarray:
-        """Return the moments that joints bear, shape (3 n, N), from those of the open tree [N m]."""
+        """Return the moments that joints support, shape (3 n, N), from those of the open tree [N m]."""
         out, z = moments.copy(), 3 * self.passive + 2
         for i, D in zip(self.drives, self.rates(values, list(self.drives.values())), strict=True):
             out[3 * i + 2] += (D * moments[z]).sum(axis=0)
@@ -150,16 +150,9 @@ class Loops:
         *,
         equilibrium: bool,
     ) -> tuple[Terms, Compliances]:
-        """Return terms and compliances with what they do through the passive joints.
+        """Return terms and compliances extended by their effect through the passive joints.
 
-        Args:
-            layout: the chain, with masses.
-            rigid: coordinates that moments are computed on.
-            deformed: coordinates of the deformed arm.
-            payload: mass beyond the tip.
-            terms: what parameters do to coordinates.
-            compliances: how coordinates follow moments.
-            equilibrium: whether moments follow what is elastic.
+        Moments are computed on the ``rigid`` coordinates; with ``equilibrium`` elastic motion changes them.
         """
         p, drives = len(self.follow), list(self.drives.values())
         own = self.coordinates.intersection([*terms.coordinate.tolist(), *compliances.coordinate.tolist()])
@@ -198,7 +191,7 @@ class Loops:
         loads: np.ndarray,
         compliances: Compliances,
     ) -> dict[int, np.ndarray]:
-        """Return by how much elastic coordinates follow others as loops hand loads on otherwise: by coordinate, (M, N)."""
+        """Return derivatives of elastic coordinates by others, (M, N), due to changed load transmission, by coordinate."""
         p, found = len(self.follow), dict[int, np.ndarray]()
         entries = [e for e, n in enumerate(compliances.moment) if n % 3 == 2 and int(n) // 3 in self.drives]
         forces = _solved(on_rigid[1][..., :p].swapaxes(1, 2), loads.T[..., None])[..., 0]
@@ -216,7 +209,7 @@ class Loops:
     def _turned(
         self, at: dict[int, int], ends: list[tuple[np.ndarray, np.ndarray]], forces: np.ndarray, k: int
     ) -> np.ndarray:
-        """Return forces at the pins, shape (N, p), times the second derivatives of the equations by k and others, (M, N)."""
+        """Return pin forces, shape (N, p), times the second derivatives of the equations by k and others, shape (M, N)."""
         total, first = np.zeros((len(at), len(forces))), 0
         for walk, (T, J) in zip(self.walks, ends, strict=True):
             force = np.zeros((6, len(forces)))
@@ -226,7 +219,7 @@ class Loops:
                 continue
             place, turn, v, w = force[:3], force[3:], J[:, :3], J[:, 3:]
             v_k, w_k = v[at[k]], w[at[k]]
-            # Of two coordinates the earlier one turns what the later one does.
+            # The earlier of two coordinates turns the motion of the later one.
             behind = (v * _cross(place, w_k)).sum(axis=1)
             before = (w * _cross(v_k, place)).sum(axis=1)
             if walk.closure.kind == "axis":
@@ -244,7 +237,7 @@ class Loops:
     def _with_compliances(
         self, compliances: Compliances, at: dict[int, int], D: np.ndarray, bent: np.ndarray
     ) -> Compliances:
-        """Return compliances with the moments of passive joints on their drives, and their coordinates that follow."""
+        """Return compliances with moments of passive joints acting on the drives, and with the passive joints' motion."""
         found = []
         z = (3 * self.passive + 2).tolist()
         for k, n, rate in zip(compliances.coordinate.tolist(), compliances.moment.tolist(), compliances.rate, strict=True):
@@ -264,28 +257,28 @@ class Loops:
 
 
 def closed_loops(chain: Chain, values: Values) -> Values:
-    """Return coordinates at some poses with passive joints, if the chain has any, where its loops close."""
+    """Return coordinates at some poses with the passive joints, if any, where the loops close."""
     loops = Loops.of(chain)
     return values if loops is None else loops.closed(values)
 
 
 def borne_moments(chain: Chain, values: Values, moments: np.ndarray) -> np.ndarray:
-    """Return the moments that joints bear, shape (3 n, N), from those of the tree whose loops, if any, are open [N m]."""
+    """Return the moments that joints support, shape (3 n, N), from those of the tree with its loops, if any, open [N m]."""
     loops = Loops.of(chain)
     return moments if loops is None else loops.borne(values, moments)
 
 
 def moves_tip(chain: Chain) -> np.ndarray:
-    """Return which coordinates move the tip other than by what they do to loads, shape (K,)."""
+    """Return which coordinates move the tip kinematically, not only through loads, shape (K,)."""
     found, loops = np.zeros(chain.size, bool), Loops.of(chain)
     found[[*chain.layout.path.coordinate, *(loops.coordinates if loops else ())]] = True
     return found
 
 
 def inert_coordinates(chain: Chain) -> frozenset[int]:
-    """Return the coordinates of joints and pins that change nothing, as loops have it.
+    """Return the coordinates of joints and pins that have no effect because of loops.
 
-    They are the positions of passive joints, which follow, and what moves a rod or a crank in ways that loops don't pass on.
+    They are the positions of passive joints, and motions of a rod or a crank that the loops don't transmit.
     """
     loops, robot = Loops.of(chain), chain.robot
     if loops is None:
@@ -307,7 +300,7 @@ def inert_coordinates(chain: Chain) -> frozenset[int]:
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the vector product of vectors in columns, shape (3, N)."""
+    """Return the cross product of vectors in columns, shape (3, N)."""
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
@@ -326,7 +319,7 @@ def _with_terms(terms: Terms, more: list[tuple[int, int, bool, np.ndarray]]) -> 
 
 
 def _solved(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Return the solutions of A X = B, of least squares where loops are at a dead centre in some pose."""
+    """Return the solutions of A X = B, or least-squares solutions if loops are at a dead centre in some pose."""
     try:
         return np.asarray(np.linalg.solve(A, B))
     except np.linalg.LinAlgError:

@@ -1,4 +1,4 @@
-"""The extended model: a chain and the effects that move its coordinates; all poses at once, with the exact Jacobian."""
+"""The extended model: a chain and the effects on its coordinates, evaluated for all poses at once with exact Jacobians."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ from pincal.model.sparse_basis import Basis, joined_rows
 from pincal.parameters import Parameter
 from pincal.robot.link_path import above
 
-# The moments of a bent arm differ from those of a straight one by about 1e-3, so each round gains three digits; a soft
-# arm needs more, and the Jacobian as many sweeps again.
+# Moments of a deflected arm differ from those of a rigid one by about 1e-3, so each round gains three digits; a soft arm
+# needs more rounds, and its Jacobian more sweeps.
 _EQUILIBRIUM_ROUNDS, _SWEEPS = 20, 12
 _EQUILIBRIUM_TOLERANCE = 1e-15
 
 
 @dataclass(frozen=True)
 class Shared:
-    """Parameters that each are a basis function on the same coordinate.
+    """Parameters with basis functions on the same coordinate.
 
     Attributes:
         coordinate: index in the chain.
-        families: places of some of them among the parameters, shape (S,), and their basis, dense of shape (S, N) or thin.
+        families: indices of some of the parameters, shape (S,), and their basis, dense of shape (S, N) or sparse.
     """
 
     coordinate: int
@@ -56,7 +56,7 @@ class Model:
 
     Attributes:
         chain: the coordinates.
-        effects: the physical causes; their order has no meaning.
+        effects: the physical causes, in any order.
         equilibrium: whether the static moments are taken on the deflected arm (at equilibrium) instead of the undeflected
             one, as in the paper.
 
@@ -78,7 +78,7 @@ class Model:
 
     @cached_property
     def spans(self) -> tuple[slice, ...]:
-        """For each effect, where its parameters stand."""
+        """The slice of each effect's parameters."""
         starts = np.cumsum([0, *map(len, self._parameters_of_each)]).tolist()
         return tuple(slice(a, b) for a, b in pairwise(starts))
 
@@ -93,7 +93,7 @@ class Model:
 
     @cached_property
     def bodies(self) -> tuple[Body, ...]:
-        """What parameters add to the masses of the links, their places those among all parameters."""
+        """Contributions of parameters, by index among all of them, to the masses of the links."""
         pairs = zip(self.spans, self.effects, strict=True)
         return tuple(b._replace(parameter=of.start + b.parameter) for of, e in pairs for b in e.bodies(self.chain))
 
@@ -110,13 +110,13 @@ class Model:
 
     @cached_property
     def of_station(self) -> np.ndarray:
-        """Which parameters belong to a station, shape (P,); the others are the robot's."""
+        """Which parameters belong to a station and not to the robot, shape (P,)."""
         scopes = [(effect.scope, of.stop - of.start) for effect, of in zip(self.effects, self.spans, strict=True)]
         return np.array([scope == "station" for scope, count in scopes for _ in range(count)], bool)
 
     @cached_property
     def is_felt(self) -> np.ndarray:
-        """Which parameters move the tip other than by what joints off the path do to the loads of those on it, (P,)."""
+        """Which parameters move the tip not only by moving joints off the path that load the path, shape (P,)."""
         if self.chain.on_path.all():
             return np.ones(self.n_parameters, bool)
         robot, moves, found = self.chain.robot, moves_tip(self.chain), np.zeros(self.n_parameters, bool)
@@ -134,11 +134,11 @@ class Model:
         return tuple(parameter.name for parameter in self.parameters)
 
     def own(self, vector: np.ndarray) -> np.ndarray:
-        """Return the model's part of a vector over its parameters and, after them, those of a sensor; a view."""
+        """Return the model's part of a vector over its parameters followed by a sensor's; a view."""
         return vector[: self.n_parameters]
 
     def index(self, name: str) -> int:
-        """Return the place of a parameter in the vector of values."""
+        """Return the index of a parameter in the vector of values."""
         return self.names.index(name)
 
     def with_effects(self, effects: Sequence[Effect]) -> Model:
@@ -171,7 +171,7 @@ class Model:
             values: shape (P,); of S set-ups shape (P, S).
             conditions: N poses.
             free: shape (P,), which parameters get a column; default: all.
-            rows: 3 for the motion of the target, 6 for its motion and its turning, in the instrument's axes.
+            rows: 3 for the translation of the target, 6 for translation and rotation, in the instrument's axes.
 
         Returns:
             Poses, shape (N, 3, 4), and Jacobian, shape (N, rows, number of free parameters).
@@ -184,11 +184,11 @@ class Model:
     def linearise_shared(
         self, values: np.ndarray, conditions: Conditions, *, free: np.ndarray, rows: int = 3
     ) -> tuple[np.ndarray, np.ndarray, list[Shared]]:
-        """Return what :meth:`linearise` does, the columns of curves on one coordinate kept as basis and coordinate.
+        """Linearise as :meth:`linearise`, with the columns of curves on one coordinate factored into coordinate and basis.
 
         Returns:
-            Poses, shape (N, 3, 4); Jacobian, shape (D + L, rows, N), of the D free parameters that share nothing, in
-            order, and of the coordinates that the L groups of the others act on; these groups.
+            Poses, shape (N, 3, 4); Jacobian, shape (D + L, rows, N), of the D free parameters that share no coordinate, in
+            order, and of the coordinates on which the L groups of the others act; these groups.
         """
         state = Evaluation.at(self, values, conditions)
         shared = state.shared(free)
@@ -203,7 +203,7 @@ class Model:
     def _linearise(
         self, state: Evaluation, columns: np.ndarray, coordinates: list[int], rows: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return poses, shape (3, 4, N), and Jacobian, shape (F, rows, N), by parameters and then by coordinates."""
+        """Return poses, shape (3, 4, N), and the Jacobian by parameters and then by coordinates, shape (F, rows, N)."""
         n_columns = int(columns.max(initial=-1)) + 1
         terms, compliances = state.kernel_terms(columns, coordinates, n_columns), state.compliances()
         if (loops := Loops.of(self.chain)) is not None:
@@ -221,13 +221,13 @@ class Model:
         return poses, jacobian
 
     def static_moments(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
-        """Return the moments n_x, n_y, n_z of each joint, shape (N, 3 n) [N m] (paper, Eq. (3)), with those of inertia."""
+        """Return static moments n_x, n_y, n_z of each joint (paper, Eq. (3)) plus inertial ones, shape (N, 3 n) [N m]."""
         state = Evaluation.at(self, values, conditions)
         static = kernels.static_moments(state.layout, state.rigid, state.payload)
         return borne_moments(self.chain, state.rigid, static + np.transpose(inertial_moments(self.chain, conditions))).T
 
     def coordinates(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
-        """Return the coordinates of the chain on the bent arm, shape (N, K) [rad or m]."""
+        """Return the coordinates of the chain on the deflected arm, shape (N, K) [rad or m]."""
         deformed = Evaluation.at(self, values, conditions).deformed
         out = np.tile(deformed.constant, (len(conditions), 1))
         varies = deformed.slot >= 0
@@ -235,11 +235,11 @@ class Model:
         return out
 
     def layout(self, values: np.ndarray) -> Layout:
-        """Return the chain's constant part, with the masses that the links have at these values, shape (P,)."""
+        """Return the chain's constant part with the link masses at these values, shape (P,)."""
         return laden(self.chain, self.bodies, RowValues(values))
 
     def rigid_coordinates(self, values: np.ndarray) -> np.ndarray:
-        """Return the coordinates at q = 0, shape (K,), by all that is the same in every pose: the geometry alone."""
+        """Return the coordinates at q = 0, shape (K,), from the constant terms: the geometry alone."""
         at_zero = Conditions.at(np.zeros((1, self.chain.robot.n_joints)))
         constant = self.chain.nominal.copy()
         for span, effect in zip(self.spans, self.effects, strict=True):
@@ -300,7 +300,7 @@ class Evaluation:
         return cls(model, layout, plain + elastic, curves, by_row, loaded, deformed, moments, places, payload)
 
     def kernel_terms(self, columns: np.ndarray, coordinates: list[int], first: int) -> Terms:
-        """Return the terms of the parameters that have a column, and of coordinates, from column ``first`` on."""
+        """Return the terms of the parameters that have a column, and of ``coordinates``, from column ``first`` on."""
         curves = (term for curve in self.curves if np.any(columns[curve.parameters] >= 0) for term in curve.terms())
         used = [(int(columns[p]), term) for p, term in (*self.terms, *curves) if columns[p] >= 0]
         used += [(first + i, Term(0, k)) for i, k in enumerate(coordinates)]
@@ -315,7 +315,7 @@ class Evaluation:
         )
 
     def mass_terms(self, columns: np.ndarray) -> MassTerms:
-        """Return what the parameters that have a column add to the masses."""
+        """Return the contributions to masses of the parameters that have a column."""
         used = [(int(columns[body.parameter]), body) for body in self.model.bodies if columns[body.parameter] >= 0]
         return MassTerms(
             joint=np.array([body.joint for _, body in used], np.int64),
@@ -325,7 +325,7 @@ class Evaluation:
         )
 
     def shared(self, free: np.ndarray) -> list[Shared]:
-        """Return the free parameters that are a basis function on one coordinate and nothing else, by coordinate."""
+        """Return the free parameters that have a single basis function on one coordinate, by coordinate."""
         n, count = len(self.places.tool), np.bincount([p for p, _ in self.terms], minlength=len(free))
         loose: dict[int, list[tuple[int, np.ndarray]]] = {}
         thin: dict[int, list[Thin]] = {}
@@ -348,7 +348,7 @@ class Evaluation:
         return found
 
     def compliances(self) -> Compliances:
-        """Return how the coordinates follow the moments at these values."""
+        """Return the derivatives of the coordinates by the moments at these values."""
         values, varied = self.values.of_parameter, self.values.varied
         elastic = [(p, term) for p, term in self.terms if term.moment is not None and (p in varied or values[p] != 0.0)]
         if all(term.slope is None and p not in varied for p, term in elastic):
@@ -364,7 +364,7 @@ class Evaluation:
 
 
 def _sighted(model: Model, values: np.ndarray, conditions: Conditions) -> Conditions:
-    """Return poses with where the instrument sees the target: where it was read, or where a model that needs it has it."""
+    """Return poses with the target's position seen by the instrument: as read, or as predicted if the model needs it."""
     if conditions.sighted is not None or not any(effect.is_sighted for effect in model.effects):
         return conditions
     pairs = zip(model.effects, model.spans, strict=True)
@@ -374,15 +374,15 @@ def _sighted(model: Model, values: np.ndarray, conditions: Conditions) -> Condit
 
 
 def _plain(model: Model, conditions: Conditions) -> Plain:
-    """Return what the effects add that do not use moments."""
+    """Return the contributions of the effects that do not use moments."""
     pairs = [(of.start, e) for of, e in zip(model.spans, model.effects, strict=True) if not e.uses_moments]
     return plain_terms([effect for _, effect in pairs], [start for start, _ in pairs], model.chain, conditions)
 
 
 def _elastic(model: Model, conditions: Conditions, moments: np.ndarray) -> list[tuple[int, Term]]:
-    """Return the terms, with their place in the vector of values, of the effects that use moments, shape (N, 3 n).
+    """Return the terms, with their indices in the vector of values, of the effects that use moments, shape (N, 3 n).
 
-    What bends off the path is left out where loads are those of the undeflected arm: it does nothing then.
+    Deflections off the path have no effect, and are left out, if loads are taken on the undeflected arm.
     """
     pairs = [(of.start, e) for of, e in zip(model.spans, model.effects, strict=True) if e.uses_moments]
     found = [(at + t.parameter, t) for at, effect in pairs for t in effect.terms(model.chain, conditions, moments)]

@@ -1,4 +1,4 @@
-"""How far a unit of each parameter moves its coordinate at most: by this, priors are millimetres and milliradians."""
+"""Largest motion of a coordinate per unit of each parameter, which scales priors to millimetres and milliradians."""
 
 from __future__ import annotations
 
@@ -11,27 +11,23 @@ from pincal.model.sparse_basis import dense_rows
 
 
 def largest_basis(model: Model, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far one unit of each parameter moves its coordinate at most, and whether it does at all.
+    """Return the largest motion of its coordinate per unit of each parameter, and whether it is excited, both shape (P,).
 
-    A moment itself is taken as at least a part of the largest on the arm, so that a wrist that carries nothing is
-    not thought to be made of rubber, nor what feels a moment of rounding alone of anything softer. A moment that the nominal
-    arm does not feel, such as about a vertical axis, does not excite its parameter, although a base that is not quite level
-    would. A spline of a curve is taken to be as
-    large as the others of the curve, however few of the poses are near it.
-
-    Returns:
-        Sizes and whether excited, both of shape (P,).
+    Moments are bounded below by a fraction of the largest on the arm: otherwise an unloaded wrist, or one with a moment of
+    rounding only, would get a prior as soft as rubber. A moment that is zero on the nominal arm, such as about a vertical
+    axis, does not excite its parameter, although a base that is not quite level would. All splines of a curve get the same
+    size, however few of the poses are near each.
     """
     largest, excited = largest_bases(model, conditions, np.zeros(1, int))
     return largest[0], excited[0]
 
 
 def largest_bases(model: Model, conditions: Conditions, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what :func:`largest_basis` does of each of S parts of the rows, given where they start, shape (S, P)."""
+    """Return :func:`largest_basis` of each of S parts of the rows, which begin at ``starts``, shape (S, P)."""
     if model.bodies or not model.effects or conditions.setup is not None:
-        # Whether masses act depends on what else follows moments; rows of several set-ups are put together each time.
+        # Masses act through other effects that depend on moments; rows of several set-ups are joined afresh each time.
         return _largest_bases(model, conditions, starts)
-    # A discovery asks for the same candidates at every step; effects are held, too.
+    # A discovery tries the same candidates at every step; the effects are kept alive with the results.
     known, parts = model.chain.known("largest", conditions), starts.tobytes()
     keys = [(key_of(effect), parts) for effect in model.effects]
     new = model.with_effects([e for key, e in zip(keys, model.effects, strict=True) if key not in known])

@@ -1,4 +1,4 @@
-"""Basis functions that are mostly zero, and the compiled loops over what is not."""
+"""Sparse basis functions, and compiled loops over their non-zero values."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 
 from pincal.compiled import compiled
 
-# Poses worked on at once, so that what is needed of them stays in the cache.
+# Poses processed at once, so that their data stay in the CPU's cache.
 _TILE = 128
 
 
 class SparseBasis(NamedTuple):
-    """S basis functions at n poses, most of which are zero: those of pose i stand from ``starts[i]`` to ``starts[i + 1]``.
+    """S basis functions at n poses, mostly zero: entries of pose i run from ``starts[i]`` to ``starts[i + 1]``.
 
     Attributes:
         starts: shape (n + 1,).
-        place: shape (entries,), which function an entry is of.
+        place: shape (entries,), index of the function of each entry.
         value: shape (entries,).
         size: S.
     """
@@ -92,7 +92,7 @@ def _without_zeros(basis):
 
 @compiled(nogil=True)
 def sparse_across(basis, matrix):
-    """Return the sums over a thin basis of its functions times the rows of a matrix, shape (S, D); shape (n, D)."""
+    """Return the transpose of a sparse basis times a matrix of shape (S, D), shape (n, D)."""
     out = np.zeros((len(basis.starts) - 1, matrix.shape[1]))
     for i in range(len(out)):
         sums = out[i]
@@ -105,7 +105,7 @@ def sparse_across(basis, matrix):
 
 @compiled(nogil=True)
 def sparse_times(basis, matrix):
-    """Return a thin basis times a row-major matrix of shape (n, D), shape (S, D)."""
+    """Return a sparse basis times a row-major matrix of shape (n, D), shape (S, D)."""
     n, n_columns = matrix.shape
     out = np.zeros((basis.size, n_columns))
     for i in range(n):
@@ -118,7 +118,7 @@ def sparse_times(basis, matrix):
 
 @compiled(nogil=True)
 def sparse_times_dense(basis, column, dense):
-    """Return products of the functions of a thin basis on a column, shape (m, n), with D others, shape (D, m, n): (S, D)."""
+    """Return a sparse basis, times a column of shape (m, n), times dense columns of shape (D, m, n): shape (S, D)."""
     n_dense, m, n = dense.shape
     out, along, total = np.zeros((basis.size, n_dense)), np.empty((_TILE, _TILE)), np.empty(_TILE)
     for first in range(0, n, _TILE):
@@ -129,7 +129,7 @@ def sparse_times_dense(basis, column, dense):
                 sums = total[:size]
                 sums[:] = 0.0
                 for j in range(m):
-                    # As slices: loops over these are vectorised.
+                    # Slices, as loops over these are vectorised.
                     left, right = column[j, first : first + size], dense[start + d, j, first : first + size]
                     for i in range(size):
                         sums[i] += left[i] * right[i]
@@ -146,7 +146,7 @@ def sparse_times_dense(basis, column, dense):
 
 @compiled(nogil=True)
 def add_product(G, rows, left, weights, columns, right, below):
-    """Add left diag(weights) right^T of two thin bases at rows and columns of G; or ``below`` its diagonal, of one once."""
+    """Add left diag(weights) right^T of two sparse bases at rows and columns of G; with ``below``, to its lower triangle."""
     is_same = below and rows[0] == columns[0]
     for i in range(len(weights)):
         first, end = right.starts[i], right.starts[i + 1]
@@ -162,7 +162,7 @@ def add_product(G, rows, left, weights, columns, right, below):
 
 @compiled(nogil=True)
 def mirror(G, places):
-    """Copy what stands below the diagonal of G, at ascending rows and columns, above it."""
+    """Copy the lower triangle of G, at ascending rows and columns, to the upper one."""
     n = len(places)
     for first in range(0, n, _TILE):
         for start in range(0, first + 1, _TILE):

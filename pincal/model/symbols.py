@@ -1,9 +1,8 @@
-"""Numbers that stand for any pose: what an effect's own code makes of them is the effect's formula.
+"""Symbolic numbers, by which the code of an effect yields its formula.
 
-NumPy calculates with arrays of such symbols (dtype ``object``) as with numbers, so that the code of an effect, run once on
-symbols, yields its formula: what is exported is what predicts, and nothing has to be written twice. Equal expressions are
-one object; what is known is calculated at once. Where code asks whether a comparison holds, it is run for both answers, see
-:func:`either_way`.
+NumPy calculates with arrays of symbols (dtype ``object``) as with numbers, so the code of an effect, run once on symbols,
+yields its formula: predictions and exports share one implementation. Equal expressions are one object; constants are folded.
+Code that branches on a comparison is run for both outcomes, see :func:`either_way`.
 """
 
 from __future__ import annotations
@@ -18,14 +17,14 @@ import numpy as np
 
 from pincal.model.cubic import Cubic
 
-# Functions of one argument by NumPy's names, as numbers are calculated.
+# Functions of one argument by NumPy's names, for numbers.
 FUNCTIONS: dict[str, Callable[[float], float]] = {
     "sin": math.sin, "cos": math.cos, "tan": math.tan, "arcsin": math.asin, "arccos": math.acos, "arctan": math.atan,
     "sinh": math.sinh, "cosh": math.cosh, "tanh": math.tanh, "arcsinh": math.asinh, "exp": math.exp, "log": math.log,
     "sqrt": math.sqrt, "fabs": math.fabs, "rint": round, "floor": math.floor,
 }  # fmt: skip
 
-# The comparisons that are taken for true or false in this run of an effect's code.
+# The comparisons assumed true or false in this run of an effect's code.
 _SETTLED: ContextVar[tuple[tuple[Symbol, bool], ...]] = ContextVar("settled", default=())
 _NODES: WeakValueDictionary[tuple[Any, ...], Symbol] = WeakValueDictionary()
 
@@ -60,7 +59,7 @@ class Symbol:
         return f"Symbol({self.about or self.operation})"
 
     def __getattr__(self, name: str) -> Callable[[], Expression]:
-        # NumPy calls a function of an array of objects as a method of each of them.
+        # NumPy calls a function of an object array as a method of each element.
         if name not in FUNCTIONS:
             raise AttributeError(name)
         return lambda: apply(name, self)
@@ -72,7 +71,7 @@ class Symbol:
         return answer
 
     def __float__(self) -> float:
-        raise TypeError("its code needs the number itself, not only what can be calculated with it")
+        raise TypeError("its code needs a numerical value, not a formula")
 
     def __add__(self, other: Any) -> Any:
         return _with(other, lambda b: add(self, b))
@@ -147,15 +146,15 @@ Expression = float | Symbol
 
 
 class _UndecidedError(Exception):
-    """An effect's code asks whether a comparison holds that depends on the pose."""
+    """An effect's code branches on a comparison that depends on the pose."""
 
     def __init__(self, comparison: Symbol) -> None:
-        super().__init__("its code asks for the outcome of a comparison")
+        super().__init__("its code branches on a comparison")
         self.comparison = comparison
 
 
 def _outcome(comparison: Symbol) -> bool | None:
-    """Return whether a comparison holds where those that are settled tell; what equals one number equals no other."""
+    """Return whether a comparison holds, if the settled ones imply it; what equals one number equals no other."""
     for settled, holds in _SETTLED.get():
         if settled is comparison:
             return holds
@@ -167,7 +166,7 @@ def _outcome(comparison: Symbol) -> bool | None:
 
 
 def scalar(value: Any) -> Expression:
-    """Return a number or symbol as it is calculated with."""
+    """Return a symbol unchanged, anything else as a float."""
     return value if isinstance(value, Symbol) else float(value)
 
 
@@ -194,7 +193,7 @@ def add(a: Expression, b: Expression) -> Expression:
 
 
 def multiply(a: Expression, b: Expression) -> Expression:
-    """Return the product; what is multiplied by zero is zero."""
+    """Return the product, which is 0.0 if a factor is zero."""
     if not isinstance(a, Symbol):
         if not isinstance(b, Symbol):
             return a * b
@@ -234,7 +233,7 @@ def cubic(curve: Cubic, x: Expression) -> Expression:
 
 
 def held(x: np.ndarray, lower: float, upper: float) -> np.ndarray:
-    """Return numbers or symbols held within a range."""
+    """Return numbers or symbols clipped to a range."""
     if not are_symbols(x):
         return np.asarray(np.clip(x, lower, upper))
     out = np.empty_like(x)
@@ -256,13 +255,9 @@ def are_symbols(values: np.ndarray) -> bool:
 
 
 def either_way(code: Callable[[], dict[int, Any]]) -> dict[int, Any]:
-    """Run code that makes sums by place, and where it depends on a comparison run it for both outcomes.
+    """Return the results by index of code, run for both outcomes of each comparison that it branches on.
 
-    Args:
-        code: returns symbols and numbers by place; a place that is missing has zero.
-
-    Returns:
-        What holds in either case, by place.
+    An index that is missing stands for zero.
     """
     try:
         return code()
@@ -274,7 +269,7 @@ def either_way(code: Callable[[], dict[int, Any]]) -> dict[int, Any]:
 
 
 def _with_outcome(code: Callable[[], dict[int, Any]], comparison: Symbol, answer: bool) -> dict[int, Any]:
-    """Run code where a comparison more is settled."""
+    """Run code with one more comparison settled."""
     token = _SETTLED.set((*_SETTLED.get(), (comparison, answer)))
     try:
         return either_way(code)

@@ -1,7 +1,4 @@
-"""The walk along a chain whose coordinates are numbers or symbols, one pose at a time: the compiled loops as formulas.
-
-The mathematics is that of :mod:`pincal.model.kernels`.
-"""
+"""Kinematics and static moments of a chain for numbers or symbols, one pose at a time; cf. :mod:`pincal.model.kernels`."""
 
 from __future__ import annotations
 
@@ -22,13 +19,13 @@ class _Frame:
         self.p = np.zeros(3).astype(object)
 
     def apply(self, R: np.ndarray, p: np.ndarray | None = None) -> None:
-        """Go on by a fixed transform."""
+        """Multiply by a fixed transform."""
         if p is not None:
             self.p = self.p + self.R @ p.astype(object)
         self.R = self.R @ R.astype(object)
 
     def step(self, kind: int, x: Expression) -> None:
-        """Go on by a coordinate."""
+        """Multiply by the transform of a coordinate."""
         axis = kind % 3
         if kind >= 3:
             self.p = self.p + self.R[:, axis] * x
@@ -45,7 +42,7 @@ Axes = dict[int, tuple[np.ndarray, np.ndarray]]
 def _walk(layout: Layout, x: Sequence[Expression], frame: _Frame, *, first: int, last: int) -> Axes:
     """Move a frame over the steps first .. last - 1 of the path; return axis and origin of each coordinate.
 
-    Coordinates about one axis that follow each other are one step: neither moves the axis of the other.
+    Consecutive coordinates about one axis are a single step, as neither moves the axis of the other.
     """
     seen: Axes = {}
     step: Expression = 0.0
@@ -66,20 +63,20 @@ def _walk(layout: Layout, x: Sequence[Expression], frame: _Frame, *, first: int,
 
 
 def _step(layout: Layout, x: Sequence[Expression], k: int) -> Expression:
-    """Return how far the chain goes by a coordinate."""
+    """Return the angle or length of the transform of a coordinate."""
     return x[k] - x[layout.less[k]] if layout.less[k] >= 0 else x[k]
 
 
 def tip_pose(
     layout: Layout, x: Sequence[Expression], tool_rotation: np.ndarray, drives: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the target's pose in the instrument's frame, shape (3, 4), and how the joints move and turn it, (6, n).
+    """Return the target's pose in the instrument's frame, shape (3, 4), and its velocities by the joints, shape (6, n).
 
     Args:
         layout: the chain.
         x: its K coordinates.
         tool_rotation: shape (3, 3), the reference orientation of the target.
-        drives: the coordinates that the joint positions add to.
+        drives: the coordinates to which the joint positions are added.
     """
     S, frame = len(layout.path.coordinate), _Frame()
     _walk(layout, x, frame, first=0, last=3)
@@ -101,8 +98,8 @@ def tip_pose(
 def symbolic_moments(layout: Layout, x: Sequence[Expression], payload: Expression, payload_centre: np.ndarray) -> list[Any]:
     """Return the static moments, components x, y, z of each joint in turn [N m].
 
-    Gravity goes out along the arm, from frame to frame; mass and first moment of mass come back, each in the axes and about
-    the origin of the frame that they have reached.
+    Gravity is propagated outwards from frame to frame, mass and first moment of mass inwards, each in the axes and about the
+    origin of the current frame.
 
     Args:
         layout: the chain.
@@ -124,7 +121,7 @@ def symbolic_moments(layout: Layout, x: Sequence[Expression], payload: Expressio
     carried: dict[int, tuple[Any, Any]] = {
         layout.tip_joint: (payload, (flange[:, :3] @ payload_centre.astype(object) + flange[:, 3]) * payload)
     }
-    # Of the two coordinates whose axes a moment is about, the second turns about the axis of the first.
+    # The later of the two coordinates about whose axes a moment is taken.
     at = np.maximum(layout.moment_y, layout.moment_z)
     moments: list[Any] = []
     for j in reversed(range(n)):
@@ -145,9 +142,9 @@ def symbolic_moments(layout: Layout, x: Sequence[Expression], payload: Expressio
 
 
 def _turned(vector: np.ndarray, kind: int, x: Expression, *, mass: Expression = 0.0, back: bool = False) -> np.ndarray:
-    """Return a vector of the frame behind a coordinate in the axes before it, or ``back`` in those behind it.
+    """Return a vector in the axes before a coordinate from those after it, or ``back``.
 
-    A first moment of mass, whose ``mass`` is given, is then about the origin before the coordinate.
+    A first moment of mass, if its ``mass`` is given, is then about the origin before the coordinate.
     """
     i, j, k = kind % 3, (kind + 1) % 3, (kind + 2) % 3
     out = vector.copy()
@@ -161,5 +158,5 @@ def _turned(vector: np.ndarray, kind: int, x: Expression, *, mass: Expression = 
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the vector product as symbols; NumPy's makes numbers of arrays that hold none."""
+    """Return the cross product as an object array, which NumPy's would convert to numbers."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]], object)

@@ -1,4 +1,4 @@
-"""What a bearing's compliance has beside k_x and k_y: stiff and soft directions of its own, and its place on the axis."""
+"""Properties of a compliant bearing beyond k_x and k_y: oblique principal directions, and its position on the axis."""
 
 from __future__ import annotations
 
@@ -20,16 +20,15 @@ from pincal.parameters import Parameter
 class ObliqueBearing(Effect):
     r"""Bearing whose principal compliance directions are not those of the frame.
 
-    Beside k_x and k_y it has :math:`\gamma_x = k_{xy} n_y, \gamma_y = k_{xy} n_x`: with all three its compliance is a
-    symmetric matrix, whose principal directions are anywhere. Not in the paper's frame, where moment and tilt have different
-    axes.
+    In addition to k_x and k_y, :math:`\gamma_x = k_{xy} n_y, \gamma_y = k_{xy} n_x`: together they form a symmetric
+    compliance matrix with any principal directions. Not in the paper's frame, where moment and tilt have different axes.
 
     Distinguished by:
         moving the joint to several positions under a constant load, or two payloads: a diagonal compliance stays along the
         frame's axes.
 
     Source:
-        the model of Radkhah et al. with a full symmetric compliance in place of a diagonal one.
+        the model of Radkhah et al. with a full symmetric compliance instead of a diagonal one.
 
     Attributes:
         joint: the joint.
@@ -43,7 +42,7 @@ class ObliqueBearing(Effect):
 
     @property
     def locus(self) -> Locus:
-        """The tilt of its bearing, which follows the moment there."""
+        """The tilt of its bearing as a function of the moment there."""
         return Locus(self.joint, "tilt", MOMENT, shape="oblique", cause=BearingElasticity.name)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -60,16 +59,16 @@ class ObliqueBearing(Effect):
 
 @dataclass(frozen=True)
 class BearingPlace(Effect):
-    """Bearing at another place on its axis than the URDF's joint frame.
+    """Bearing at another position on its axis than the URDF's joint frame.
 
-    The place of a URDF's joint frame on its axis is arbitrary. That of the bearing is observable as far as it is compliant.
+    The position of a URDF's joint frame on its axis is arbitrary; the position of a compliant bearing is observable.
 
     Distinguished by:
-        as for the bearing's compliance, from poses in which moment and force at the bearing differ, such as an arm stretched
-        out and folded.
+        as for the bearing's compliance, from poses in which moment and force at the bearing differ, such as with the arm
+        stretched out and folded.
 
     Source:
-        the model of Radkhah et al. with the bearing anywhere on its axis.
+        the model of Radkhah et al. with an unconstrained position of the bearing on its axis.
 
     Attributes:
         joint: the joint.
@@ -79,11 +78,11 @@ class BearingPlace(Effect):
     family: ClassVar[Family] = Family.ELASTICITY
     stays: ClassVar[bool] = True
     name: ClassVar[str] = "bearing_place"
-    meaning: ClassVar[str] = "the bearing is at another place on its axis than the URDF's joint frame"
+    meaning: ClassVar[str] = "the bearing is at another position on its axis than the URDF's joint frame"
 
     @property
     def locus(self) -> Locus:
-        """The place of its bearing."""
+        """The position of its bearing."""
         return Locus(self.joint, "place", cause=BearingElasticity.name)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -98,14 +97,14 @@ class BearingPlace(Effect):
 
 
 def bearing_features(chain: Chain, effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Return what else there is to know of each bearing that is compliant; nothing in the paper's frame."""
+    """Return the further effects of each compliant bearing; none in the paper's frame."""
     bearings = [effect for effect in effects if isinstance(effect, BearingElasticity) and chain.moment_frame != "paper"]
     joints = [joint for bearing in bearings for joint in (bearing.joints or chain.robot.measured_joints)]
     return tuple(kind(joint) for joint in joints for kind in (ObliqueBearing, BearingPlace))
 
 
 def without_idle_features(moment_frame: MomentFrame, effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Return effects without what belongs to bearings, where none is compliant or in the paper's frame."""
+    """Return effects without these features if no bearing is compliant, or in the paper's frame."""
     effects = tuple(effects)
     if moment_frame != "paper" and any(isinstance(effect, BearingElasticity) for effect in effects):
         return effects

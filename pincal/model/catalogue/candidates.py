@@ -1,4 +1,4 @@
-"""Which effects can be tried on given poses, and why the others can't; and effects by name."""
+"""The effects that can be tested with given poses, the reasons against the others, and effects by name."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from pincal.model.sizes import largest_basis
 from pincal.recorded import RECORDABLE
 from pincal.robot.robot import Robot
 
-# A basis that changes by less than this part of its size is a constant.
+# A basis that varies by less than this fraction of its size is constant.
 _CONSTANT = 1e-9
-# Why a variable that all rows have says nothing of a joint, where it is not for the lack of its column.
+# Why a recorded variable contains no information on a joint, if not because its column is missing or constant.
 _UNTOLD = {
     "move": "<joint> stands still, or its direction of approach does not follow from the row before: see column "
     "approach_<joint>"
@@ -37,20 +37,18 @@ def candidates(chain: Chain, conditions: Conditions) -> tuple[Effect, ...]:
 
 
 def testable(situation: PoseSet, acts_on: Collection[str] | None = None) -> tuple[Candidate, ...]:
-    """Return every candidate, joint by joint, that these poses could show; effects of plugins among them.
+    """Return every candidate, plugins' included, joint by joint, that these poses could show.
 
-    Args:
-        situation: the arm and its poses.
-        acts_on: what they move, see :class:`Locus`; default: anything.
+    ``acts_on`` restricts what they move, see :class:`Locus`.
     """
     if acts_on is not None:
         some = (candidate for candidate in _all(situation) if candidate.effect.locus.acts_on in acts_on)
         return tuple(candidate for candidate in some if not why_not_testable(candidate, situation))
-    # Asked again of each effect that is judged beside the others.
+    # Requested again for each effect that is compared with the others.
     known: dict[Any, tuple[Candidate, ...]] = situation.chain.known("testable", situation.conditions)
     key = (situation.compliances, tuple(EFFECTS.known().values()))
     if key not in known:
-        # Those of other compliances won't be asked for again.
+        # Results for other compliances won't be needed again.
         known.clear()
         known[key] = tuple(candidate for candidate in _all(situation) if not why_not_testable(candidate, situation))
     return known[key]
@@ -77,7 +75,7 @@ def _every(situation: PoseSet, *, elastic: bool) -> list[Candidate]:
 
 
 def _all(situation: PoseSet) -> list[Candidate]:
-    """Return all candidates but elasticity, those of a joint before those of the next, those of the whole arm last."""
+    """Return all candidates but elasticity, joint by joint, those of the whole arm last."""
     place = {joint: i for i, joint in enumerate(situation.joints)}
     return sorted(
         _every(situation, elastic=False), key=lambda candidate: place.get(candidate.effect.locus.joint or "", len(place))
@@ -85,7 +83,7 @@ def _all(situation: PoseSet) -> list[Candidate]:
 
 
 def why_not_testable(candidate: Candidate, situation: PoseSet) -> str:
-    """Return why an effect can't be told from these poses, empty if it can."""
+    """Return why an effect can't be identified from these poses, empty if it can."""
     effect, chain, conditions = candidate.effect, situation.chain, situation.conditions
     if missing := effect.missing(conditions):
         return "; ".join(_lacking(column, conditions) for column in missing)
@@ -97,7 +95,7 @@ def why_not_testable(candidate: Candidate, situation: PoseSet) -> str:
             return reason.replace("<joint>", str(joint))
     if candidate.obstacle:
         return candidate.obstacle
-    # The effects are held, too.
+    # The effects are kept alive with the results.
     known, key = chain.known("still", conditions), key_of(effect)
     if key not in known:
         known[key] = effect, _unmoved(effect, situation) if effect.uses_moments else _standing_still(effect, situation)
@@ -120,22 +118,19 @@ def _lacking(column: str, conditions: Conditions) -> str:
 def _standing_still(effect: Effect, situation: PoseSet) -> str:
     at = effect.locus
     if at.joint is None and at.follows is None:
-        return ""  # A constant of the whole arm does not depend on where the joints are.
+        return ""  # A constant of the whole arm does not depend on the joint positions.
     bases = [t.basis for t in effect.terms(situation.chain, situation.conditions, None) if t.basis is not None]
     bases = [basis for basis in bases if basis.any()]
     if any(np.ptp(basis) > _CONSTANT * np.abs(basis).max() for basis in bases):
         return ""
     if not bases:
-        return "it acts on nothing in these poses or on this arm"
+        return "it has no effect in these poses or on this arm"
     source = at.joint if at.follows in RECORDABLE else at.follows or at.joint
     return f"{source} stands still in all poses, so the effect is constant"
 
 
 def effect_parts(text: str) -> tuple[str, list[tuple[str, str]]]:
-    """Return the name, and keys with their values, of an effect on the command line; what has no key is the joint.
-
-    Args:
-        text: NAME[:JOINT][:KEY=VALUE,...].
+    """Return the name of an effect NAME[:JOINT][:KEY=VALUE,...], and its keys with their values, the joint among them.
 
     Raises:
         BadInputError: for a key without a value.
@@ -189,7 +184,7 @@ def find_effect(text: str, chain: Chain, conditions: Conditions) -> Effect:
         known = nearest_first([name], [effect.name for effect, _ in judged])
         raise BadInputError(f"effect {text!r}: unknown; expected one of {', '.join(known)}")
     likes = _at(text, joint, likes)
-    likes = [(effect, reason) for effect, reason in likes if all(_says(effect, k, v) for k, v in keys.items())]
+    likes = [(effect, reason) for effect, reason in likes if all(_matches(effect, k, v) for k, v in keys.items())]
     if not likes:
         raise BadInputError(f"effect {text!r}: none has {', '.join(f'{k}={v}' for k, v in keys.items())}; leave it out")
     effect, reason = likes[0]
@@ -205,14 +200,14 @@ def needs_column(text: str, column: str, robot: Robot) -> bool:
     return any(column in candidate.effect.needs for candidate in _all(anywhere) if candidate.effect.name == name)
 
 
-def _says(effect: Effect, key: str, value: str) -> bool:
+def _matches(effect: Effect, key: str, value: str) -> bool:
     at = effect.locus
-    said = {"order": at.order, "frame": at.frame, "source": at.source, "joint": at.joint, "shape": at.shape}
-    return str(said.get(key)) == value or (key == "order" and isinstance(effect, Harmonic))
+    keys = {"order": at.order, "frame": at.frame, "source": at.source, "joint": at.joint, "shape": at.shape}
+    return str(keys.get(key)) == value or (key == "order" and isinstance(effect, Harmonic))
 
 
 def _tuned(text: str, pair: tuple[Effect, str], order: str, situation: PoseSet) -> tuple[Effect, str]:
-    """Return an effect and why it can't be tested, a wave of any order with the order that is named."""
+    """Return an effect and why it can't be tested, a harmonic tuned to the given order."""
     effect = pair[0]
     if not isinstance(effect, Harmonic):
         return pair
@@ -226,7 +221,7 @@ def _tuned(text: str, pair: tuple[Effect, str], order: str, situation: PoseSet) 
 
 
 def _at(text: str, joint: str | None, likes: list[tuple[Effect, str]]) -> list[tuple[Effect, str]]:
-    """Return those of some effects that act on a joint, or on the whole arm."""
+    """Return the effects that act on a joint, or on the whole arm."""
     everywhere = [effect.locus.joint for effect, _ in likes]
     joints = nearest_first([joint or ""], [place for place in everywhere if place is not None])
     if joint is None and joints and None not in everywhere:

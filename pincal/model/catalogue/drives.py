@@ -1,4 +1,4 @@
-"""Effects of a drive: what gear, encoder and bearing add to a joint's position, whatever the load."""
+"""Effects of a drive: errors of gear, encoder and bearing that do not depend on the load."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ class GearEccentricity(DriveHarmonic):
     Over much less than a revolution, order 1 resembles an offset, a ratio and a compensator together.
 
     Distinguished by:
-        poses over a full revolution; a second payload, where gravity follows the same sine. Two orders together are
-        equivalent to a gravity compensator; higher orders are a transmission error.
+        poses over a full revolution; a second payload, if gravity has the same sine. The two orders together are equivalent
+        to a gravity compensator; higher orders are a transmission error.
 
     Source:
         Whitney, Lozinski and Rourke (1986); Judd and Knasinski (1990).
@@ -71,13 +71,13 @@ class GearEccentricity(DriveHarmonic):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield both orders on every joint that turns."""
+        """Yield both orders on every revolute joint."""
         yield from (Candidate(cls(joint, order)) for joint in situation.revolute for order in ORDERS)
 
 
 @dataclass(frozen=True)
 class GearRatio(DriveEffect):
-    """Error of a gear or encoder ratio: r q adds to the joint position, r relative.
+    """Relative error r of a gear or encoder ratio: r q is added to the joint position.
 
     Distinguished by:
         poses over a full revolution: over a part of it a sine and a straight line are similar. A position repeated after a
@@ -96,7 +96,7 @@ class GearRatio(DriveEffect):
 
 @dataclass(frozen=True)
 class JointCoupling(DriveEffect):
-    """Coupling of one joint into another: c q_source adds to the position of ``joint``.
+    """Coupling of one joint into another: c q_source is added to the position of ``joint``.
 
     Distinguished by:
         moving each joint without the other; where both move together it resembles a ratio.
@@ -117,7 +117,7 @@ class JointCoupling(DriveEffect):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every joint, from every other of the same arm."""
+        """Yield it on every joint, from every other joint of the same arm."""
         robot, joints = situation.chain.robot, [(situation.index(joint), joint) for joint in situation.joints]
         yield from (
             Candidate(cls(joint, source))
@@ -127,7 +127,7 @@ class JointCoupling(DriveEffect):
         )
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """The leak over the motion [1], or rad/m and m/rad between joints that turn and slide."""
+        """The leak over the motion [1], or rad/m and m/rad between revolute and prismatic joints."""
         units = drive_unit(chain, self.joint), drive_unit(chain, self.source)
         unit = "1" if units[0] == units[1] else "/".join(units)
         return parameters_of(self, self.joint, (f"coupling_{self.source}",), unit=unit, size=RATIO)
@@ -141,11 +141,11 @@ class JointCoupling(DriveEffect):
 class AxisWobble(Discoverable):
     r"""A bearing whose axis tilts about x and y as it turns: each by :math:`s \sin kq + c \cos kq`.
 
-    The tilt acts before q (on s_x, s_y), where a constant tilt is the axis distortion and where a tilt fixed to the link is
-    a circle of order 1. So of order 1 before q that circle (two of four parameters) repeats constant geometry of the link,
-    and of order 1 after q the circle that stands still repeats s_x, s_y. As circles a turn seen from the previous link,
-    "before" spans :math:`\pm k` and "after" :math:`1 \pm k`: (1, after) is part of (2, before), (1, before) of (2, after).
-    The axis tilts about the bearing: where the chain has it on the axis, in the paper the foot of the common normal.
+    The tilt acts before q (on s_x, s_y), where a constant tilt is the axis distortion and a tilt fixed to the link is a
+    circle of order 1. Hence the forward circle of order 1 before q (two of four parameters) duplicates constant geometry of
+    the link, and the stationary circle of order 1 after q duplicates s_x, s_y. In cycles per revolution seen from the
+    previous link, "before" spans :math:`\pm k` and "after" :math:`1 \pm k`: (1, after) is part of (2, before), (1, before)
+    of (2, after). The axis tilts about the bearing: at its position on the axis, in the paper the foot of the common normal.
 
     Distinguished by:
         moving the joint alone in many small steps, with one target far off its axis and one close to it: a wobble moves
@@ -157,7 +157,7 @@ class AxisWobble(Discoverable):
     Attributes:
         joint: the joint, a revolute one.
         order: k, cycles per revolution.
-        frame: whether the tilt is seen from the previous link ("before") or from the turning one ("after").
+        frame: whether the tilt is seen from the previous link ("before") or from the moving one ("after").
     """
 
     joint: str
@@ -174,12 +174,12 @@ class AxisWobble(Discoverable):
 
     @property
     def locus(self) -> Locus:
-        """The axis, in waves of the joint's own position."""
+        """The axis, as waves of the joint's own position."""
         return Locus(self.joint, "tilt", self.joint, order=self.order, frame=self.frame)
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield both orders, seen from both sides, on every joint that turns."""
+        """Yield both orders, seen from both sides, on every revolute joint."""
         for joint in situation.revolute:
             yield from (Candidate(cls(joint, order, frame)) for order in ORDERS for frame in WOBBLE_FRAMES)
 
@@ -198,7 +198,7 @@ class AxisWobble(Discoverable):
 
 @dataclass(frozen=True)
 class Backlash(DriveEffect):
-    """Backlash of a gear: b times the direction of approach (-1, 0, 1) adds to the joint position.
+    """Backlash of a gear: b times the direction of approach (-1, 0, 1) is added to the joint position.
 
     A joint that lags behind its drive by half the backlash has b = - backlash / 2.
 
@@ -220,7 +220,7 @@ class Backlash(DriveEffect):
 
 @dataclass(frozen=True)
 class ShortOfTarget(DriveEffect):
-    """Drive that has not settled when it is measured: c times the last move adds to the joint position.
+    """Drive that has not settled when it is measured: c times the last move is added to the joint position.
 
     A joint that falls short of its target by a fraction of its move has c < 0.
 
@@ -229,7 +229,7 @@ class ShortOfTarget(DriveEffect):
         or a column `time`): backlash does not depend on the distance moved. A pause before each reading eliminates it.
 
     Source:
-        position stabilisation time and overshoot in ISO 9283.
+        position stabilization time and overshoot in ISO 9283.
     """
 
     name: ClassVar[str] = "settling"
@@ -254,7 +254,7 @@ class ThermalOffset(DriveEffect):
 
     Attributes:
         joint: the joint.
-        reference: temperature without shift [deg C]; another one only changes the joint offset.
+        reference: temperature without shift [deg C]; another value only changes the joint offset.
     """
 
     reference: float = 20.0
@@ -270,16 +270,16 @@ class ThermalOffset(DriveEffect):
         return parameters_of(self, self.joint, ("offset_T",), unit=unit, size=self.typical)
 
     def variable(self, chain: Chain, conditions: Conditions) -> np.ndarray:
-        """Return the temperature over the reference."""
+        """Return the temperature above the reference."""
         return super().variable(chain, conditions) - self.reference
 
 
 @dataclass(frozen=True)
 class ServoDroop(DriveEffect):
-    """Steady-state position error: p (commanded - read back) adds to the fitted joint position.
+    """Steady-state position error: p (commanded - read back) is added to the fitted joint position.
 
-    Where the positions read back are fitted p is 0 if the encoder measures all of the error, 1 if the joint stands
-    as commanded; where the commanded ones are fitted, -1 if the encoder measures all of it. An error proportional to the
+    If the positions read back are fitted, p is 0 if the encoder measures all of the error and 1 if the joint is where it was
+    commanded; if the commanded ones are fitted, p is -1 if the encoder measures all of it. An error proportional to the
     torque resembles linear elasticity; friction and integral action distinguish them.
 
     Distinguished by:
