@@ -56,7 +56,6 @@ class DesignRequest:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse what can't be designed."""
         if self.payloads is not None:
             object.__setattr__(self, "payloads", tuple(float(load) for load in self.payloads))
         if self.poses is None and self.accuracy is None:

@@ -42,13 +42,11 @@ class AtStation(Effect):
 
     @property
     def locus(self) -> Locus:
-        """Locus of the effect, at this station."""
         at = self.effect.locus
         return replace(at, joint=at.joint or self.joint, station=self.station, cause=self.effect.name)
 
     @property
     def is_sighted(self) -> bool:
-        """Whether the effect is."""
         return self.effect.is_sighted
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:

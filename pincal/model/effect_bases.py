@@ -235,7 +235,6 @@ class DriveWaves(DriveEffect):
         return [self.pattern.format(wave=wave, order=mark) for mark in marks for wave in ("sin", "cos")]
 
     def bases(self, chain: Chain, conditions: Conditions) -> Iterable[np.ndarray]:
-        """Return sine and cosine of each order."""
         q = positions(chain, conditions, self.joint)
         return [wave for order in self.orders for wave in waves(order * q)]
 
@@ -247,12 +246,10 @@ class DriveHarmonic(DriveWaves):
 
     @property
     def orders(self) -> tuple[float, ...]:
-        """The fundamental order alone."""
         return (self.order,)
 
     @property
     def locus(self) -> Locus:
-        """Its joint and order, as a function of the joint's own position."""
         return Locus(self.joint, self.acts_on, self.joint, order=self.order)
 
 

@@ -60,7 +60,6 @@ class _Geometry(Effect):
 
     @final
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add constants."""
         return tuple(Term(p, k) for p, (_, _, k) in enumerate(self._places(chain)))
 
     def _places(self, chain: Chain) -> Iterator[tuple[str, str, int]]:
@@ -164,7 +163,6 @@ class BaseFrame(Effect):
         return tuple(_frame_parameter("base", self.name, symbol) for symbol in self.symbols)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add constants."""
         return tuple(Term(p, chain.base(symbol)) for p, symbol in enumerate(self.symbols))
 
 
@@ -192,7 +190,6 @@ class ToolFrame(Effect):
         return tuple(_frame_parameter(t, self.name, symbol) for t in chain.targets for symbol in self.symbols)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add to the tool coordinates at the poses of the target."""
         terms = []
         for t in range(len(chain.targets)):
             here = None if len(chain.targets) == 1 else (conditions.target == t).astype(float)
@@ -228,7 +225,6 @@ class Compliance(Discoverable):
 
     @property
     def locus(self) -> Locus:
-        """The elastic rotations of its joints as functions of the moments there."""
         return Locus(self.only, self.acts_on, MOMENT)
 
     @property
@@ -251,7 +247,6 @@ class Compliance(Discoverable):
 
     @final
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add compliance times moment to the elastic rotations."""
         assert moments is not None
         return tuple(
             Term(p, k, moments[:, moment], moment)
@@ -319,7 +314,6 @@ class BearingElasticity(Compliance):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield the elasticity of all bearings."""
         yield Candidate(cls())
 
 

@@ -210,7 +210,6 @@ class EyeInHand(SensorSetup):
     in_metres: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse an image without a lens."""
         if self.lens is None and not self.in_metres:
             raise BadInputError("lens None; expected a lens to take images with, or in_metres=True")
 

@@ -63,7 +63,6 @@ class BearingElasticity(DeformingEffect, SizedByLoad):
     moment_frame: str = "paper"
 
     def __post_init__(self) -> None:
-        """Refuse an unknown moment frame."""
         if self.moment_frame not in MOMENT_FRAMES:
             raise BadInputError(f"moment_frame {self.moment_frame!r}; expected one of {', '.join(MOMENT_FRAMES)}")
 

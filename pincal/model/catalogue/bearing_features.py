@@ -42,7 +42,6 @@ class ObliqueBearing(Effect):
 
     @property
     def locus(self) -> Locus:
-        """The tilt of its bearing as a function of the moment there."""
         return Locus(self.joint, "tilt", MOMENT, shape="oblique", cause=BearingElasticity.name)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -50,7 +49,6 @@ class ObliqueBearing(Effect):
         return parameters_of(self, self.joint, ("k_xy",), unit="rad/(N m)", size=BENDING_SIZE)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add the tilt about each axis by the moment about the other."""
         assert moments is not None
         i = joint_index(chain, self.joint)
         pairs = ("gamma_x", 3 * i + 1), ("gamma_y", 3 * i)
@@ -82,7 +80,6 @@ class BearingPlace(Effect):
 
     @property
     def locus(self) -> Locus:
-        """The position of its bearing."""
         return Locus(self.joint, "place", cause=BearingElasticity.name)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -92,7 +89,6 @@ class BearingPlace(Effect):
         return (Parameter(f"{self.joint}.h", "m", self.name, nominal, size),)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add a constant."""
         return (Term(0, chain.joint(joint_index(chain, self.joint), "h")),)
 
 

@@ -66,12 +66,10 @@ class GearEccentricity(DriveHarmonic):
     typical: ClassVar[float] = WAVE
 
     def __post_init__(self) -> None:
-        """Refuse other orders."""
         _check_order(self, self.joint, self.order)
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield both orders on every revolute joint."""
         yield from (Candidate(cls(joint, order)) for joint in situation.revolute for order in ORDERS)
 
 
@@ -112,12 +110,10 @@ class JointCoupling(DriveEffect):
 
     @property
     def locus(self) -> Locus:
-        """The drive, in proportion to the position of the source."""
         return Locus(self.joint, "drive", self.source)
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every joint, from every other joint of the same arm."""
         robot, joints = situation.chain.robot, [(situation.index(joint), joint) for joint in situation.joints]
         yield from (
             Candidate(cls(joint, source))
@@ -133,7 +129,6 @@ class JointCoupling(DriveEffect):
         return parameters_of(self, self.joint, (f"coupling_{self.source}",), unit=unit, size=RATIO)
 
     def variable(self, chain: Chain, conditions: Conditions) -> np.ndarray:
-        """Return the source's position."""
         return positions(chain, conditions, self.source)
 
 
@@ -167,19 +162,16 @@ class AxisWobble(Discoverable):
     meaning: ClassVar[str] = "the axis tilts periodically as the joint turns"
 
     def __post_init__(self) -> None:
-        """Refuse other orders and frames."""
         _check_order(self, self.joint, self.order)
         if self.frame not in WOBBLE_FRAMES:
             raise BadInputError(f"{self.name} of {self.joint}: frame {self.frame!r}; expected before or after")
 
     @property
     def locus(self) -> Locus:
-        """The axis, as waves of the joint's own position."""
         return Locus(self.joint, "tilt", self.joint, order=self.order, frame=self.frame)
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield both orders, seen from both sides, on every revolute joint."""
         for joint in situation.revolute:
             yield from (Candidate(cls(joint, order, frame)) for order in ORDERS for frame in WOBBLE_FRAMES)
 
@@ -190,7 +182,6 @@ class AxisWobble(Discoverable):
         return parameters_of(self, self.joint, symbols, unit="rad", size=TILT)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Tilt the axis by sines and cosines."""
         both = waves(self.order * positions(chain, conditions, self.joint))
         tilts = [(2 * axis + p, axis, wave) for axis in range(2) for p, wave in enumerate(both)]
         return tilt_terms(chain, conditions, self.joint, seen_from=self.frame, tilts=tilts)
@@ -270,7 +261,6 @@ class ThermalOffset(DriveEffect):
         return parameters_of(self, self.joint, ("offset_T",), unit=unit, size=self.typical)
 
     def variable(self, chain: Chain, conditions: Conditions) -> np.ndarray:
-        """Return the temperature above the reference."""
         return super().variable(chain, conditions) - self.reference
 
 

@@ -1,10 +1,9 @@
 r"""Effects of gravity's moments beyond linear joint and bearing elasticity.
 
-Moments are those of the chain (paper, Eq. (3)); a basis that follows one gives its slope, so that the Jacobian stays exact
-through the moments.
+Moments are the chain's (paper, Eq. (3)); a basis that depends on one comes with its derivative, for exact Jacobians.
 
-Friction grows with the load on the teeth and opposes the last motion (Coulomb), so that a joint which arrives in direction
-s stops short of where its drive stands by the wind-up under it, :math:`c \mu (m_0 + |m|)` with the moment m on its axis.
+Friction grows with the load on the teeth and opposes the last motion (Coulomb), so that a joint that arrives in direction s
+stops short of its drive's position by the wind-up :math:`c \mu (m_0 + |m|)`, with the moment m on its axis.
 """
 
 from __future__ import annotations
@@ -32,19 +31,19 @@ from pincal.model.effect_bases import (
 from pincal.model.effects import BENDING_SIZE
 from pincal.parameters import Parameter
 
-# Part of the largest moment of an axis that friction holds before its play goes to one side.
+# Fraction of the largest moment on an axis that friction holds before the backlash closes to one side.
 _TRANSITION = 0.02
-# Transitions that a discovery tries, over the usual one.
+# Transitions that a discovery tries, relative to the usual one.
 _WIDTHS = (0.3, 1.0, 3.0)
-# Torques at which a drive stiffens that a discovery tries, over the largest in the poses.
+# Stiffening torques that a discovery tries, relative to the largest torque in the poses.
 _STIFFENING = (0.1, 0.3)
-# Part of the largest moment on the arm below which nobody builds a compensator.
+# Fraction of the largest moment on the arm below which a compensator would not be built.
 _WORTH_A_SPRING = 0.1
-# Part of the payload's largest moment on the arm below which an axis does not feel it.
+# Fraction of the payload's largest moment on the arm below which an axis is unaffected by it.
 _UNFELT = 1e-3
-# Moment within which friction changes smoothly as the load changes sides [N m]: less than any arm feels.
+# Moment over which friction is smoothed as the load changes sign [N m]: negligible on any arm.
 _SMOOTH = 1e-3
-# Preloads that a discovery tries, over the largest moment in the poses.
+# Preloads that a discovery tries, relative to the largest moment in the poses.
 _PRELOADS = (0.0, 0.3)
 
 
@@ -52,13 +51,13 @@ _PRELOADS = (0.0, 0.3)
 class NonlinearElasticity(LoadedDrive):
     r"""Drive whose compliance depends on its torque, in addition to the linear k_z n_z.
 
-    By default it changes in proportion to the torque, gamma_z = k3_z n_z |n_z|. A drive that is compliant at low torque and
-    stiffens has an extra compliance k0_z near torque 0 that falls to :math:`1/\sqrt{2}` of it at the torque t, and so the
-    wind-up :math:`\gamma_z = k_0 \; t \operatorname{arsinh}(n_z / t)`.
+    By default the compliance is proportional to the torque, gamma_z = k3_z n_z |n_z|. A drive that is compliant at low
+    torque and stiffens has an extra compliance k0_z near zero torque, which falls to :math:`1/\sqrt{2}` of it at the torque
+    t: its wind-up is :math:`\gamma_z = k_0 \; t \operatorname{arsinh}(n_z / t)`.
 
     Distinguished by:
-        three payloads or more: linear deflection is proportional to the load. With one payload, backlash closed by the
-        load, or a curve of the drive, looks the same.
+        three payloads or more: linear deflection is proportional to the load. With one payload it resembles backlash closed
+        by the load, or a curve of the drive.
 
     Source:
         Tuttle (1992), on strain wave gears.
@@ -74,25 +73,23 @@ class NonlinearElasticity(LoadedDrive):
     acts_on: ClassVar[str] = "gamma_z"
 
     def __post_init__(self) -> None:
-        """Refuse a torque that is none."""
         if self.stiffening is not None and not self.stiffening > 0.0:
             raise BadInputError(f"{self.name} of {self.joint}: stiffening {self.stiffening} N m; expected more than 0")
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every joint that turns: in proportion to the torque, and stiffening at parts of the largest torque."""
+        """Yield it on every revolute joint: proportional to the torque, and stiffening at fractions of the largest."""
         for joint in situation.revolute:
             largest = float(np.abs(situation.moment(joint)).max())
             stiffening = (cls(joint, part * largest) for part in _STIFFENING if largest > 0.0)
             yield Candidate(cls(joint), variants=(cls(joint), *stiffening))
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Quadratic compliance [rad/(N m)^2], or extra compliance near torque 0 [rad/(N m)]."""
+        """Quadratic compliance [rad/(N m)^2], or extra compliance near zero torque [rad/(N m)]."""
         symbol, unit = ("k3_z", "rad/(N m)^2") if self.stiffening is None else ("k0_z", "rad/(N m)")
         return parameters_of(self, self.joint, (symbol,), unit=unit, size=BENDING_SIZE)
 
     def of_moment(self, chain: Chain, conditions: Conditions, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the wind-up."""
         n, t = moment, self.stiffening
         if t is None:
             return n * np.abs(n), 2.0 * np.abs(n)
@@ -103,8 +100,8 @@ class NonlinearElasticity(LoadedDrive):
 class BaseElasticity(Discoverable):
     """Foundation that tilts under the arm: rx = k_x m_x, ry = k_y m_y, in base axes about the base's origin.
 
-    m is the moment of all arms about the base's origin: joint 1's moment, in base axes, and where joint 1 stands beside the
-    origin (seen along gravity) the arm's weight times that distance. An instrument on the robot does not see it.
+    m is the moment of all arms about the base's origin: joint 1's moment in base axes, plus the arm's weight times the
+    horizontal distance of joint 1 from the origin. An instrument on the robot does not see it.
 
     Distinguished by:
         a target on the base or on the floor next to it. Without one, the bearing of joint 1 is nearly equivalent, except
@@ -122,7 +119,6 @@ class BaseElasticity(Discoverable):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it once."""
         yield Candidate(cls())
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -130,7 +126,6 @@ class BaseElasticity(Discoverable):
         return parameters_of(self, "base", ("k_x", "k_y"), unit="rad/(N m)", size=BENDING_SIZE)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add joint 1's moments in base axes to rx and ry."""
         assert moments is not None
         robot = chain.robot
         terms: tuple[Term, ...] = ()
@@ -139,7 +134,7 @@ class BaseElasticity(Discoverable):
         for i in (i for i, parent in enumerate(robot.parents) if parent < 0):
             first = robot.frames.before(i)
             axes = first[:3, :3] @ moment_axes(chain, conditions, i)
-            # Moment of the whole weight, as if it hung at joint i, about the base's origin, per kg.
+            # Moment per kg about the base's origin of the whole weight, as if at joint i.
             beside = np.cross(first[:3, 3], chain.gravity)
             carried = [k for k in range(robot.n_joints) if k == i or robot.carries(i, k)]
             mass = robot.masses[carried].sum() + conditions.payload * float(chain.path.tip_joint in carried)
@@ -173,7 +168,7 @@ class GravityCompensator(DriveWaves):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every joint that turns; there is nothing to compensate where gravity exerts no moment."""
+        """Yield it on every revolute joint; without a gravity moment there is nothing to compensate."""
         for joint in situation.revolute:
             is_loaded = np.abs(situation.moment(joint)).max() > _WORTH_A_SPRING * np.abs(situation.moments).max()
             unloaded = f"gravity exerts no moment about the axis of {joint} that could be compensated"
@@ -184,11 +179,10 @@ class GravityCompensator(DriveWaves):
 class PayloadError(Discoverable, Reducible):
     """Payload whose mass or centre of mass differs from the table.
 
-    Each elastic rotation grows by compliance times the moment that is missing. With the compliances as they are known so
-    far that is one parameter for the mass, relative to the table's, and three more for the centre of mass. Without them
-    gamma_z of each joint grows by p_z times the payload's own moment there, p_z being compliance times relative error.
-    The moment is taken on the nominal arm, as given: it does not follow the geometry. Only if the payload varies can it be
-    distinguished from the compliance.
+    Each elastic rotation changes by compliance times the missing moment. With known compliances there is one parameter for
+    the mass, relative to the table's, and three more for the centre of mass. Without them gamma_z of each joint changes by
+    p_z times the payload's own moment there, with p_z the compliance times the relative error. The moment is taken on the
+    nominal arm, independently of the fitted geometry. It is distinguishable from the compliance only if the payload varies.
 
     Distinguished by:
         the same poses with and without payload: only the difference is due to the payload.
@@ -197,9 +191,9 @@ class PayloadError(Discoverable, Reducible):
         Atkeson, An and Hollerbach (1986), on loads.
 
     Attributes:
-        joints: the joints that feel the payload, unless compliances are given; all unless given.
+        joints: the joints that the payload loads, unless compliances are given; default: all.
         compliances: k of each joint's x, y, z in turn [rad/(N m)].
-        shifted: whether the centre of mass may be elsewhere too; only with compliances.
+        shifted: whether the centre of mass may differ, too; only with compliances.
     """
 
     joints: tuple[str, ...] | None = None
@@ -212,7 +206,7 @@ class PayloadError(Discoverable, Reducible):
 
     @classmethod
     def over(cls, chain: Chain, conditions: Conditions) -> PayloadError:
-        """Return the effect on those joints that feel the payload in some pose."""
+        """Return the effect on the joints that the payload loads in some pose."""
         felt = np.abs(nominal_moments(chain, conditions, payload_only=True)).max(axis=0, initial=0.0)
         names = zip(chain.robot.joint_names, chain.robot.joint_types, felt[2::3], strict=True)
         threshold = _UNFELT * felt.max()
@@ -220,7 +214,7 @@ class PayloadError(Discoverable, Reducible):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it once; it is tried with the compliances that are known, of the mass alone and of its centre, too."""
+        """Yield it once; its variants, with known compliances, have the mass alone, or the centre of mass as well."""
         known = situation.compliances if any(situation.compliances) else None
         forms = () if known is None else tuple(cls(compliances=known, shifted=shifted) for shifted in (False, True))
         yield Candidate(cls.over(situation.chain, situation.conditions), variants=forms)
@@ -230,7 +224,7 @@ class PayloadError(Discoverable, Reducible):
         return PayloadError(compliances=situation.compliances) if any(situation.compliances) else self
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """One p_z a joint [rad/(N m)], or the relative error of the mass [1] and the shift of its centre [m]."""
+        """One p_z per joint [rad/(N m)], or the relative error of the mass [1] and the shift of its centre [m]."""
         if self.compliances is not None:
             mass = parameters_of(self, "arm", ("payload_mass",), unit="1", size=WAVE)
             centre = parameters_of(self, "arm", [f"payload_{axis}" for axis in "xyz"], unit="m", size=WAVE)
@@ -239,7 +233,6 @@ class PayloadError(Discoverable, Reducible):
         return tuple(p for n in names for p in parameters_of(self, n, ("p_z",), unit="rad/(N m)", size=WAVE))
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add the payload's moment, or its change, to the elastic rotations."""
         own = nominal_moments(chain, conditions, payload_only=True)
         if self.compliances is None:
             places = [joint_index(chain, name) for name in self._names(chain)]
@@ -257,18 +250,18 @@ class PayloadError(Discoverable, Reducible):
 
 @dataclass(frozen=True)
 class LoadBacklash(LoadedDrive):
-    """Backlash closed by the load: b tanh(n_z / transition) adds to the joint position, b half the backlash.
+    """Backlash closed by the load: b tanh(n_z / transition) is added to the joint position, with b half the backlash.
 
     Distinguished by:
-        poses on both sides of the position at which the load changes sign, or a payload that shifts this position: a
-        curve of the drive stays, backlash shifts with it.
+        poses on both sides of the position at which the load changes sign, or a payload that shifts this position: backlash
+        shifts with it, a curve of the drive does not.
 
     Source:
         Whitney, Lozinski and Rourke (1986).
 
     Attributes:
         joint: the joint.
-        transition: torque within which the joint changes sides [N m].
+        transition: torque over which the joint changes sides [N m].
     """
 
     transition: float = 20.0
@@ -278,19 +271,17 @@ class LoadBacklash(LoadedDrive):
     typical: ClassVar[float] = PLAY
 
     def __post_init__(self) -> None:
-        """Refuse a transition without width."""
         if not self.transition > 0.0:
             raise BadInputError(f"{self.name} of {self.joint}: transition {self.transition} N m; expected more than 0")
 
     @classmethod
     def over(cls, joint: str, moment: np.ndarray) -> LoadBacklash:
-        """Return the effect with a transition of 2 % of the largest of the moments n_z seen, shape (N,) [N m]."""
+        """Return the effect with a transition of 2 % of the largest of moments n_z, shape (N,) [N m]."""
         largest = float(np.abs(moment).max(initial=0.0))
         return cls(joint, _TRANSITION * largest) if largest > 0.0 else cls(joint)
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every joint that turns, with transitions of several widths."""
         for joint in situation.revolute:
             effect = cls.over(joint, situation.moment(joint))
             yield Candidate(effect, variants=tuple(cls(joint, width * effect.transition) for width in _WIDTHS))
@@ -303,10 +294,10 @@ class LoadBacklash(LoadedDrive):
 
 @dataclass(frozen=True)
 class Hysteresis(LoadedDrive):
-    """Joint that stops wound up against friction: h |n_z| times the direction of approach (-1, 0, 1) adds to its position.
+    """Wind-up against friction: h |n_z| times the direction of approach (-1, 0, 1) is added to the joint position.
 
-    A joint that lags behind its drive has h < 0. Load-independent friction of seals and preloaded teeth is that of a
-    preload: |n_z| + preload. What does not depend on the load at all is backlash.
+    A joint that lags behind its drive has h < 0. Friction of seals and preloaded teeth that does not depend on the load is
+    modelled by a preload: |n_z| + preload. An error independent of the load altogether is backlash.
 
     Distinguished by:
         reaching each pose from both directions, recorded in `approach_<joint>`, with two payloads: backlash does not
@@ -317,7 +308,7 @@ class Hysteresis(LoadedDrive):
 
     Attributes:
         joint: the joint.
-        preload: moment that adds to the load [N m].
+        preload: moment added to the load [N m].
     """
 
     preload: float = 0.0
@@ -331,13 +322,11 @@ class Hysteresis(LoadedDrive):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every joint that turns, by the load alone and with a preload."""
         for joint in situation.revolute:
             largest = float(np.abs(situation.moment(joint)).max())
             preloads = _PRELOADS if largest > 0.0 else _PRELOADS[:1]
             yield Candidate(cls(joint), variants=tuple(cls(joint, part * largest) for part in preloads))
 
     def of_moment(self, chain: Chain, conditions: Conditions, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the direction of approach times the load."""
         side, load = self.variable(chain, conditions), np.hypot(moment, _SMOOTH)
         return side * (load + self.preload), side * moment / load

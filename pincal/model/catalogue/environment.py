@@ -19,21 +19,21 @@ from pincal.parameters import FRAME_SYMBOLS, Parameter, Scope
 class ThermalExpansion(Discoverable):
     """Thermal expansion of lengths: by alpha_T (T - reference) times their nominal value.
 
-    Of the whole arm these are d and a of every joint, and the constant ways from the base to joint 1 and from the last link
-    to the tip: which of a robot's lengths are d and a is a matter of where the URDF puts its frames. The constant ways act
-    on base and tool x, y, z. Of one joint it is the way from where the URDF has this joint to where it has the next, or the
-    tip: d and a, but for the parts of d (before) and of the next joint's d (behind) that lie beyond those places.
+    For the whole arm these are d and a of every joint, and the constant offsets from the base to joint 1 and from the last
+    link to the tip, which act on base and tool x, y, z: the URDF's frames determine which of a robot's lengths are d and a.
+    For one joint it is the vector from the URDF's joint to the next joint, or to the tip: d and a, without the parts of d
+    and of the next joint's d beyond these joints.
 
     Distinguished by:
-        the same poses cold and warm, stretched out and folded: expansion is proportional to the arm's length. The scale of
-        an instrument that depends on temperature is equivalent, unless it measures a known length.
+        the same poses cold and warm, stretched out and folded: expansion is proportional to the arm's length. A
+        temperature-dependent scale of the instrument is equivalent, unless it measures a known length.
 
     Source:
         Heisel, Richter and Wurst (1997).
 
     Attributes:
-        joint: the joint that moves the one link that grows; None for the whole arm.
-        reference: temperature at which lengths are nominal [deg C]; another one only changes the lengths.
+        joint: the joint that moves the only link that expands; None for the whole arm.
+        reference: temperature at which lengths are nominal [deg C]; another value only changes the lengths.
     """
 
     joint: str | None = None
@@ -43,12 +43,10 @@ class ThermalExpansion(Discoverable):
 
     @property
     def locus(self) -> Locus:
-        """The lengths of one link or of all, in proportion to the temperature."""
         return Locus(self.joint, "lengths", "temperature")
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every link, and on the whole arm."""
         yield from (Candidate(cls(joint)) for joint in (*situation.joints, None))
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -56,7 +54,6 @@ class ThermalExpansion(Discoverable):
         return parameters_of(self, self.joint or "arm", ("alpha_T",), unit="1/K", size=GROWTH)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add nominal length times temperature to d and a, and to base and tool."""
         warm = recorded(self, "temperature", conditions.temperature) - self.reference
         return tuple(Term(0, k, length * warm) for k, length in lengths_that_grow(chain, self.joint).items() if length)
 
@@ -73,8 +70,8 @@ class BaseDrift(Discoverable):
         drift of pose characteristics in ISO 9283.
 
     Attributes:
-        reference: time without drift [s]; the mean is well conditioned, another one only changes the base.
-        turns: whether it also turns.
+        reference: time without drift [s]; the mean is well conditioned, another value only changes the base.
+        turns: whether it also rotates.
     """
 
     reference: float = 0.0
@@ -91,7 +88,7 @@ class BaseDrift(Discoverable):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it once: a shift alone, and a shift with a turn."""
+        """Yield it once: translation alone, and with rotation."""
         time = situation.conditions.time
         effect = cls() if time is None else cls.over(time)
         yield Candidate(effect, variants=(replace(effect, turns=False), effect))
@@ -104,7 +101,6 @@ class BaseDrift(Discoverable):
         return shift + parameters_of(self, "base", [f"{s}_t" for s in FRAME_SYMBOLS[3:]], unit="rad/s", size=GROWTH)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add the time to the base's coordinates."""
         since = recorded(self, "time", conditions.time) - self.reference
         return tuple(Term(p, chain.base(symbol), since) for p, symbol in enumerate(FRAME_SYMBOLS[: 6 if self.turns else 3]))
 
@@ -118,8 +114,8 @@ class MeasurementScale(Discoverable):
     links fixed at their nominal lengths.
 
     Distinguished by:
-        a known length, such as a scale bar next to the robot: with all link lengths free, a larger robot and a longer metre
-        are equivalent.
+        a known length, such as a scale bar next to the robot: with all link lengths free, a larger robot and a smaller unit
+        of length are equivalent.
 
     Source:
         length measurement errors of laser trackers in ISO 10360-10.
@@ -132,7 +128,6 @@ class MeasurementScale(Discoverable):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it once."""
         yield Candidate(cls())
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -140,7 +135,6 @@ class MeasurementScale(Discoverable):
         return parameters_of(self, "instrument", ("scale",), unit="1", size=TILT)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add nominal lengths to d and a."""
         ones, types = np.ones(len(conditions)), chain.robot.joint_types
         ways = {int(k): conditions.q[:, i] for i, k in enumerate(chain.drives) if types[i] == "prismatic"}
         lengths = {k: length * ones + ways.get(k, 0.0) for k, length in _lengths(chain).items()}
@@ -148,12 +142,12 @@ class MeasurementScale(Discoverable):
 
 
 def lengths_that_grow(chain: Chain, joint: str | None) -> dict[int, float]:
-    """Return the lengths of the link that a joint moves, or of the whole arm, by coordinate [m]."""
+    """Return the expanding lengths of the link that a joint moves, or of the whole arm, by coordinate [m]."""
     return _whole(chain) if joint is None else _link(chain, joint_index(chain, joint))
 
 
 def _lengths(chain: Chain) -> dict[int, float]:
-    """Return the nominal lengths of the links by coordinate [m]: d and a of every joint, and where branches begin."""
+    """Return the nominal lengths of the links by coordinate [m]: d and a of every joint, and the mounts of branches."""
     places = [chain.joint(i, symbol) for i in range(chain.robot.n_joints) for symbol in "da"]
     lengths = {k: float(chain.nominal[k]) for k in places}
     for i, T in zip(chain.robot.frames.branches, chain.robot.frames.T_branch_first, strict=True):
@@ -171,13 +165,13 @@ def _whole(chain: Chain) -> dict[int, float]:
 
 
 def _flange(chain: Chain) -> dict[int, float]:
-    """Return the way from the last link's frame to the tip, in the axes of the tip, by coordinate [m]."""
+    """Return the vector from the last link's frame to the tip, in the axes of the tip, by coordinate [m]."""
     T = chain.path.T_joint_tip
     return {chain.tool(symbol): float(way) for symbol, way in zip("xyz", T[:3, :3].T @ T[:3, 3], strict=True)}
 
 
 def _link(chain: Chain, i: int) -> dict[int, float]:
-    """Return the way from joint i to the next, as the URDF places them, by coordinate [m].
+    """Return the vector from joint i to the next, as the URDF places them, by coordinate [m].
 
     With u_i the height of the URDF's joint i on its axis:  p_(i+1) - p_i = (d_i - u_i) z_i + a_i x_i + u_(i+1) z_(i+1).
     """

@@ -1,14 +1,14 @@
 r"""Effects of an instrument that reads positions: encoders, axes and distance meter of a tracker; stretched coordinates.
 
-A tracker reads azimuth A, elevation E and range r of its target; the table has what it makes of them,
+A tracker reads azimuth A, elevation E and range r of its target; the table contains
 
 .. math:: x = r \cos E \cos A, \quad y = r \cos E \sin A, \quad z = r \sin E .
 
-An error of a reading moves the target across or along the line of sight, by what it is where the target is seen: from the
-reading itself, or from the model where nothing was read yet. All of them belong to the station. They ask for positions in
-the tracker's own frame: its origin where the axes of the tracker meet, its z along the standing axis. In a frame that was
-moved (onto the robot, or onto points of the hall) they are other functions; where its origin is where no tracker can stand,
-they are not tested. What stretches coordinates is the same in any frame.
+An error of a reading moves the target across or along the line of sight, as a function of the target's position: as read, or
+as predicted by the model before it is read. All these effects belong to the station. They need positions in the tracker's
+own frame, with its origin at the intersection of the tracker's axes and z along the standing axis. In a transformed frame
+(the robot's, or the hall's) they are other functions; if its origin is where no tracker can stand, they are not tested.
+Stretched coordinates are the same effect in any frame.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from pincal.parameters import Parameter, Scope
 Orders = Literal[1, 2]
 _ORDERS: tuple[Orders, ...] = (1, 2)
 _STRETCHED = ("x", "y", "xy", "xz", "yz")
-# Nearer to the standing axis, or to the tracker, than this no direction across it is told [m].
+# Distance to the standing axis, or to the tracker, below which directions across it are undefined [m].
 _AT_AXIS = 1e-9
 
 
 class Sight(NamedTuple):
-    """How targets are seen.
+    """Targets in the tracker's spherical coordinates.
 
     Attributes:
         range: from the tracker, shape (N,) [m].
@@ -56,7 +56,7 @@ class Sight(NamedTuple):
 
     @classmethod
     def of(cls, sighted: np.ndarray) -> Sight:
-        """Return how targets are seen at positions of shape (N, 3) [m]."""
+        """Return the sight of targets at positions of shape (N, 3) [m]."""
         x, y, z = np.asarray(sighted, float).T
         across, r = np.maximum(np.hypot(x, y), _AT_AXIS), np.maximum(np.sqrt(x**2 + y**2 + z**2), _AT_AXIS)
         cos, sin, zero = x / across, y / across, np.zeros_like(x)
@@ -71,17 +71,16 @@ class Sight(NamedTuple):
 
 
 class _Reading(Discoverable):
-    """What errors of an instrument's reading share."""
+    """An error of an instrument's reading."""
 
     scope: ClassVar[Scope] = "station"
     is_sighted: ClassVar[bool] = True
 
     @abstractmethod
     def _moves(self, sight: Sight) -> Sequence[np.ndarray]:
-        """Return by how much a unit of each parameter moves the reading, shape (3, N) each [m]."""
+        """Return the displacement of the reading per unit of each parameter, shape (3, N) each [m]."""
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Move all that is seen, in the instrument's axes."""
         if conditions.sighted is None:
             raise BadInputError(f"{self.name} needs the target's position in the instrument's frame; expected positions")
         moves = enumerate(self._moves(Sight.of(conditions.sighted)))
@@ -90,7 +89,7 @@ class _Reading(Discoverable):
 
 @dataclass(frozen=True)
 class _Circle(_Reading):
-    """What errors of a tracker's graduated circles share.
+    """An error of one of a tracker's angle encoders.
 
     Attributes:
         orders: 1 for an eccentric encoder, 2 for one that is also elliptical.
@@ -100,11 +99,9 @@ class _Circle(_Reading):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it once: eccentric, or oval as well."""
         yield Candidate(cls(), variants=tuple(map(cls, _ORDERS)), obstacle=_obstacle(situation))
 
     def __post_init__(self) -> None:
-        """Refuse other orders."""
         if self.orders not in _ORDERS:
             raise BadInputError(f"{self.name}: orders {self.orders}; expected 1 or 2")
 
@@ -115,7 +112,7 @@ class _Circle(_Reading):
 
     @abstractmethod
     def _read(self, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the circle reads [rad], shape (N,), and how the target moves with it, shape (3, N) [m]."""
+        """Return the encoder's angle [rad], shape (N,), and the target's motion per unit of it, shape (3, N) [m]."""
 
     def _moves(self, sight: Sight) -> Sequence[np.ndarray]:
         angle, lever = self._read(sight)
@@ -127,8 +124,8 @@ class InstrumentAzimuth(_Circle):
     r"""Azimuth encoder of a tracker, eccentric (k = 1) and elliptical (k = 2): reads :math:`s \sin kA + c \cos kA` more.
 
     Distinguished by:
-        the same poses with the tracker elsewhere: its error goes with its own azimuth, the robot's stays with the robot.
-        From one place, the first joint's drive has a similar effect on a target that rotates with it.
+        the same poses with the tracker at another position: its error depends on its own azimuth, the robot's errors on the
+        robot's pose. From one position, the first joint's drive has a similar effect on a target that rotates with it.
 
     Source:
         Muralikrishnan et al. (2009), x6 and x9, the geometric error model of laser trackers.
@@ -152,8 +149,8 @@ class InstrumentElevation(_Circle):
     r"""Elevation encoder of a tracker, eccentric (k = 1) and elliptical (k = 2): reads :math:`s \sin kE + c \cos kE` more.
 
     Distinguished by:
-        the same poses with the tracker elsewhere, nearer or farther, higher or lower: its error goes with its own elevation,
-        the robot's stays with the robot.
+        the same poses with the tracker at another position, nearer or farther, higher or lower: its error depends on its own
+        elevation, the robot's errors on the robot's pose.
 
     Source:
         Muralikrishnan et al. (2009), x7 and x9, the geometric error model of laser trackers.
@@ -178,18 +175,19 @@ class InstrumentTilt(_Reading):
 
     The transit axis deviates from perpendicular to the standing axis by t, the beam from perpendicular to the transit axis
     by c, and the zero of the elevation is off by i: :math:`\Delta A = t \tan E + c / \cos E`, :math:`\Delta E = i`. With
-    offsets, the transit axis passes the standing axis by f, and the beam the point where they meet by l (to the left) and u
-    (upwards). How the standing axis itself stands is the place of the base. Two-face readings are free of t, c, i, l, u.
+    offsets, the transit axis misses the standing axis by f, and the beam misses their intersection by l (to the left) and u
+    (upwards). The standing axis's own orientation is absorbed by the base frame. Two-face readings are free of t, c, i, l,
+    u.
 
     Distinguished by:
-        two-face measurements of the same target. From another place the robot's poses have other elevations, while errors
-        of the robot stay.
+        two-face measurements of the same target. From another position of the tracker the robot's poses have other
+        elevations, while the robot's errors are the same.
 
     Source:
         Muralikrishnan et al. (2009), x1, x2, x4, x5, the geometric error model of laser trackers.
 
     Attributes:
-        offsets: whether the axes do not intersect, too.
+        offsets: whether the axes also fail to intersect.
     """
 
     offsets: bool = False
@@ -211,19 +209,17 @@ class InstrumentTilt(_Reading):
     def _moves(self, sight: Sight) -> Sequence[np.ndarray]:
         r, sine, cosine = sight.range, np.sin(sight.elevation), np.cos(sight.elevation)
         moves = [r * sine * sight.level, r * sight.level, r * sight.up]
-        # Outwards and level, whatever the elevation.
+        # Horizontally outwards, at any elevation.
         return [*moves, cosine * sight.along - sine * sight.up, sight.level, sight.up] if self.offsets else moves
 
 
 @dataclass(frozen=True)
 class InstrumentRange(_Reading):
-    """Zero of a tracker's distance meter: every range is read longer by the same length.
-
-    Its scale is ``measurement_scale``.
+    """Zero offset of a tracker's distance meter, added to every range; its scale error is ``measurement_scale``.
 
     Distinguished by:
         measuring the same target from both ends of a line and from between them; or poses near the tracker and far from
-        it, as from a second place.
+        it, as from a second position.
 
     Source:
         Muralikrishnan et al. (2009), x8 ("bird bath"); R0 of ISO 10360-10.
@@ -235,7 +231,6 @@ class InstrumentRange(_Reading):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it once."""
         yield Candidate(cls(), obstacle=_obstacle(situation))
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -250,12 +245,12 @@ class InstrumentRange(_Reading):
 class InstrumentStretch(_Reading):
     r"""Instrument whose coordinates are stretched: it reads lengths in one direction longer than in another.
 
-    :math:`\Delta p = E p`, with E symmetric: by how much lengths along x and y are read longer than along z, and the shears
-    xy, xz and yz. Where all directions are longer alike, that is ``measurement_scale``.
+    :math:`\Delta p = E p`, with E symmetric: the stretches of lengths along x and y relative to z, and the shears xy, xz and
+    yz. An equal stretch in all directions is ``measurement_scale``.
 
     Distinguished by:
-        a length standard in several directions, or the same poses with the instrument turned: the directions turn with the
-        instrument, what the robot does stays with the robot.
+        a length standard in several directions, or the same poses with the instrument rotated: the directions rotate with
+        the instrument, but not the robot's errors.
 
     Source:
         affine distortion of reconstructions by cameras with wrong parameters (Hartley and Zisserman, 2004); 1 to 3 in a
@@ -265,12 +260,11 @@ class InstrumentStretch(_Reading):
     name: ClassVar[str] = "instrument_stretch"
     meaning: ClassVar[str] = "the instrument reads lengths in one direction longer than in another"
     locus: ClassVar[Locus] = Locus(acts_on="directions")
-    # On all days alike: one that the calibration did not find would hide what is new.
+    # It is constant: as a new effect, it would hide a change of the robot.
     stays: ClassVar[bool] = True
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it once."""
         unread = "no positions in an instrument frame" if situation.conditions.sighted is None else ""
         yield Candidate(cls(), obstacle=unread)
 
@@ -285,14 +279,14 @@ class InstrumentStretch(_Reading):
 
 
 def _obstacle(situation: PoseSet) -> str:
-    """Return why readings can't be judged as those of a tracker, empty if they can."""
+    """Return why readings can't be tested for a tracker's errors, empty if they can."""
     chain, conditions = situation.chain, situation.conditions
     if conditions.sighted is None:
         return "no positions in an instrument frame"
     tips = Model(chain, ()).predict(np.zeros(0), conditions)[:, :, 3]
     base = np.median(conditions.sighted - tips, axis=0)
     away, reach = np.linalg.norm(base), np.median(np.linalg.norm(conditions.sighted - base, axis=1))
-    # Amid the poses no tracker can stand: the frame of the readings is the robot's or the cell's.
+    # No tracker can stand amid the poses: the frame of the readings is the robot's or the cell's.
     if away >= reach:
         return ""
     return (

@@ -1,4 +1,4 @@
-"""A link that bends: what pulls at its far end, and how a chain moves that."""
+"""Bending of a link: the load at its far end, and the chain's coordinates that move this end."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from pincal.model.effects import BENDING_SIZE
 from pincal.parameters import Parameter
 from pincal.robot.link_path import above
 
-# Sine of the twist between two axes from which a shift along the first moves the second across the link.
+# Sine of the twist between two axes from which a shift along the first axis moves the second across the link.
 _TWISTED = 0.5
-# Sine below which a shift along the first axis would have to be fifty times the one that it makes.
+# Sine below which a shift along the first axis would have to be fifty times its effect.
 _HARDLY_TWISTED = 0.02
-# A link shorter than this does not bend, and is no lever: what turns it to shift its end by hundredths of a millimetre would
-# not be small [m].
+# A link shorter than this does not bend, and is no lever: the rotation that shifts its end by hundredths of a millimetre
+# would not be small [m].
 _SHORT = 1e-3
 
 
 @dataclass(frozen=True)
 class LinkBending(Discoverable):
-    r"""Link that bends like a cantilever from its joint to the next, under the weight of all that is beyond it.
+    r"""Link that bends like a cantilever from its joint to the next, under the weight of everything beyond it.
 
-    Of length L along u, with force F and moment M at its end, across u (Euler, Bernoulli): the end turns by
+    The end of a link of length L along u, with force F and moment M across u, rotates (Euler, Bernoulli) by
 
     .. math:: b (L M + L^2/2 \; u \times F), \quad \text{and moves by} \quad b (L^2/2 \; M \times u + L^3/3 \; F).
 
-    The link's own weight and the difference between its two planes are left out. Force and moment are those of the nominal
+    The link's own weight and different stiffness in its two planes are neglected. Force and moment are taken on the nominal
     arm, since errors of some mm change them by a thousandth.
 
     Distinguished by:
@@ -45,7 +45,7 @@ class LinkBending(Discoverable):
         Euler and Bernoulli's beam; in robots Judd and Knasinski (1990), Lightcap et al. (2008).
 
     Attributes:
-        joint: the joint that moves the link; one that carries one other joint.
+        joint: the joint that moves the link; it must carry exactly one other joint.
     """
 
     joint: str
@@ -55,12 +55,10 @@ class LinkBending(Discoverable):
 
     @property
     def locus(self) -> Locus:
-        """The far end of the link, by all the loads there."""
         return Locus(self.joint, "link")
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every link from one joint to the next."""
         robot = situation.chain.robot
         joints = (joint for joint in robot.measured_joints if robot.next_joint(situation.index(joint)) is not None)
         yield from (Candidate(cls(joint)) for joint in joints)
@@ -75,7 +73,6 @@ class LinkBending(Discoverable):
         return parameters_of(self, self.joint, ("bend",), unit="1/(N m^2)", size=BENDING_SIZE)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Turn and move the far end of the link."""
         i = self._index(chain)
         k = chain.robot.next_joint(i)
         assert k is not None
@@ -100,16 +97,16 @@ class LinkBending(Discoverable):
 
 
 def _link_span(chain: Chain, i: int, k: int) -> np.ndarray:
-    """Return the way from joint i to the next, k, as the URDF places them, in the axes at the end of link i [m]."""
+    """Return the vector from joint i to the next, k, as the URDF places them, in the axes at the end of link i [m]."""
     d, a, alpha = (float(chain.nominal[chain.joint(i, symbol)]) for symbol in ("d", "a", "alpha"))
     along = d - chain.height_on_axis(i)
     return np.array([a, along * np.sin(alpha), along * np.cos(alpha) + chain.height_on_axis(k)])
 
 
 def _loads_at_end(chain: Chain, conditions: Conditions, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return force and moment of all that joint k carries, about where the URDF places it, each of shape (N, 3).
+    """Return force and moment, shape (N, 3) each, of everything that joint k carries, about its origin in the URDF.
 
-    On the nominal arm at rest, in the axes at the end of the link before it [N, N m].
+    They are taken on the nominal arm at rest, in the axes at the end of the link before it [N, N m].
     """
     robot, conditions = chain.robot, replace(conditions, inertial=None)
     carried = [j for j in range(robot.n_joints) if j == k or robot.carries(k, j)]
@@ -134,7 +131,7 @@ def _gravity_before(chain: Chain, conditions: Conditions, k: int) -> np.ndarray:
 
 
 def _turned_back(vectors: np.ndarray, axis: int, angle: float | np.ndarray) -> np.ndarray:
-    """Return vectors, shape (N, 3), in axes that are turned by an angle about one of their own."""
+    """Return vectors, shape (N, 3), in axes rotated by an angle about one of them."""
     c, s = np.cos(angle), np.sin(angle)
     y, z = (axis + 1) % 3, (axis + 2) % 3
     out = np.array(vectors, np.result_type(vectors, c))
@@ -145,17 +142,11 @@ def _turned_back(vectors: np.ndarray, axis: int, angle: float | np.ndarray) -> n
 def _end_terms(
     chain: Chain, i: int, following: int, *, shift: np.ndarray, turn: np.ndarray | None = None
 ) -> tuple[Term, ...]:
-    """Return the terms of one parameter that moves and turns the far end of link i, where the URDF has the joint behind it.
+    """Return the terms of one parameter that shifts and rotates the far end of link i, at the joint that follows.
 
-    The chain turns the end about the foot of the common normal, and moves it along the axes of both joints and along the
-    normal. Across parallel axes it has no shift: there the link turns about its joint, and its end back again.
-
-    Args:
-        chain: the chain.
-        i: the joint that moves the link.
-        following: the joint at its end.
-        shift: shape (N, 3), in the axes at the end of the link [m].
-        turn: shape (N, 3), likewise [rad]; default: none.
+    The chain rotates the end about the foot of the common normal, and shifts it along both joint axes and the normal. Across
+    parallel axes it can't shift: there the link rotates about its joint, and its end back again. ``shift`` [m] and ``turn``
+    [rad], shape (N, 3) each, are in the axes at the end of the link.
     """
     if turn is not None:
         shift = shift - np.cross(turn, [0.0, 0.0, chain.height_on_axis(following)])

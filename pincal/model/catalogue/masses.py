@@ -1,4 +1,4 @@
-"""Masses that nobody published: parameters beside the compliances through which they are seen."""
+"""Unpublished masses, as parameters that are observable through the compliances."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from pincal.model.effect import Body, Effect, Family, Locus, Term
 from pincal.parameters import Parameter
 from pincal.robot.robot import Robot
 
-# How well the shape of an arm tells its masses and centres of mass: fractions of the link's own mass, and of its size.
+# Uncertainty of masses and centres of mass guessed from an arm's shape: fractions of the link's own mass, and of its size.
 _MASS_SIZE = 0.5
 _CENTRE_SIZE = 0.3
 _AXES: tuple[tuple[float, float, float], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-# A link's size is at least this part of the arm's.
+# Least size of a link, as a fraction of the arm's.
 _SHORTEST = 0.1
 
 
 @dataclass(frozen=True)
 class LinkMass(Effect):
-    """Mass of each link and first moment of mass about where the shape has its centre, both linear in the static moments.
+    """Mass of each link and first moment of mass about its guessed centre; the static moments are linear in both.
 
     Observable only through the compliances, gamma = k n, they are identified up to a common factor of all masses and the
     inverse of all compliances, unless the payload varies; the priors fix this factor, and predictions do not depend on it.
@@ -48,7 +48,7 @@ class LinkMass(Effect):
     stays: ClassVar[bool] = True
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Mass [kg], and first moment of mass beside that of the mass where the shape has its centre [kg m]."""
+        """Mass [kg], and first moment of mass about the guessed centre [kg m]."""
         found = []
         for i in self._indices(chain):
             joint, mass = chain.robot.joint_names[i], float(chain.robot.masses[i])
@@ -58,11 +58,10 @@ class LinkMass(Effect):
         return tuple(found)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add nothing by itself: masses act through the moments that compliances follow."""
+        """None: masses act through the moments that load the compliances."""
         return ()
 
     def bodies(self, chain: Chain) -> tuple[Body, ...]:
-        """Add mass at the link's centre, and first moment."""
         found = []
         for k, i in enumerate(self._indices(chain)):
             x, y, z = chain.robot.centres[i].tolist()
@@ -81,10 +80,7 @@ class LinkMass(Effect):
 
 
 def with_masses(robot: Robot, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Return effects with the masses of the links where these matter and the robot's description does not tell them.
-
-    Where nothing is elastic masses do nothing, and are left out.
-    """
+    """Return effects with the link masses missing in the robot's description if anything is elastic, else without masses."""
     if not any(effect.uses_moments for effect in effects):
         return tuple(effect for effect in effects if not isinstance(effect, LinkMass))
     if not robot.massless or any(isinstance(effect, LinkMass) for effect in effects):
@@ -94,7 +90,7 @@ def with_masses(robot: Robot, effects: Sequence[Effect]) -> tuple[Effect, ...]:
 
 
 def notes_on_masses(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
-    """Return what to say of masses before anything is measured: that they are guesses, where they matter."""
+    """Return a note that masses are guesses, if they matter."""
     if not robot.massless or not any(effect.uses_moments for effect in effects):
         return ()
     return (

@@ -1,7 +1,6 @@
-r"""Effects of motion: clocks that differ, joints that lag, drives that friction winds up.
+r"""Effects of motion: clock offsets, joints that lag, drives wound up by friction.
 
-All of them follow the joints' velocities and are zero where poses were held, which is how a calibration found in motion is
-used at rest.
+All of them depend on the joints' velocities and vanish at rest, so that a calibration from motion applies to held poses.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ _LAG = 1e-3
 
 @dataclass(frozen=True)
 class InstrumentClock(Effect):
-    r"""The instrument's clock is off against that of the joints: its reading is of the pose at a later time.
+    r"""The instrument's clock is offset from the joints' clock: its reading belongs to the pose at a later time.
 
-    A reading of time t is of the joints at :math:`t + \tau_0 + \tau_1 (t - t_m)`, so that every drive adds
-    :math:`\dot q_j` times this, to first order: the times are known to a millisecond before. Like the place of the
-    instrument it may be anything.
+    A reading at time t belongs to the joints at :math:`t + \tau_0 + \tau_1 (t - t_m)`, so that :math:`\dot q_j` times the
+    difference is added to every drive, to first order: the times are synchronised to a millisecond beforehand. Like the pose
+    of the instrument it is unconstrained.
 
     Distinguished by:
         motions that start and stop. An offset equals the same lag of all joints.
@@ -41,7 +40,7 @@ class InstrumentClock(Effect):
         pincal's own; temporal calibration as in Furgale, Rehder and Siegwart (2013).
 
     Attributes:
-        middle: time t_m about which the clock drifts [s]; that in the middle of a session is well conditioned.
+        middle: time t_m about which the clock drifts [s]; the middle of a session is well conditioned.
         drifts: whether it also runs at another rate.
     """
 
@@ -59,7 +58,6 @@ class InstrumentClock(Effect):
         return tuple(Parameter(f"clock.{symbol}", unit, self.name, 0.0, ANYWHERE) for symbol, unit in symbols)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add the way that each joint goes in a unit of time."""
         if conditions.velocity is None:
             return ()
         since = [np.ones(len(conditions))]
@@ -71,10 +69,10 @@ class InstrumentClock(Effect):
 
 @dataclass(frozen=True)
 class JointLag(DriveInMotion):
-    r"""Joint that stands where it is recorded only a while later: :math:`-\tau \dot q` adds to its position.
+    r"""Joint that reaches its recorded position with a delay: :math:`-\tau \dot q` is added to its position.
 
-    Lags of all joints alike are an offset of the instrument's clock; differences between joints are their own, such as
-    encoders that are read one after the other, or velocity errors of position loops.
+    An equal lag of all joints is an offset of the instrument's clock; differences between joints are due to encoders that
+    are read one after the other, or to velocity errors of position loops.
 
     Distinguished by:
         the same path at two speeds and in both directions: a lag grows with the speed, friction does not.
@@ -90,7 +88,6 @@ class JointLag(DriveInMotion):
     typical: ClassVar[float] = _LAG
 
     def of_velocity(self, velocity: np.ndarray) -> np.ndarray:
-        """Return minus the velocity."""
         return -velocity
 
 
@@ -100,14 +97,14 @@ class FrictionWindup(DriveInMotion):
 
     Distinguished by:
         the same path at two speeds and in both directions: it changes sign with the direction and hardly with the speed.
-        Where poses are held it is hysteresis, which follows the direction of approach.
+        In held poses it is hysteresis, which depends on the direction of approach.
 
     Source:
         Coulomb friction behind a compliant gear, Ruderman, Hoffmann and Bertram (2009).
 
     Attributes:
         joint: the joint.
-        slow: speed v over which friction changes sides [rad/s or m/s].
+        slow: speed v over which friction changes sign [rad/s or m/s].
     """
 
     slow: float = 0.02
@@ -117,24 +114,22 @@ class FrictionWindup(DriveInMotion):
     typical: ClassVar[float] = PLAY
 
     def __post_init__(self) -> None:
-        """Refuse a speed that is none."""
         if not self.slow > 0.0:
             raise BadInputError(f"friction_windup of {self.joint}: slow {self.slow} rad/s; expected more than 0")
 
     def of_velocity(self, velocity: np.ndarray) -> np.ndarray:
-        """Return minus its direction, which changes smoothly."""
         return -np.tanh(velocity / self.slow)
 
 
 def with_drives(robot: Robot, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Return effects with what every drive does, which an IMU alone would else take for zeros of parallel joints.
+    """Return effects with the usual errors of drives, which an IMU alone would confuse with offsets of parallel joints.
 
-    These are the compliance of drives, where the masses are known, eccentric gears, and friction; the priors hold each.
+    These are compliance of the drives if masses are known, eccentric gears, and friction, each constrained by its prior.
     """
     revolute = [name for name, kind in zip(robot.joint_names, robot.joint_types, strict=True) if kind == "revolute"]
-    is_told = robot.massless or any(isinstance(effect, JointElasticity) for effect in effects)
+    is_rigid = robot.massless or any(isinstance(effect, JointElasticity) for effect in effects)
     more: tuple[Effect, ...] = (
-        *(() if is_told else (JointElasticity(),)),
+        *(() if is_rigid else (JointElasticity(),)),
         *(GearEccentricity(joint, order) for joint in revolute for order in ORDERS),
         *(FrictionWindup(joint) for joint in robot.joint_names),
     )

@@ -1,12 +1,12 @@
-r"""What dies away with time: a joint that creeps, links that grow as the arm warms up by itself.
+r"""Exponential relaxation with time: creep of a joint offset, expansion of links as the arm warms up by itself.
 
-Both follow :math:`a f(t), \; f = 1 - e^{-(t - t_0) / \tau}`, zero before :math:`t_0`. The time constant is a parameter as
-well, linearised about the amplitude A and the time constant that are expected:
+Both are :math:`a f(t), \; f = 1 - e^{-(t - t_0) / \tau}`, zero before :math:`t_0`. The time constant is a parameter, too,
+linearised about the expected amplitude A and time constant:
 
 .. math:: a f(t) + \delta\tau \, A \, \frac{\partial f}{\partial\tau}, \qquad
           \frac{\partial f}{\partial\tau} = - \frac{t - t_0}{\tau^2} e^{-(t - t_0) / \tau} .
 
-A discovery tries a few time constants without this term (A = 0), and expands about what it found until nothing moves.
+A discovery tries a few time constants without this term (A = 0), and then linearises about the estimate until it converges.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from pincal.model.effect_bases import GROWTH, DriveEffect, drive_unit, recorded
 from pincal.model.symbols import held
 from pincal.parameters import Parameter
 
-# Time constants that a discovery tries, over the time of the table: the longest is nearly a steady drift.
+# Time constants that a discovery tries, relative to the duration of the table: the longest is nearly a steady drift.
 _CONSTANTS = (0.07, 0.2, 0.6, 2.0)
-# Time constants that are told from a jump, and from a steady drift, over the time of the table.
+# Time constants distinguishable from a jump, and from a steady drift, relative to the duration of the table.
 _SHORTEST, _LONGEST = 0.01, 5.0
-# Step by which a time constant moves at most, as a factor.
+# Largest step of a time constant, as a factor.
 _FAR = 2.0
-# What counts as settled: change of the time constant, and of the amplitude in which it is linearised.
+# Convergence: relative change of the time constant, and of the amplitude about which it is linearised.
 _SAME, _SAME_AMPLITUDE = 1e-3, 0.02
-# After so many time constants nothing moves any more.
+# Number of time constants after which the relaxation is over.
 _OVER = 50.0
 
 
 class _Relaxing(ABC):
-    """What effects share that die away with time; their fields are those of the effects."""
+    """An exponential relaxation; its fields are the effects'."""
 
     name: ClassVar[str]
     joint: str | None
@@ -50,13 +50,12 @@ class _Relaxing(ABC):
     expected: float
 
     def __post_init__(self) -> None:
-        """Refuse a time constant that is none."""
         if not self.constant > 0.0:
             where = f" of {self.joint}" if self.joint else ""
             raise BadInputError(f"{self.name}{where}: time constant {self.constant:g} s; expected more than 0")
 
     def about(self, values: np.ndarray) -> Self:
-        """Return the effect about an amplitude and a change of the time constant; itself once next to nothing moves."""
+        """Return the effect about an amplitude and a changed time constant; itself once these have converged."""
         change = float(values[1]) / self.constant if len(values) > 1 else 0.0
         same = abs(values[0] - self.expected) <= _SAME_AMPLITUDE * abs(values[0])
         if same and abs(change) <= _SAME:
@@ -67,14 +66,14 @@ class _Relaxing(ABC):
         return replace(self, constant=constant, expected=float(values[0]))  # type: ignore[type-var]
 
     def _named(self, element: str, symbol: str, unit: str) -> tuple[Parameter, ...]:
-        """Return amplitude and, where it is a parameter, time constant."""
+        """Return the amplitude and, if it is a parameter, the time constant."""
         amplitude = Parameter(f"{element}.{symbol}", unit, self.name, 0.0, GROWTH)
         if not self.expected:
             return (amplitude,)
         return amplitude, Parameter(f"{element}.{symbol}_tau", "s", self.name, self.constant, GROWTH)
 
     def _shapes(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return f at times [s], and A times its slope by the time constant where that is a parameter, shape (N,) each."""
+        """Return f at times [s] and, if the time constant is a parameter, A times its derivative, shape (N,) each."""
         since = (held(time, self.start, self.start + _OVER * self.constant) - self.start) / self.constant
         left = np.exp(-since)
         if not self.expected:
@@ -88,7 +87,7 @@ class JointCreep(_Relaxing, DriveEffect, ExponentialDrift):
 
     Distinguished by:
         repeating the first poses during the day, joint by joint, with the time recorded. Expansion moves the target along
-        the arm, creep of an offset moves it across.
+        the arm, creep of an offset across it.
 
     Source:
         drift of pose characteristics in ISO 9283.
@@ -97,8 +96,8 @@ class JointCreep(_Relaxing, DriveEffect, ExponentialDrift):
         joint: the joint.
         constant: the time constant [s].
         start: t_0, when it began [s].
-        span: time span of the data [s], which limits the time constant that can be found; None for no limit.
-        expected: A, amplitude about which the time constant is linearised [rad or m]; 0 to hold the time constant.
+        span: time span of the data [s], which limits the time constant; None for no limit.
+        expected: A, amplitude about which the time constant is linearised [rad or m]; 0 to hold the time constant fixed.
     """
 
     constant: float
@@ -112,7 +111,6 @@ class JointCreep(_Relaxing, DriveEffect, ExponentialDrift):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every joint, with several time constants."""
         for joint in situation.joints:
             forms = [cls(joint, constant, start, span) for constant, start, span in _tried(situation)]
             yield Candidate(forms[0], variants=tuple(forms))
@@ -122,7 +120,6 @@ class JointCreep(_Relaxing, DriveEffect, ExponentialDrift):
         return self._named(self.joint, "creep", drive_unit(chain, self.joint))
 
     def bases(self, chain: Chain, conditions: Conditions) -> tuple[np.ndarray, ...]:
-        """Return what has crept."""
         return self._shapes(self.variable(chain, conditions))
 
 
@@ -130,22 +127,22 @@ class JointCreep(_Relaxing, DriveEffect, ExponentialDrift):
 class ThermalGrowth(_Relaxing, ExponentialDrift):
     r"""Expansion as the arm warms up: lengths grow by the fraction :math:`a (1 - e^{-(t - t_0) / \tau})` of nominal.
 
-    An arm warms up by itself, independently of the air temperature. Where it follows the air closely, thermal expansion
-    is equivalent. See there for the lengths that grow.
+    The arm warms up by itself, independently of the air temperature. If it follows the air closely, thermal expansion is
+    equivalent; it has the same lengths.
 
     Distinguished by:
-        the temperature of the arm itself, recorded; repeating the first poses later, and again after the arm has cooled
-        down. A drift of the base moves all poses alike.
+        recording the temperature of the arm itself; repeating the first poses later, and again after the arm has cooled
+        down. A drift of the base moves all poses by the same amount.
 
     Source:
         Heisel, Richter and Wurst (1997), on the warming up of an arm.
 
     Attributes:
         constant: the time constant [s].
-        joint: the joint that moves the one link that grows; None for the whole arm.
+        joint: the joint that moves the only link that expands; None for the whole arm.
         start: t_0, when it began to warm up [s].
-        span: time span of the data [s], which limits the time constant that can be found; None for no limit.
-        expected: A, growth about which the time constant is linearised [1]; 0 to hold the time constant.
+        span: time span of the data [s], which limits the time constant; None for no limit.
+        expected: A, growth about which the time constant is linearised [1]; 0 to hold the time constant fixed.
     """
 
     constant: float
@@ -158,29 +155,26 @@ class ThermalGrowth(_Relaxing, ExponentialDrift):
 
     @property
     def locus(self) -> Locus:
-        """The lengths of one link or of all, by the time."""
         return Locus(self.joint, "lengths", "time")
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every link, and on the whole arm."""
         for joint in (*situation.joints, None):
             forms = [cls(constant, joint, start, span) for constant, start, span in _tried(situation)]
             yield Candidate(forms[0], variants=tuple(forms))
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Growth in the end [1]; the time constant [s]."""
+        """Final growth [1]; the time constant [s]."""
         return self._named(self.joint or "arm", "growth", "1")
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add what has grown to the lengths."""
         lengths = {k: length for k, length in lengths_that_grow(chain, self.joint).items() if length}
         shapes = self._shapes(recorded(self, "time", conditions.time))
         return tuple(Term(p, k, length * shape) for p, shape in enumerate(shapes) for k, length in lengths.items())
 
 
 def _tried(situation: PoseSet) -> list[tuple[float, float, float]]:
-    """Return time constants to try, with start and length of the time recorded [s]."""
+    """Return time constants to try, with start and duration of the recorded time [s]."""
     time = situation.conditions.time
     span = 0.0 if time is None else float(np.ptp(time))
     start = 0.0 if time is None else float(np.min(time))

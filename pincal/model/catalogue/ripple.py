@@ -18,28 +18,27 @@ from pincal.model.conditions import TURN, PoseSet
 from pincal.model.effect import Candidate, Harmonic
 from pincal.model.effect_bases import WAVE, DriveHarmonic
 
-# Waves a turn among which a discovery looks for gear ripple: fewer are curves of the drive, more need ever more poses. The
-# two lobes of a strain wave gear of 1:101 make 202 cycles per revolution, and twice as many.
+# Orders (cycles per revolution) in which a discovery searches for gear ripple: lower ones are curves of the drive, higher
+# ones need ever more poses. The two lobes of a strain wave gear of 1:101 make 202 cycles per revolution, and twice as many.
 _BAND = (20.0, 450.0)
-# What stands for all orders where none is known: the ratio of a usual strain wave gear.
+# Placeholders of an unknown order: the ratio of a usual strain wave gear, and the lines of an encoder.
 _USUAL, _LINES = 101.0, 1024.0
-# Half of twice the log-likelihood that a wave chosen in the whole band has to gain, about (see ``independent_orders``).
+# Approximate gain in log-likelihood required of a wave selected in the whole band (see ``independent_orders``).
 _GAIN = 18.0
-# Lines a turn of encoders that count in binary: powers of two, from the least that is no curve of the drive.
+# Lines per revolution of encoders with binary subdivision, from the lowest that is not a curve of the drive.
 _BINARY = tuple(2.0**n for n in range(5, 17))
-# Chance that any order is as near to what is proposed of it, above which nothing is proposed: a hint, as good as one in ten.
+# Probability of a chance match of an order above which no origin is suggested: as a hint, one in ten is good enough.
 _BY_CHANCE = 0.1
 
 
 @dataclass(frozen=True)
 class _FineWaves(DriveHarmonic, Harmonic):
-    """Waves of an order that is any number."""
+    """Waves of any order, not only an integer."""
 
     order: float
     typical: ClassVar[float] = WAVE
 
     def __post_init__(self) -> None:
-        """Refuse orders that are none."""
         if not self.order > 0.0:
             raise BadInputError(
                 f"{self.name} of {self.joint}: order {self.order:g}; expected cycles per revolution, more than 0"
@@ -51,9 +50,9 @@ class GearRipple(_FineWaves):
     r"""Motor or gear stage that turns many times per revolution of the joint: it adds :math:`s \sin kq + c \cos kq`.
 
     Distinguished by:
-        many poses of this joint alone, spaced by less than half a period; a ratio from the data sheet leaves one order to
-        test instead of hundreds. The noise of few poses resembles some order. An encoder with one or two periods per line
-        has the same ripple.
+        many poses of this joint alone, spaced by less than half a period; with the ratio from the data sheet one order is
+        tested instead of hundreds, of which one fits the noise of few poses. An encoder with one or two periods per line has
+        the same ripple.
 
     Source:
         Tuttle (1992); the chance of a false wave after Baluev (2008).
@@ -72,32 +71,31 @@ class GearRipple(_FineWaves):
 
     @property
     def looks(self) -> float:
-        """The orders among which this one was chosen."""
+        """Number of orders among which this one was selected."""
         return self.chosen_among
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every joint that turns; its order has to be searched for, or named."""
+        """Yield it on every revolute joint; its order has to be searched for, or given."""
         for joint in situation.revolute:
             among = len(situation.revolute) * independent_orders(situation.positions(joint), _BAND)
             yield Candidate(cls(joint, _USUAL, among), variants=())
 
     def tuned(self, order: float, chosen_among: float = 1.0) -> GearRipple:
-        """Return the ripple of another order."""
         return replace(self, order=order, chosen_among=chosen_among)
 
     @property
     def same(self) -> tuple[Harmonic, ...]:
-        """An encoder with a line a wave, or with one every two waves."""
+        """An encoder with one line per wave, or per two waves."""
         return tuple(EncoderSubdivision(self.joint, order) for order in (self.order, self.order / 2.0))
 
     def suggested(self, resolution: float) -> Harmonic:
-        """Return an encoder that counts in binary, if there is one of so many lines and few orders are as near to one."""
+        """Return an encoder with binary subdivision, if the order matches one and is unlikely to do so by chance."""
         power, _ = _binary(self.order, resolution)
         return EncoderSubdivision(self.joint, 2.0**power) if power else self
 
     def origin(self, order: float, resolution: float, wheels: Mapping[float, str]) -> str:
-        """Return of which wheel it may be a harmonic: of those that are named, or of a usual strain wave gear."""
+        """Return the wheel of which it may be a harmonic: one of those given, or of a usual strain wave gear."""
         known = {_USUAL: "the ratio of a usual strain wave gear"} | dict(wheels)
         near, chance = list[tuple[float, int, str]](), 1.0
         for turns, whose in known.items():
@@ -131,41 +129,35 @@ class EncoderSubdivision(_FineWaves):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield it on every joint that turns, not to be tested until its lines are named."""
+        """Yield it on every revolute joint, not to be tested until its lines are given."""
         unknown = "its lines per revolution are not known; give them: --try encoder_subdivision:JOINT:order=LINES"
         yield from (Candidate(cls(joint, _LINES), variants=(), obstacle=unknown) for joint in situation.revolute)
 
     def tuned(self, order: float, chosen_among: float = 1.0) -> EncoderSubdivision:
-        """Return the error of an encoder of other lines; they are known, not chosen."""
+        """Return the error of an encoder with other lines, which are known and not selected."""
         return replace(self, order=order)
 
     @property
     def orders(self) -> tuple[float, ...]:
-        """Once and twice a line."""
         return self.order, 2.0 * self.order
 
     def origin(self, order: float, resolution: float, wheels: Mapping[float, str]) -> str:
-        """Return that it is a power of two, if it is one."""
+        """Return that it is a power of two, if so."""
         power, chance = _binary(order, resolution)
         return f"2^{power}, as of an encoder with binary subdivision{_as_near(chance)}" if power else ""
 
 
 def independent_orders(q: np.ndarray, band: tuple[float, float]) -> float:
-    """Return among how many independent orders the highest of a periodogram is chosen (Baluev 2008, Eq. 5).
+    """Return the number of independent orders in a periodogram (Baluev 2008, Eq. 5).
 
-    Args:
-        q: shape (N,), positions [rad].
-        band: least and largest order [1/turn].
+    Positions q have shape (N,) [rad]; ``band`` contains least and largest order [cycles per revolution].
     """
     spread = float(np.std(q)) / TURN
     return 1.0 + (band[1] - band[0]) * spread * float(np.sqrt(4.0 * np.pi * _GAIN))
 
 
 def resolution_of(q: np.ndarray) -> float:
-    """Return by how much two orders have to differ to be told apart [1/turn]: one over the turns that are covered.
-
-    Args:
-        q: shape (N,), positions [rad].
+    """Return the resolution of orders [cycles per revolution] at positions of shape (N,) [rad]: one over the turns covered.
 
     Example:
         >>> resolution_of(np.array([0.0, np.pi]))
@@ -175,7 +167,7 @@ def resolution_of(q: np.ndarray) -> float:
 
 
 def _binary(order: float, resolution: float) -> tuple[int, float]:
-    """Return the power of two that an order is, 0 if none, and the chance that any order of the band is as near to one."""
+    """Return the exponent of the power of two that an order is, 0 if none, and the probability of a chance match."""
     powers = [lines for lines in _BINARY if lines < _BAND[1]]
     chance = 2.0 * resolution * len(powers) / (_BAND[1] - _BAND[0])
     power = round(np.log2(order))

@@ -1,4 +1,4 @@
-"""Terms without a physical name: what a joint does for no reason that the catalogue knows."""
+"""Unnamed terms: joint errors without a known physical cause."""
 
 from __future__ import annotations
 
@@ -20,48 +20,47 @@ from pincal.parameters import Parameter
 FormName = Literal["curve", "waves", "product", "map", "step", "kink"]
 ActsOn = Literal["drive", "gamma_x", "gamma_y", "s_x", "s_y"]
 
-# Pairs of neighbouring joints among which a discovery chooses the likeliest maps.
+# Pairs of neighbouring joints among which a discovery selects the likeliest maps.
 _PAIRS = 15.0
-# Typical size of what has no name [rad].
+# Typical size of an unnamed term [rad].
 _SIZE = 3e-4
 # Pieces of a curve; of a map, along each joint, from coarse to fine.
 _PIECES = 8
 _MAP_PIECES = (4, 5, 6, 8, 10, 12)
-# Waves per turn that are tried.
+# Orders (cycles per revolution) that are tried.
 _ORDERS = (1, 2, 3)
-# Places where a curve may break, as fractions of the rows below them.
+# Breakpoints that are tried, as quantiles of the rows.
 _PLACES = np.linspace(0.08, 0.92, 22)
 _ACROSS: tuple[ActsOn, ...] = ("gamma_x", "gamma_y")
 _BEFORE: tuple[ActsOn, ...] = ("s_x", "s_y")
 _DRIVE: tuple[ActsOn, ...] = ("drive",)
-# A variable that changes by less than this is a constant.
+# A variable that varies by less than this is constant.
 _CONSTANT = 1e-6
 
 
 @dataclass(frozen=True)
 class Unnamed(Resolvable):
-    """A joint error that depends on one variable, or on its own position and another's, without a cause in the catalogue.
+    """A joint error that depends on one variable, or on two joints' positions, without a cause in the catalogue.
 
     Distinguished by:
-        measurements that vary its variable and hold the others: see the sections of the named effects. If the catalogue
-        lacks an effect, a custom one is one class.
+        measurements that vary its variable and hold the others fixed: see the sections of the named effects. An effect that
+        the catalogue lacks can be added as one class.
 
     Source:
         splines after de Boor (1978).
 
     Attributes:
         joint: where it acts.
-        acts_on: "drive" (about the joint's own axis), "gamma_x" or "gamma_y" (across it, behind the joint), "s_x" or "s_y"
+        acts_on: "drive" (about the joint's own axis), "gamma_x" or "gamma_y" (across it, after the joint), "s_x" or "s_y"
             (across it, before the joint).
-        depends_on: name of a joint whose position it follows, or "time", "temperature", "payload", or "move",
-            how far its joint came last.
-        shape: "curve" (a cubic spline), "waves" (sine and cosine, ``order`` a turn), "product" (of sine or cosine of the
-            joint's own angle and of the other's), "map" (products of cubic splines of both), "step" (at ``place``), or
-            "kink" (another slope from there on).
-        lower, upper: the range that was seen; outside it a curve keeps its end value.
+        depends_on: name of a joint, for its position, or "time", "temperature", "payload", or "move", the joint's last move.
+        shape: "curve" (a cubic spline), "waves" (sine and cosine of ``order``), "product" (of sine or cosine of the joint's
+            own angle and of the other's), "map" (products of cubic splines of both), "step" (at ``place``), or "kink" (a
+            change of slope there).
+        lower, upper: the measured range; outside it a curve keeps its end value.
         size: number of basis functions of a curve, and of a map along each joint.
         order: cycles per revolution.
-        place: where it breaks [rad or m].
+        place: breakpoint [rad or m].
         own_lower, own_upper: the range of the joint's own position, of a map.
     """
 
@@ -82,7 +81,6 @@ class Unnamed(Resolvable):
     alike: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Refuse waves without an order and a break without a place."""
         if self.shape == "waves" and self.order is None:
             raise BadInputError(f"{self.name} of {self.joint}: waves need an order")
         if self.shape in ("step", "kink") and self.place is None:
@@ -90,13 +88,12 @@ class Unnamed(Resolvable):
 
     @property
     def locus(self) -> Locus:
-        """Where it acts, and what it follows there."""
         span = (self.lower, self.upper) if self.shape in ("curve", "map") else None
         return Locus(self.joint, self.acts_on, self.depends_on, self.order, shape=self.shape, place=self.place, span=span)
 
     @property
     def looks(self) -> float:
-        """How many maps it was chosen among."""
+        """Number of maps among which it was selected."""
         return _PAIRS if self.shape == "map" else 1.0
 
     @property
@@ -105,7 +102,7 @@ class Unnamed(Resolvable):
         return {"curve": self.size, "waves": 2, "product": 4, "map": self.size**2, "step": 1, "kink": 2}[self.shape]
 
     def resolutions(self, situation: PoseSet) -> tuple[Unnamed, ...]:
-        """Return a map from coarse to fine, as far as poses and positions carry it; other shapes have no resolution."""
+        """Return a map from coarse to fine, as far as poses and positions support it; other shapes have no resolution."""
         if self.shape != "map":
             return ()
         pairs = (situation.positions(joint) for joint in (self.joint, self.depends_on))
@@ -113,13 +110,12 @@ class Unnamed(Resolvable):
         return tuple(replace(self, size=size) for size in _MAP_PIECES if size <= most)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Heights of the basis functions [rad]."""
+        """Coefficients of the basis functions [rad]."""
         shape = "" if self.shape == "curve" else f"_{self.shape}{self.order or ''}"
         stem = f"{self.joint}.{self.acts_on}_of_{self.depends_on}{shape}"
         return tuple(Parameter(f"{stem}_{i + 1}", "rad", self.name, 0.0, _SIZE) for i in range(self.n_functions))
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add the basis functions to the joint's drive, or tilt it."""
         i = joint_index(chain, self.joint)
         x = recorded_variable(chain, conditions, self.depends_on, joint=self.joint, span=self.locus.span)
         own_span = (self.own_lower, self.own_upper) if self.shape == "map" else None
@@ -151,10 +147,10 @@ class Unnamed(Resolvable):
 
 
 def nameless_candidates(chain: Chain, conditions: Conditions, joints: Sequence[str]) -> Iterator[Unnamed]:
-    """Return what no entry of the catalogue describes: of some joints, what follows a variable.
+    """Return the unnamed terms of some joints, for each variable that changes.
 
-    A smooth curve of the joint's own position is the catalogue's transmission error, and its waves of order 1 and 2 are
-    there too. Waves and products say in few parameters what a curve says in many.
+    A smooth curve of the joint's own position is the catalogue's transmission error, and waves of order 1 and 2 are in the
+    catalogue, too. Waves and products need fewer parameters than a curve.
     """
     names = chain.robot.joint_names
     columns = {name: conditions.q[:, i] for i, name in enumerate(names)}
@@ -173,7 +169,7 @@ def nameless_candidates(chain: Chain, conditions: Conditions, joints: Sequence[s
 
 
 def maps_of(situation: PoseSet, joint: str) -> Iterator[Unnamed]:
-    """Yield the coarsest map of a joint's position and of each other's."""
+    """Yield the coarsest map of a joint's position and each other joint's."""
     own = situation.positions(joint)
     for other in situation.joints:
         x = situation.positions(other)
