@@ -90,7 +90,7 @@ def test_names_get_a_prefix_only_where_two_robots_have_the_same() -> None:
 
 def test_a_robot_without_a_place_or_a_name_of_its_own_is_refused() -> None:
     """With what to do."""
-    with pytest.raises(RobotFileError, match=r"nothing tells where it stands beside .*--beside right=ur10@"):
+    with pytest.raises(RobotFileError, match=r"its placement relative to .* is unknown.*--beside right=ur10@"):
         read_cell("ur5", [Beside("ur10", "right")])
     with pytest.raises(RobotFileError, match="is a name of another robot; expected another name than right"):
         read_cell("ur5", [Beside("ur10", "right", PLACE), Beside("ur10", "right", PLACE)])

@@ -306,7 +306,7 @@ def test_constraints_that_leave_nothing_are_named(limits, rig, words):
         ({"candidates": 4}, "4 candidates for 5 poses"),
         ({"accuracy": 1e-9}, "accuracy 1e-06 mm: 150 poses reach"),
         ({"accuracy": -1.0}, "accuracy -1 m"),
-        ({"accuracy": 1e-4, "criterion": "determinant"}, "goes with the criterion task alone"),
+        ({"accuracy": 1e-4, "criterion": "determinant"}, "requires the criterion task"),
         ({"criterion": "guess"}, "expected task or determinant"),
         ({"payloads": [-1.0]}, "payloads -1"),
         ({"rig": SensorSetup(sensor="distance")}, "position of the instrument"),

@@ -167,7 +167,7 @@ def test_readings_decide_which_joints_follow() -> None:
     """Those without; of more than the loops leave free the ones that most joints carry, and that is said."""
     robot = Robot.from_urdf(palletizer(), joints=["joint_1", "joint_2", "elbow", "joint_4"])
     assert set(robot.passive) == {"joint_3", "rod_foot", "strut_1_foot", "strut_2_foot", "triangle", "wrist"}
-    with pytest.warns(PincalWarning, match="readings of wrist are not used: more than the loops leave free"):
+    with pytest.warns(PincalWarning, match="readings of wrist are not used: the loops determine these positions"):
         robot = Robot.from_urdf(palletizer(), joints=[*DRIVES, "wrist"])
     assert [robot.joint_names[i] for i in robot.own_joints] == DRIVES
 

@@ -135,7 +135,7 @@ def test_the_command_writes_a_motion_that_simulate_drives(tmp_path: Path, capsys
 def test_a_motion_that_ends_too_soon_is_told(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """Between three poses there are six moves, each driven once."""
     monkeypatch.setattr(motion_design, "_POSES", 3)
-    with pytest.warns(PincalWarning, match=r"the motion ends after .* s of 900 s: no further move is left"):
+    with pytest.warns(PincalWarning, match=r"the motion ends after .* s of 900 s, as all moves between"):
         found = design_motion(robot, 900.0, GEOMETRY)
     assert len(found.time) <= 7
 

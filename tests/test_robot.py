@@ -676,7 +676,7 @@ def test_a_name_is_the_robot_that_it_says() -> None:
             warnings.simplefilter("ignore", PincalWarning)
             found = robot_name(find_file(name))
             assert found is None or found not in known or name.startswith(found), name
-    with pytest.warns(PincalWarning, match="has ur5_robot.urdf under the name 'ur3', .*; ur3_robot.urdf beside it is read"):
+    with pytest.warns(PincalWarning, match="has ur5_robot.urdf under the name 'ur3', .*; ur3_robot.urdf next to it is read"):
         robot = Robot.from_urdf("ur3")
     # Universal Robots, DH parameters for calculations of kinematics and dynamics: a2, a3 of the UR3.
     assert robot.name == "ur3"

@@ -122,7 +122,7 @@ def test_effects_of_motion_are_in_the_truth(tmp_path: Path) -> None:
         (["--path", "10s", "--poses", "3", "--out", "t"], 2, "--poses is for poses at rest"),
         (["--path", "10s", "--imu", "--imu-noise", "1mg", "--out", "t"], 2, "such as 1mg,0.01deg/s"),
         (["--path", "10s", "--log-rates", "150,0,250", "--out", "t"], 2, "rates of joints, IMU and tracker"),
-        (["--path", "10s", "--effect", "settling:joint_1", "--out", "t"], 3, "settling: is of poses that were held"),
+        (["--path", "10s", "--effect", "settling:joint_1", "--out", "t"], 3, "settling: depends on a sequence"),
     ],
 )
 def test_what_does_not_go_together_is_refused(

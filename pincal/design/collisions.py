@@ -1,4 +1,4 @@
-"""What of an arm can be in the way: boxes around its bodies, and their collisions by the geometry of its URDF."""
+"""Obstruction by the arm itself: boxes around its bodies, and self-collisions by the geometry of its URDF."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from pincal.robot.urdf_file import arm_text, parse_xml
 if TYPE_CHECKING:
     import pinocchio as pin
 
-# Poses by which pairs of bodies are found that touch by the way the arm is built, and the part of them in which they do.
+# Number of poses, and the fraction of them in which a pair must touch to be considered touching by construction.
 _PROBES, _ALWAYS = 100, 0.95
-# Such pairs that are named.
+# Number of such pairs that are named.
 _NAMED = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Collisions:
-    """The collision geometry of a URDF, everything off the arm locked.
+    """The collision geometry of an arm.
 
     Attributes:
         robot: the arm.
-        model: its Pinocchio model.
+        model: its Pinocchio model, with all other joints locked.
         geometry: the bodies and the pairs of them that must not touch.
         clearance: distance below which two bodies count as touching [m].
     """
@@ -45,7 +45,7 @@ class Collisions:
         return np.array([self._touches(row, first=True) for row in q], bool)
 
     def often(self, q: np.ndarray) -> np.ndarray:
-        """Return in which part of the poses each pair touches, shape (pairs,)."""
+        """Return the fraction of the poses in which each pair touches, shape (pairs,)."""
         count = np.zeros(len(self.geometry.collisionPairs))
         for row in q:
             self._touches(row, first=False)
@@ -54,14 +54,14 @@ class Collisions:
 
     @cached_property
     def _work(self) -> tuple[pin.Data, pin.GeometryData]:
-        """Pinocchio's room to work in."""
+        """Pinocchio's data of model and geometry."""
         found = self.geometry.createData()
         for request in found.collisionRequests:
             request.security_margin = self.clearance
         return self.model.createData(), found
 
     def _touches(self, q: np.ndarray, *, first: bool) -> bool:
-        """Return whether any pair touches; look at all the others, too, unless the first one is enough."""
+        """Return whether any pair touches; with ``first``, stop at the first one."""
         import pinocchio as pin
 
         data, found = self._work
@@ -70,7 +70,7 @@ class Collisions:
 
 
 def read_collisions(robot: Robot, clearance: float) -> tuple[Collisions | None, list[str]]:
-    """Return the collision geometry of a URDF with all pairs that could touch, and in words what is missing of it.
+    """Return the collision geometry of a URDF with all pairs that could touch, and notes on what is missing.
 
     Two bodies closer than ``clearance`` [m] count as touching.
     """
@@ -94,7 +94,7 @@ def read_collisions(robot: Robot, clearance: float) -> tuple[Collisions | None, 
 
 
 def _settle_meshes(root: Any, source: str) -> Iterator[str]:
-    """Give each collision mesh its absolute path, or take it out and say so."""
+    """Give each collision mesh its absolute path, or remove it and yield a note."""
     meshes = Meshes(source)
     for link in root.iterfind("link"):
         for collision in link.findall("collision"):
@@ -110,7 +110,7 @@ def _settle_meshes(root: Any, source: str) -> Iterator[str]:
 
 
 def _pairs(model: Any, geometry: Any) -> Iterator[tuple[int, int]]:
-    """Yield the pairs of bodies that are neither one body nor neighbours at a joint."""
+    """Yield the pairs of geometries on different bodies that are not neighbours at a joint."""
     parents = [body.parentJoint for body in geometry.geometryObjects]
     for i, one in enumerate(parents):
         for j, other in enumerate(parents[:i]):
@@ -119,7 +119,7 @@ def _pairs(model: Any, geometry: Any) -> Iterator[tuple[int, int]]:
 
 
 def without_touching(collisions: Collisions) -> tuple[Collisions | None, list[str]]:
-    """Take out the pairs that touch in nearly every pose, as they can do no harm, and name them; None if none is left."""
+    """Remove the pairs that touch in nearly every pose, with a note; None instead if no pair remains."""
     import pinocchio as pin
 
     geometry = collisions.geometry
@@ -135,11 +135,11 @@ def without_touching(collisions: Collisions) -> tuple[Collisions | None, list[st
     named = sorted(set(named))
     rest = f" and {len(named) - _NAMED} pairs more" if len(named) > _NAMED else ""
     notes = [f"taken as touching by construction: {', '.join(named[:_NAMED])}{rest}"] if named else []
-    # A fresh one: Pinocchio's room to work in is made for the pairs.
+    # A new object, as Pinocchio's data are allocated for the pairs.
     return (replace(collisions) if len(geometry.collisionPairs) else None), notes
 
 
-# Half the width of a link that a URDF says nothing of, at the base, in reaches of the arm, and what of it a tip loses.
+# Half the width of a link without geometry at the base, in reaches of the arm, and its relative decrease towards the tip.
 _WIDTH, _SLIMMER = 1.0 / 22.0, 0.6
 
 
@@ -148,8 +148,8 @@ class Boxes:
     """A box around each body.
 
     Attributes:
-        body: shape (B,), what each moves with: joint i, counted from 1; 0 stands.
-        placements: shape (B, 4, 4), middle and axes of each box in the frame of its body.
+        body: shape (B,), the joint that moves each, counted from 1; 0 for the base.
+        placements: shape (B, 4, 4), centre and axes of each box in the frame of its body.
         halves: shape (B, 3), half its sides [m].
     """
 
@@ -158,21 +158,17 @@ class Boxes:
     halves: np.ndarray
 
     def lowest(self, frames: np.ndarray, body: int) -> np.ndarray:
-        """Return the least height of the boxes that move with joint ``body`` or one after it, shape (N,); inf without."""
+        """Return the least height of the boxes from joint ``body`` on, shape (N,); inf without any."""
         chosen = self.body >= body
         placed = frames[:, self.body[chosen]] @ self.placements[chosen]
         down = np.abs(placed[:, :, 2, :3] * self.halves[chosen]).sum(axis=2)
         return np.asarray(np.min(placed[:, :, 2, 3] - down, axis=1, initial=np.inf))
 
     def hide(self, frames: np.ndarray, eye: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Return whether a box stands between an eye and a point at each pose, shape (N,).
+        """Return whether a box is between an eye, shape (3,), and a point at each pose, shape (N, 3); shape (N,).
 
-        A box that the point itself lies in does not count: it is larger than the body in it.
-
-        Args:
-            frames: shape (N, n + 1, 4, 4), of the bodies.
-            eye: shape (3,), in the base frame [m].
-            points: shape (N, 3), likewise.
+        Both are in the base frame [m], like the bodies' frames, shape (N, n + 1, 4, 4). A box that contains the point does
+        not count, as it is larger than its body.
         """
         hidden = np.zeros(len(points), bool)
         for body, placement, half in zip(self.body, self.placements, self.halves, strict=True):
@@ -184,7 +180,7 @@ class Boxes:
 
 
 def _crosses(start: np.ndarray, end: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Return whether segments meet a box about the origin (slab test of Kay and Kajiya 1986), shape (N,)."""
+    """Return whether segments intersect a box about the origin (slab test of Kay and Kajiya 1986), shape (N,)."""
     way = end - start
     way = np.where(np.abs(way) < 1e-12, 1e-12, way)
     one, other = (-half - start) / way, (half - start) / way
@@ -194,12 +190,12 @@ def _crosses(start: np.ndarray, end: np.ndarray, half: np.ndarray) -> np.ndarray
 
 @dataclass(frozen=True)
 class Bodies:
-    """What may be in the way.
+    """Bodies of the arm that may obstruct it.
 
     Attributes:
-        boxes: around each body; around the lines from joint to joint where the URDF has no collision geometry.
-        collisions: None where there is nothing to check.
-        notes: in words, what is not checked and why.
+        boxes: around each body, or around the lines from joint to joint if the URDF has no collision geometry.
+        collisions: the collision geometry; None if there is nothing to check.
+        notes: unchecked parts, and why.
     """
 
     boxes: Boxes
@@ -208,7 +204,7 @@ class Bodies:
 
     @classmethod
     def of(cls, robot: Robot, *, clearance: float = 0.0) -> Bodies:
-        """Return the bodies of an arm, by the collision geometry of its URDF; ``clearance`` is in m."""
+        """Return the bodies of an arm from its URDF's collision geometry; ``clearance`` in m."""
         collisions, notes = read_collisions(robot, clearance)
         if collisions is None:
             return cls(_bars(robot), None, tuple(notes))
@@ -218,7 +214,7 @@ class Bodies:
 
 
 def _boxes(robot: Robot, collisions: Collisions) -> Boxes:
-    """Return the boxes along the axes of each collision body's own frame."""
+    """Return the bounding boxes of the collision bodies in their own axes."""
     import pinocchio as pin
 
     model = collisions.model
@@ -237,7 +233,7 @@ def _boxes(robot: Robot, collisions: Collisions) -> Boxes:
 
 
 def _bars(robot: Robot) -> Boxes:
-    """Return bars from joint to joint and to the tip, for want of anything better."""
+    """Return bars from joint to joint and to the tip, in the absence of geometry."""
     frames = [np.eye(4), *robot.frames.T_base_link]
     places = robot.frames.T_base_link @ robot.T_link_joint
     points, last = [np.zeros(3), *places[:, :3, 3]], robot.path.tip_joint
@@ -253,7 +249,7 @@ def _bars(robot: Robot) -> Boxes:
 
 
 def _along(here: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Return a frame in the middle between two points, its z axis along the line."""
+    """Return a frame midway between two points, with its z axis along the line."""
     z = (there - here) / np.linalg.norm(there - here)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)

@@ -1,9 +1,9 @@
-r"""The information of a measurement at any pose on the parameters, before it is made.
+r"""The predicted information of a measurement at any pose on the parameters.
 
-A design works on the Jacobian of a :class:`~pincal.identify.problem.Problem`, whatever the sensor is. It is taken at the
-nominal arm, in units of the noise and of the priors that a fit has (by physical group, see
-:func:`pincal.identify.calibrate.priors_of`), so that the information of the priors is the identity. Base and tool, which a
-fit leaves without a prior, get one so wide that it carries no information: it keeps the covariance finite for few poses.
+A design uses the Jacobian of a :class:`~pincal.identify.problem.Problem` for any sensor. It is taken at the nominal arm, in
+units of the noise and of the fit's priors (by physical group, see :func:`pincal.identify.calibrate.priors_of`), so that the
+priors' information is the identity. Base and tool, which have no prior in a fit, get an uninformative one, which keeps the
+covariance finite for few poses.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.robot.robot import Robot
 
-# Noise below which the arithmetic of a design has no digits left [m, rad].
+# Least noise for which the numerics of a design are accurate [m, rad].
 _LEAST_NOISE = 1e-7
-# Width of what stands for no prior, in units of the noise: 1 m for 0.05 mm.
+# Width of an uninformative prior, in units of the noise: 1 m for 0.05 mm.
 _WIDE = 2e4
-# Width of the prior of an effect that is to be distinguished from another, in sizes that are typical of it.
+# Width of the prior of an effect that is to be distinguished from another, in typical sizes.
 RIVAL = 10.0
 
 
 @dataclass(frozen=True)
 class DesignModel:
-    """The parameters of a fit, and how readings at any pose depend on them.
+    """The parameters of a fit, and the readings' dependence on them at any pose.
 
     Attributes:
         model: base, tool and all effects.
-        values: shape (P,), where it is linearised: the nominal arm, the target about where it sits.
-        free: shape (P,), the F parameters that these poses excite at all.
+        values: shape (P,), the point of linearisation: the nominal arm with its approximate target.
+        free: shape (P,), the F parameters that these poses excite.
         sizes: shape (F,), standard deviations of the priors; inf for base and tool.
         sigma: shape (blocks,), noise of one component of each block of readings [m, rad].
-        rig: with what and from where poses are measured.
-        rivals: for each of the effects to be distinguished, its places among the F parameters.
-        core: shape (F,), the parameters of the model as it is fitted, without rivals that were added to it.
-        known: shape (F, F), information in units of the priors: theirs, and that of ``Options.earlier``.
+        rig: sensor set-up.
+        rivals: for each of the effects to be distinguished, its indices among the F parameters.
+        core: shape (F,), the parameters of the fitted model, without added rivals.
+        known: shape (F, F), prior information, including ``Options.earlier``, in units of the priors.
     """
 
     model: Model
@@ -83,15 +83,15 @@ class DesignModel:
 
         Args:
             robot: the arm.
-            conditions: N poses, by which priors are scaled as a fit scales them by its rows.
-            options: as for the calibration; default of ``sigma``: that of a good laser tracker.
-            rig: with what and from where poses are measured.
-            rivals: effects in addition to the model that are to be distinguished.
-            targets: names of the targets; all sit where the rig has its target.
+            conditions: N poses, which scale the priors as the rows of a fit do.
+            options: as for the calibration; default of ``sigma``: a good laser tracker's.
+            rig: sensor set-up.
+            rivals: effects to be distinguished, in addition to the model.
+            targets: names of the targets, all at the rig's target.
 
         Raises:
-            BadInputError: for a sensor that is not known or lacks the place of its instrument, noise that no
-                instrument has, or a rival that does nothing in these poses.
+            BadInputError: for an unknown sensor, a missing instrument position, unrealistically small noise, or a rival
+                without effect in these poses.
         """
         check_rig(rig)
         chain = Chain.of(robot, moment_frame=options.first_frame, gravity=options.gravity, targets=targets)
@@ -118,7 +118,7 @@ class DesignModel:
 
     @cached_property
     def units(self) -> np.ndarray:
-        """What one unit of each parameter is in a design, shape (F,)."""
+        """The unit of each parameter in a design, shape (F,)."""
         return np.where(np.isfinite(self.sizes), self.sizes, _WIDE * self.sigma[0])
 
     @property
@@ -128,51 +128,51 @@ class DesignModel:
 
     @property
     def quantity(self) -> str:
-        """What :meth:`errors` are errors of: "position" or "distance"."""
+        """The quantity of :meth:`errors`: "position" or "distance"."""
         return simulatable()[self.rig.sensor].blocks[0].name
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of those of the F parameters that are the model's, which come first."""
+        """Names of the model's parameters, which come first among the F parameters."""
         return tuple(np.array(self.model.names)[self.model.own(self.free)])
 
     @property
     def has_prior(self) -> np.ndarray:
-        """Which of the F parameters have a prior, shape (F,): the arm's, and not base and tool."""
+        """Which of the F parameters have a prior, shape (F,): the arm's, but not base and tool."""
         return np.asarray(np.isfinite(self.sizes))
 
     @property
     def own_names(self) -> tuple[str, ...]:
-        """Names of those that have one."""
+        """Names of the parameters with a prior."""
         return tuple(np.array(self.names)[self.has_prior[: len(self.names)]])
 
     def readings(self, conditions: Conditions) -> np.ndarray:
-        """Return the derivative of the readings by the parameters in units of noise and priors, shape (N, m, F)."""
+        """Return the Jacobian of the readings in units of noise and priors, shape (N, m, F)."""
         problem = predicted_station(self.model, self.values, self.rig, conditions)
         noise = np.repeat(self.sigma, problem.block_sizes)
         return np.ascontiguousarray(self._jacobian(problem) * (self.units / noise[:, None]))
 
     def errors(self, conditions: Conditions) -> np.ndarray:
-        """Return how the predicted position (or distance) depends on the parameters in units of priors, shape (N, k, F) [m].
+        """Return the Jacobian of the predicted position (or distance) by parameters in units of priors, shape (N, k, F) [m].
 
-        It is what the error on rows held out is taken of: the first readings that are lengths, in the instrument's frame.
+        The quantity is the one of held-out errors: the first block of readings, in the instrument's frame.
         """
         problem = predicted_station(self.model, self.values, self.rig, conditions)
         return np.asarray(self._jacobian(problem)[:, : problem.sensor.blocks[0].size] * self.units)
 
     def placed_errors(self, conditions: Conditions) -> np.ndarray:
-        """Return the same of the H parameters that have a prior, shape (k N, H) [m], once base and tool are placed."""
+        """Return the Jacobian by the H parameters with a prior, shape (k N, H) [m], with base and tool projected out."""
         E = self.errors(conditions).reshape(-1, self.n_free)
         frames, own = E[:, ~self.has_prior], E[:, self.has_prior]
         return np.asarray(own - frames @ np.linalg.lstsq(frames, own, rcond=None)[0])
 
     def foreseen(self, measured: Conditions, cared: Conditions) -> float:
-        """Return the root mean square of :meth:`errors` that is to be expected at some poses if others are measured [m]."""
+        """Return the expected rms error at some poses after measuring others [m]."""
         C, E = covariance(self.known + total(self.readings(measured))), self.errors(cared)
         return float(np.sqrt(np.sum(C * total(E)) / len(E)))
 
     def posterior(self, H: np.ndarray) -> Posterior:
-        """Return the posterior of information in units of noise and priors, shape (F, F), with the priors left out of it."""
+        """Return the posterior of data information H in units of noise and priors, shape (F, F), without the priors'."""
         return Posterior(Form.of(H / np.outer(self.units, self.units)), self.sizes, np.zeros(self.n_free))
 
     def _jacobian(self, problem: Station) -> np.ndarray:
@@ -181,13 +181,13 @@ class DesignModel:
 
 
 def predicted_station(model: Model, values: np.ndarray, rig: SensorSetup, conditions: Conditions) -> Station:
-    """Return the station that reads what a model predicts; of the values, shape (P,), the model's come first."""
+    """Return the station of a model's predicted readings; of the values, shape (P,), the model's come first."""
     poses = model.predict(model.own(values), conditions)
     return Station(model, conditions, simulatable()[rig.sensor].simulated(poses, rig.places), np.ones(len(conditions)))
 
 
 def held_columns(station: Station) -> dict[str, np.ndarray]:
-    """Return the column that names where the target is held, if it is held, shape (N,)."""
+    """Return the column that names the point at which the target is held, if any, shape (N,)."""
     sensor = station.sensor
     if not isinstance(sensor, PointSensor) or sensor.names_points is None:
         return {}
@@ -195,15 +195,15 @@ def held_columns(station: Station) -> dict[str, np.ndarray]:
 
 
 def frame_effects(chain: Chain, rig: SensorSetup, conditions: Conditions) -> tuple[Effect, ...]:
-    """Return the frames of base and tool that readings of a kind depend on."""
+    """Return the effects of the base and tool frames on which a sensor's readings depend."""
     bare = predicted_station(Model(chain, ()), np.zeros(0), rig, conditions).sensor
     return BaseFrame(bare.base_symbols), ToolFrame(bare.tool_symbols)
 
 
 def nominal_values(model: Model, rig: SensorSetup, target: np.ndarray) -> np.ndarray:
-    """Return the values of the nominal arm, shape (P,), its targets in place and the instrument's axes those of the base.
+    """Return the values of the nominal arm with its targets, and instrument axes parallel to the base's, shape (P,).
 
-    What the sensor has of its own stands at the end: the places where the target is held.
+    The sensor's own parameters come last: the points at which the target is held.
     """
     values = np.zeros(model.n_parameters)
     instrument = np.zeros(3) if rig.instrument is None else np.array(rig.instrument)
@@ -224,7 +224,7 @@ def _sigma(problem: Station, options: Options) -> np.ndarray:
 
 
 def _places(model: Model, free: np.ndarray, rivals: Sequence[Effect]) -> tuple[np.ndarray, ...]:
-    """Return where the parameters of each rival stand among the free ones."""
+    """Return the indices of each rival's parameters among the free ones."""
     place = np.cumsum(free) - 1
     found = []
     for rival in rivals:
@@ -236,11 +236,7 @@ def _places(model: Model, free: np.ndarray, rivals: Sequence[Effect]) -> tuple[n
 
 
 def check_rig(rig: SensorSetup) -> None:
-    """Refuse a sensor that a design can't be made for.
-
-    Raises:
-        BadInputError: for a sensor that is not known or lacks the place of its instrument, or where the target is held.
-    """
+    """Refuse an unknown sensor, or one whose instrument position or held target points are missing."""
     known = simulatable()
     if rig.sensor not in known:
         raise BadInputError(f"sensor {rig.sensor!r}: no design is available for it; expected one of {', '.join(known)}")
@@ -258,10 +254,10 @@ def check_rig(rig: SensorSetup) -> None:
 def weights(rivals: tuple[np.ndarray, ...], n_free: int) -> np.ndarray:
     """Return W of the criterion tr(W C) that distinguishes rivals, shape (F, F).
 
-    It is the sum of the variances of both rivals' parameters, in units of their typical sizes, with everything refitted:
-    the A-criterion for a subset (A_s; Atkinson, Donev and Tobias 2007, sec. 10.3). Of an effect with one parameter the
-    variance is the inverse of the non-centrality that T-optimality maximises (Atkinson and Fedorov 1975); of several it
-    makes up for the worst direction first.
+    The criterion is the sum of the variances of both rivals' parameters, in units of their typical sizes, with everything
+    refitted: the A-criterion for a subset (A_s; Atkinson, Donev and Tobias 2007, sec. 10.3). For an effect with one
+    parameter the variance is the inverse of the non-centrality maximised by T-optimality (Atkinson and Fedorov 1975); for
+    several it is dominated by the worst direction.
     """
     W = np.zeros((n_free, n_free))
     for columns in rivals:
@@ -270,13 +266,10 @@ def weights(rivals: tuple[np.ndarray, ...], n_free: int) -> np.ndarray:
 
 
 def noncentrality(C: np.ndarray, rivals: tuple[np.ndarray, ...]) -> tuple[float, ...]:
-    """Return, for each rival of typical size, its squared signal in units of the noise that no refit takes up.
+    """Return the non-centrality of each rival of typical size: its squared signal, in units of noise, after a refit.
 
-    The rest, the other rival among it, is refitted; it is the mean over the directions of its parameters.
-
-    Args:
-        C: shape (F, F), posterior covariance in units of the priors.
-        rivals: places of their parameters.
+    All other parameters, including the other rival's, are refitted; the signal is the mean over the directions of its
+    parameters. C, shape (F, F), is the posterior covariance in units of the priors.
     """
     found = []
     for columns in rivals:

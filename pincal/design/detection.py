@@ -1,12 +1,12 @@
-r"""What a health check has to notice, and how surely a diagnosis at some poses does; and the fewest poses that do.
+r"""The changes that a health check must detect, the power of a diagnosis at some poses, and the fewest poses.
 
-Each change of a robot is just so large that it moves the target by so much. The test of
-:mod:`pincal.diagnosis.row_evidence` at poses j with rows N_j of what is uncertain or free (the posterior of the
-calibration, masses, the new station's frames) and columns g_j of a change, in units of the noise, has the non-centrality
+Each change of a robot is scaled to a given motion of the target. The test of :mod:`pincal.diagnosis.row_evidence` at poses
+j, with rows N_j of nuisance parameters (the posterior of the calibration, masses, the new station's frames) and columns g_j
+of a change, in units of the noise, has the non-centrality
 
 .. math:: \lambda = \sum_j g_j^T g_j - z^T K z, \qquad K = H + \sum_j N_j^T N_j, \qquad z = K^{-1} \sum_j N_j^T g_j,
 
-with H what is known before. With :math:`u = g_j - N_j z`, one more pose adds :math:`u^T (1 + N_j K^{-1} N_j^T)^{-1} u`.
+with prior information H. With :math:`u = g_j - N_j z`, one more pose adds :math:`u^T (1 + N_j K^{-1} N_j^T)^{-1} u`.
 """
 
 from __future__ import annotations
@@ -31,25 +31,25 @@ from pincal.model.effect import Curve
 from pincal.model.model import Model
 from pincal.parameters import estimate_of
 
-# Random directions in which a change of several parameters is to be noticed.
+# Number of random directions in which a change of several parameters is to be detected.
 _WAYS = 10
-# Part of the motion of a change's best direction below which another is not counted.
+# Fraction of the motion of a change's best direction below which another does not count.
 _SEEN = 1e-3
-# Sizes that are typical of its parameters beyond which no change is taken to go.
+# Largest size of a change, in typical sizes of its parameters.
 _LARGEST = 10.0
-# Rows by which changes are lined up: as many as a check has.
+# Rows for which changes are enumerated: as many as a check has.
 _ROWS = 16
-# Information that a design has of frames before any row, in parts of what a row has on average: as good as none.
+# Prior information on frames, relative to the average information of a row: practically none.
 _NOTHING = 1e-6
 # Passes over a design in which poses are exchanged.
 _PASSES = 3
-# The larger, the more the change that is hardest to notice decides which pose is best.
+# The larger, the more the hardest change dominates the choice of a pose.
 _SHARPNESS = 4.0
 
 
 @dataclass(frozen=True)
 class DetectableChange:
-    """A change that is to be noticed: its place in the lineup, what it adds to the parameters, the rank of its test."""
+    """A change to be detected: its index in the lineup, its step of the parameters, the rank of its test."""
 
     change: int
     step: np.ndarray
@@ -57,7 +57,7 @@ class DetectableChange:
 
 
 def lineup_over(model: CalibratedModel, rig: SensorSetup, conditions: Conditions) -> ChangeHypotheses:
-    """Return all that may happen to a robot, over poses in which a new station reads what the model predicts."""
+    """Return all possible changes of a robot, for poses in which a new station reads the model's predictions."""
     check_rig(rig)
     arm = model.model
     chain = Chain.of(arm.chain.robot, moment_frame=arm.chain.moment_frame, gravity=arm.chain.gravity)
@@ -85,7 +85,7 @@ def lineup_over(model: CalibratedModel, rig: SensorSetup, conditions: Conditions
 def guarded_changes(
     lineup: ChangeHypotheses, places: Conditions, notice: float, *, rng: np.random.Generator
 ) -> tuple[list[DetectableChange], list[PossibleChange]]:
-    """Return the changes to be noticed, and those that new frames take up or that never are so large."""
+    """Return the changes to be detected, and those that new frames absorb or that never are so large."""
     model = lineup.station.model
     poses, motion = model.linearise(model.own(lineup.start), places)
     sizes = np.where(np.isfinite(lineup.sizes), lineup.sizes, 0.0)
@@ -109,7 +109,7 @@ def guarded_changes(
 
 
 def _without_frames(poses: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Return motion of the target, shape (V, 3, P), less what placing base and target anew takes up."""
+    """Return motion of the target, shape (V, 3, P), with refitted base and target frames projected out."""
     points, n = poses[:, :, 3], len(poses)
     turned = np.cross(np.eye(3)[None], points[:, None]).transpose(0, 2, 1)
     frames = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), turned, poses[:, :, :3]], axis=2).reshape(3 * n, -1)
@@ -120,7 +120,7 @@ def _without_frames(poses: np.ndarray, motion: np.ndarray) -> np.ndarray:
 def watch_of(
     lineup: ChangeHypotheses, guarded: list[DetectableChange], *, alpha: float, power: float, degrees: float
 ) -> DetectionDesign:
-    """Return the information of the candidates on the changes that are to be detected."""
+    """Return the information of the candidates on the changes to be detected."""
     station = lineup.station
     A, _ = rows_in_noise(station, lineup.start, lineup.robot.sigma)
     m = station.reading_size
@@ -140,16 +140,16 @@ def watch_of(
 
 @dataclass(frozen=True)
 class DetectionDesign:
-    """Candidate poses, and the information of each on the changes that are to be detected.
+    """Candidate poses, and the information of each on the changes to be detected.
 
     Attributes:
-        N: shape (M, m, K), rows of what is uncertain or free.
-        G: shape (M, m, Q), columns of the changes, each as large as it is to be noticed.
-        H: shape (K, K), what is known before any row.
-        ranks: shape (Q,), number of directions that the test of each change counts.
-        limit: p-value below which one change is an alarm.
-        degrees: of freedom by which the noise is known apart from the rows; less those that the rows spend on frames.
-        power: chance with which a change is to be noticed.
+        N: shape (M, m, K), rows of the nuisance parameters.
+        G: shape (M, m, Q), columns of the changes, each of the size to be detected.
+        H: shape (K, K), prior information.
+        ranks: shape (Q,), degrees of freedom of the test of each change.
+        limit: p-value below which a change is an alarm.
+        degrees: degrees of freedom of the noise from other data, less those that the rows spend on frames.
+        power: required probability of detection.
     """
 
     N: np.ndarray
@@ -166,20 +166,15 @@ class DetectionDesign:
         return np.array([detected_noncentrality(int(rank), degrees, self.limit, self.power) for rank in self.ranks])
 
     def noncentralities(self, chosen: Sequence[int]) -> np.ndarray:
-        """Return those of all changes at some of the candidates, shape (Q,)."""
+        """Return the non-centralities of all changes at some of the candidates, shape (Q,)."""
         return self._seen(chosen)[0]
 
     def certainty(self, chosen: Sequence[int]) -> float:
-        """Return the non-centrality over the one needed, of the change that is hardest to notice."""
+        """Return the least ratio of non-centrality to the one needed, over all changes."""
         return float((self.noncentralities(chosen) / self.needed(len(chosen))).min())
 
     def fewest(self, most: int, start: Sequence[int] = ()) -> list[int]:
-        """Return the fewest candidates found that notice every change; ``most`` of them if those don't suffice.
-
-        Args:
-            most: number of candidates.
-            start: candidates to begin with.
-        """
+        """Return the fewest candidates found that detect every change, at most ``most``, beginning with ``start``."""
         chosen = list(start)
         while len(chosen) < most and (not chosen or self.certainty(chosen) < 1.0):
             chosen.append(self._best(chosen, self._costs(chosen)))
@@ -193,9 +188,9 @@ class DetectionDesign:
         return chosen
 
     def fewest_of(self, most: int, groups: np.ndarray) -> list[int]:
-        """Return the best found from nothing and from two candidates of each group, shape (M,).
+        """Return the best of :meth:`fewest` from an empty start and from two candidates of each group, shape (M,).
 
-        A first pose in an unknown place carries no information, so that one by one no place but the first would be taken.
+        A first pose at an unknown socket carries no information, so that adding poses singly would use one socket only.
         """
         pairs = [int(j) for group in np.unique(groups) for j in np.flatnonzero(groups == group)[:2]]
         found = [self.fewest(most), self.fewest(most, pairs)] if len(pairs) > 2 else [self.fewest(most)]
@@ -209,16 +204,16 @@ class DetectionDesign:
         return np.maximum(np.sum(G * (G - N @ z), axis=0), 0.0), z, inverse
 
     def _costs(self, chosen: Sequence[int]) -> np.ndarray:
-        """Return what is missing with each candidate added, shape (M,)."""
+        """Return the cost of the deficient non-centralities with each candidate added, shape (M,)."""
         found, z, inverse = self._seen(chosen)
         U = self.G - self.N @ z
         inner = np.eye(U.shape[1]) + self.N @ inverse @ self.N.transpose(0, 2, 1)
         more = np.sum(np.linalg.solve(np.linalg.cholesky(inner), U) ** 2, axis=1)
-        # A change that no pose has shown yet is missing all that is needed, not infinitely much.
+        # 1 in the denominator keeps the cost of a change that no pose shows finite.
         return np.asarray(np.sum((self.needed(len(chosen) + 1) / (1.0 + found + more)) ** _SHARPNESS, axis=1))
 
     def _exchanged(self, chosen: list[int]) -> list[int]:
-        """Return a design in which poses were swapped for better ones, until it notices everything."""
+        """Return a design with poses exchanged for better ones until it detects every change."""
         design = list(chosen)
         for _ in range(_PASSES):
             before = list(design)
@@ -232,7 +227,7 @@ class DetectionDesign:
         return design
 
     def _without_one(self, chosen: list[int]) -> list[int]:
-        """Return a design without the pose that is missed least."""
+        """Return a design without its least valuable pose."""
         places = range(len(chosen))
         rests = [chosen[:place] + chosen[place + 1 :] for place in places]
         missed = [float(np.sum((1.0 / (1.0 + self.noncentralities(rest))) ** _SHARPNESS)) for rest in rests]

@@ -1,11 +1,11 @@
-r"""Which of many candidates to take, by greedy choice and Fedorov's exchange; what none can beat; and their order.
+r"""Optimal choice among candidates by a greedy algorithm and Fedorov's exchange, its bound, and the order of measurement.
 
 A candidate j is a pose with its m readings; A_j, shape (m, F), is their Jacobian in units of the noise and of the priors,
 so that a design has the posterior covariance
 
 .. math:: C = (H + \sum_j A_j^T A_j)^{-1}, \qquad K_j = A_j C A_j^T, \qquad L_j = A_j C W C A_j^T
 
-with H the information that is there before (priors, poses already measured). Taking candidate j in changes the criteria by
+with H the prior information (priors, poses already measured). Adding candidate j changes the criteria by
 
 .. math:: \mathrm{tr}(W C) - \mathrm{tr}(W C') = \mathrm{tr}((1 + K_j)^{-1} L_j), \qquad
     \log\det C - \log\det C' = \log\det(1 + K_j),
@@ -22,14 +22,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-# Passes over a design after which an exchange ends even if it still finds something.
+# Most passes of an exchange over a design.
 _PASSES = 10
-# Part of what was uncertain that poses taken in or out may leave before the state is worked out from scratch: K and L, in
-# which it is squared, would be left as differences of numbers that are larger by this factor and its square.
+# Factor by which updates may reduce the covariance before the state is recomputed from scratch: K, and L quadratically,
+# would be differences of numbers larger by this factor.
 _ALONE = 1e-5
-# Relative gain below which a swap is rounding.
+# Relative gain below which an exchange is rounding.
 _WORTH = 1e-9
-# Rounds of the algorithm behind the lower bound.
+# Iterations of the algorithm for the lower bound.
 ROUNDS = 100
 
 
@@ -39,15 +39,12 @@ def covariance(H: np.ndarray) -> np.ndarray:
 
 
 def value(C: np.ndarray, W: np.ndarray | None) -> float:
-    """Return the criterion of a posterior covariance, smaller is better: tr(W C), or log det C without a W."""
+    """Return the criterion of a posterior covariance, to be minimised: tr(W C), or log det C without W."""
     return float(np.sum(W * C)) if W is not None else float(np.linalg.slogdet(C)[1])
 
 
 def gains(K: np.ndarray, L: np.ndarray | None) -> np.ndarray:
-    """Return by how much each candidate would lower the criterion, shape (M,).
-
-    K and L have shape (M, m, m); L is None for the determinant.
-    """
+    """Return the decrease of the criterion by each candidate, shape (M,); K, L: shape (M, m, m), L None for det."""
     more = np.eye(K.shape[1]) + K
     if L is None:
         return np.asarray(np.linalg.slogdet(more)[1])
@@ -57,7 +54,7 @@ def gains(K: np.ndarray, L: np.ndarray | None) -> np.ndarray:
 
 
 def _traces_of_three(P: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """Return tr(P^-1 L) of symmetric 3 x 3 matrices by cofactors, in a fifth of the time of solving."""
+    """Return tr(P^-1 L) of symmetric 3 x 3 matrices by cofactors, five times faster than solving."""
     p, q = (np.ascontiguousarray(matrices.transpose(1, 2, 0)) for matrices in (P, L))
     xx, yy, zz = p[1, 1] * p[2, 2] - p[1, 2] ** 2, p[0, 0] * p[2, 2] - p[0, 2] ** 2, p[0, 0] * p[1, 1] - p[0, 1] ** 2
     xy, xz = p[0, 2] * p[1, 2] - p[0, 1] * p[2, 2], p[0, 1] * p[1, 2] - p[0, 2] * p[1, 1]
@@ -67,7 +64,7 @@ def _traces_of_three(P: np.ndarray, L: np.ndarray) -> np.ndarray:
 
 
 def spread_of(A: np.ndarray, C: np.ndarray, W: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return K and L, shape (M, m, m), of candidates A, shape (M, m, F); no L without a W."""
+    """Return K and L, shape (M, m, m), of candidates A, shape (M, m, F); L is None without W."""
     AC = A @ C
     K = AC @ A.transpose(0, 2, 1)
     return K, None if W is None else AC @ W @ AC.transpose(0, 2, 1)
@@ -75,14 +72,12 @@ def spread_of(A: np.ndarray, C: np.ndarray, W: np.ndarray | None) -> tuple[np.nd
 
 @dataclass(frozen=True)
 class DesignState:
-    """A design, and what each candidate would change in it.
+    """A design, and the matrices for the gain of each candidate; see the module's docstring.
 
     Attributes:
         A: shape (M, m, F), the candidates.
         W: shape (F, F), weights of the criterion tr(W C); None for the determinant.
-        C: shape (F, F).
-        K: shape (M, m, m).
-        L: shape (M, m, m), None without a W.
+        C, K, L: shapes (F, F), (M, m, m) and (M, m, m); L is None without W.
     """
 
     A: np.ndarray
@@ -98,15 +93,15 @@ class DesignState:
         return cls(A, W, C, *spread_of(A, C, W))
 
     def gains(self) -> np.ndarray:
-        """Return by how much each candidate would lower the criterion, shape (M,)."""
+        """Return the decrease of the criterion by each candidate, shape (M,)."""
         return gains(self.K, self.L)
 
     def spare(self, j: int) -> float:
-        """Return the part of candidate j's own information that the rest of the design does not have, at worst."""
+        """Return the least fraction of information, over all directions, that remains without candidate j."""
         return float(np.linalg.eigvalsh(np.eye(self.K.shape[1]) - self.K[j])[0])
 
     def moved(self, j: int, sign: float) -> DesignState:
-        """Return the state with candidate j taken in (sign 1) or out (sign -1), by updates of rank m."""
+        """Return the state with candidate j added (sign 1) or removed (sign -1), by updates of rank m."""
         inner = np.linalg.cholesky(np.linalg.inv(np.eye(self.K.shape[1]) + sign * self.K[j]))
         B = self.C @ self.A[j].T @ inner
         C = self.C - sign * (B @ B.T)
@@ -141,17 +136,17 @@ def total(A: np.ndarray) -> np.ndarray:
 def choose_greedily(
     A: np.ndarray, W: np.ndarray | None, H: np.ndarray, n: int, start: Sequence[int] = ()
 ) -> tuple[list[int], list[float]]:
-    """Take in, one after the other, the candidate that lowers the criterion most.
+    """Add, one after the other, the candidate that decreases the criterion most.
 
     Args:
         A: shape (M, m, F), candidates in units of noise and priors.
         W: shape (F, F), or None for the determinant.
-        H: shape (F, F), information that is there before.
-        n: number of candidates wanted, at most M.
-        start: candidates to begin with.
+        H: shape (F, F), prior information.
+        n: number of candidates, at most M.
+        start: initial candidates.
 
     Returns:
-        The n candidates, and the criterion with the first 1, 2, ... of those that were added.
+        The n candidates, and the criterion after each addition.
     """
     chosen, course = list(start), []
     state, left = DesignState.of(A, W, H + information(A, chosen)), 1.0
@@ -173,17 +168,10 @@ def choose_greedily(
 def exchange(
     A: np.ndarray, W: np.ndarray | None, H: np.ndarray, chosen: Sequence[int], *, passes: int = _PASSES
 ) -> list[int]:
-    """Swap candidates of a design for better ones, one at a time, until no swap is left that helps.
+    """Exchange candidates of a design for better ones, one at a time, until no exchange improves it.
 
-    Args:
-        A: shape (M, m, F), candidates in units of noise and priors.
-        W: shape (F, F), or None for the determinant.
-        H: shape (F, F), information that is there before.
-        chosen: the design to begin with; no candidate is taken twice.
-        passes: over the design, at most.
-
-    Returns:
-        The design, in the order of ``chosen``.
+    Starts from the design ``chosen`` and keeps its order, without repeated candidates; at most ``passes`` over the design.
+    The other arguments are as in :func:`choose_greedily`.
     """
     design = list(chosen)
     for _ in range(passes):
@@ -204,16 +192,16 @@ def exchange(
 
 
 def lower_bound(A: np.ndarray, W: np.ndarray | None, H: np.ndarray, n: int, *, rounds: int = ROUNDS) -> float:
-    r"""Return a value that the criterion of no n candidates, repeated ones among them, falls below.
+    r"""Return a lower bound of the criterion over all designs of n candidates, with repetition.
 
-    A design of n candidates is a point w in the simplex, n w_j saying how often candidate j is taken. Over the whole simplex
-    the criteria are convex, so that at any w, with d_j minus the derivative by n w_j,
+    A design of n candidates is a point w in the simplex, with candidate j taken n w_j times. The criteria are convex over
+    the simplex, so that at any w, with d_j minus the derivative by n w_j,
 
     .. math:: f(w^*) \ge f(w) - n \, (\max_j d_j - \sum_j w_j d_j),
 
-    which closes at the optimum (the equivalence theorem; Kiefer and Wolfowitz 1960, Fedorov 1972). The weights come from the
-    multiplicative algorithm of Silvey, Titterington and Torsney (1978), of which more rounds make the bound tighter.
-    Arguments as in :func:`choose_greedily`.
+    with equality at the optimum (the equivalence theorem; Kiefer and Wolfowitz 1960, Fedorov 1972). The weights are from the
+    multiplicative algorithm of Silvey, Titterington and Torsney (1978); more rounds tighten the bound. Arguments are as in
+    :func:`choose_greedily`.
     """
     M, m, F = A.shape
     rows, weights, best = A.reshape(M * m, F), np.full(M, 1.0 / M), -np.inf
@@ -227,21 +215,18 @@ def lower_bound(A: np.ndarray, W: np.ndarray | None, H: np.ndarray, n: int, *, r
     return best
 
 
-# Rounds of improvement after which an order is good enough; each mends every crossing that it finds.
+# Most rounds of improvement of an order, each of which removes every crossing that it finds.
 _ROUNDS = 50
 
 
 def travel(q: np.ndarray, spans: np.ndarray) -> np.ndarray:
-    """Return how far apart poses q, shape (N, n), are: the largest joint step relative to the joint's range, shape (N, N).
-
-    The slowest joint decides; ``spans``, shape (n,), are the ranges of the joints.
-    """
+    """Return distances of poses q, shape (N, n): the largest joint step relative to the ranges ``spans``, shape (N, N)."""
     scaled = q / spans
     return np.asarray(np.abs(scaled[:, None] - scaled[None]).max(axis=2))
 
 
 def short_route(distances: np.ndarray, first: int = 0) -> np.ndarray:
-    """Return an order of N places with a short open way: nearest neighbour, then reversals of stretches (2-opt; Croes 1958).
+    """Return an order of N places with a short open path: nearest neighbour, then 2-opt (Croes 1958).
 
     ``distances`` is symmetric, shape (N, N); the order, shape (N,), begins with ``first``.
     """
@@ -260,9 +245,9 @@ def short_route(distances: np.ndarray, first: int = 0) -> np.ndarray:
 def order_by_load(
     q: np.ndarray, payload: np.ndarray, joint_range: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, float, float]:
-    """Return an order of short ways through poses, load by load, and the length of the way before and after.
+    """Return an order of poses q, shape (N, n), with a short path, load by load, and the path's length before and after.
 
-    ``q`` has shape (N, n), ``payload`` (N,); the least and largest joint positions have shape (n,) each.
+    ``payload`` has shape (N,); the ends of the joints' ranges have shape (n,) each.
     """
     lower, upper = joint_range
     distances = travel(q, upper - lower)
@@ -277,15 +262,15 @@ def order_by_load(
 
 
 def length(distances: np.ndarray, order: np.ndarray) -> float:
-    """Return the length of the way through places in an order."""
+    """Return the length of the path through places in an order."""
     return float(distances[order[:-1], order[1:]].sum())
 
 
 def _reverse_stretches(order: np.ndarray, d: np.ndarray) -> bool:
-    """Reverse each stretch of the order, in place, that makes the way shorter; return whether there was one."""
+    """Reverse each segment of the order, in place, that shortens the path; return whether there was one."""
     n, found = len(order), False
     for i in range(1, n - 1):
-        # Stretch i..k: the edge into it and the edge out of it change; after the last place there is none.
+        # Segment i..k: the edges into and out of it change; there is none after the last place.
         before, inside, ends = order[i - 1], order[i], order[i + 1 :]
         after = np.append(order[i + 2 :], -1)
         out_now = np.where(after < 0, 0.0, d[ends, after])

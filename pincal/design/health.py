@@ -1,4 +1,4 @@
-"""A health check: the fewest poses by which a diagnosis notices that a calibrated robot has changed, and by how much."""
+"""Health checks: the fewest poses with which a diagnosis detects changes of a calibrated robot of a given size."""
 
 from __future__ import annotations
 
@@ -30,25 +30,25 @@ from pincal.robot.robot import Robot
 
 log = logging.getLogger(__name__)
 
-# Random poses to choose from, places of the working volume, and poses of the calibration of a robot without a model.
+# Random poses to choose from, points of the working volume, and poses of the assumed calibration of a robot without a model.
 _CANDIDATES, _PLACES, _CALIBRATED_FROM = 300, 100, 100
-# Fewest poses that tell where instrument and target stand.
+# Fewest poses that determine instrument and target.
 _FEWEST = 4
 # Time from one measured pose to the next [s].
 _SECONDS_PER_POSE = 20.0
-# Recorded temperature of a check [deg C], for models that follow it.
+# Recorded temperature of a check [deg C], for models that depend on it.
 _TEMPERATURE = 20.0
 
 
 @dataclass(frozen=True)
 class NoticedChange:
-    """A change of the least visible kind that still moves the target by what is to be noticed.
+    """A change in its least detectable direction, scaled to the motion of the target to be detected.
 
     Attributes:
-        change: what it is.
-        noncentrality: its signal squared over what noise and calibration leave open.
-        needed: what the test needs to notice it with the power asked for.
-        step: shape (P,), it, in the parameters of the lineup.
+        change: the change.
+        noncentrality: its squared signal relative to the uncertainty of noise and calibration.
+        needed: non-centrality required for the requested power.
+        step: shape (P,), the change of the lineup's parameters.
     """
 
     change: PossibleChange
@@ -63,21 +63,21 @@ class HealthCheck:
 
     Attributes:
         robot: the arm.
-        conditions: the N poses, in an order of short ways.
+        conditions: the N poses, in an order with a short path.
         has_payloads: whether the payload was part of the design.
         sensor: kind of the sensor.
-        held_at: column that names where the target is held -> shape (N,), its contents; empty where it is held nowhere.
-        notice: motion of the target that is to be detected [m].
-        power: chance with which.
-        alpha: chance of a false alarm.
+        held_at: name of the column with the point at which the target is held -> shape (N,); empty if it is not held.
+        notice: motion of the target to be detected [m].
+        power: required probability of detection.
+        alpha: probability of a false alarm.
         changes: every change considered, the hardest to detect first.
         absorbed: changes absorbed by new poses of base and target, or that never cause so large a motion.
-        alarms: part of simulated checks of an unchanged robot with an alarm.
+        alarms: fraction of simulated checks of an unchanged robot with an alarm.
         noticed: fraction of simulated checks with an alarm, given the first of ``changes``.
         draws: number of simulated checks, of each.
-        drawn: the candidates, and what the constraints removed.
+        drawn: the candidates, and the number removed by each constraint.
         notes: messages to the user.
-        seconds: that it took.
+        seconds: computing time.
     """
 
     robot: Robot
@@ -107,7 +107,7 @@ class HealthCheck:
 
     @property
     def minutes(self) -> float:
-        """Time that the measurement takes, at 20 s a pose."""
+        """Duration of the measurement, at 20 s per pose."""
         return len(self.conditions) * _SECONDS_PER_POSE / 60.0
 
     @property
@@ -117,14 +117,14 @@ class HealthCheck:
         return self.notice * float(np.sqrt(hardest.needed / max(hardest.noncentrality, 1e-300)))
 
     def summary(self) -> str:
-        """Return in a sentence the effort of the check and what it detects."""
+        """Return the effort of the check and its detectable change, in a sentence."""
         what = "any change of the robot that moves some point by more than"
         rates = f"is detected with {100 * self.power:g} % at {100 * self.alpha:g} % false alarms"
         size = self.notice if self.is_met else self.noticeable
         return f"{len(self.conditions)} poses, {self.minutes:.0f} minutes: {what} {1e3 * size:.3g} mm {rates}"
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return the table to be filled in: joints, and what else the model asks for of a pose."""
+        """Return the table to be filled in: joints, and other columns that the model needs."""
         return pose_columns(self.robot, self.conditions, has_payloads=self.has_payloads) | self.held_at
 
     def to_dict(self) -> dict[str, Any]:
@@ -152,17 +152,17 @@ class HealthCheck:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckRequest:
-    """What a health check must detect.
+    """Requirements of a health check.
 
     Attributes:
         notice: motion of the target anywhere in the working volume that is to be detected [m].
-        power: chance with which.
-        alpha: chance of an alarm on a robot that has not changed.
-        max_poses: number of poses beyond which no more are added.
+        power: probability of detection.
+        alpha: probability of an alarm on an unchanged robot.
+        max_poses: largest number of poses.
         payloads: masses at the tip [kg], taken in turn; default: none.
         candidates: number of random poses to choose from; default: 300.
-        draws: simulated checks of an unchanged robot, and of one with the change that is hardest to detect.
-        seed: of all random numbers.
+        draws: number of simulated checks of an unchanged robot, and of one with the change that is hardest to detect.
+        seed: seed of all random numbers.
 
     Raises:
         BadInputError: if one of them is invalid.
@@ -207,17 +207,17 @@ def design_check(
     rig: SensorSetup | None = None,
     limits: Limits | None = None,
 ) -> HealthCheck:
-    """Choose the fewest poses by which a diagnosis detects any change of a robot that moves the target by a given distance.
+    """Choose the fewest poses with which a diagnosis detects any change of a robot that moves the target by a distance.
 
     Args:
         known: the calibrated robot; for a robot alone, a calibration from 100 random poses is assumed.
-        request: what is to be detected, and with which power.
-        options: of the calibration of a robot alone: effects, noise, moment frame.
-        rig: with what it is measured, and from where.
-        limits: where the arm may go.
+        request: the requirements.
+        options: options of the assumed calibration of a robot alone: effects, noise, moment frame.
+        rig: sensor set-up.
+        limits: limits of the workspace.
 
     Raises:
-        BadInputError: for constraints that leave too few poses, or a sensor or model that a check can't be designed for.
+        BadInputError: for constraints that leave too few poses, or an unsupported sensor or model.
 
     Example:
         >>> from pincal.model.effects import GEOMETRIC
@@ -274,7 +274,7 @@ def design_check(
 
 
 def _as_if_calibrated(reach: Reach, options: Options, request: CheckRequest, *, rng: np.random.Generator) -> CalibratedModel:
-    """Return what a calibration from random poses would know of a robot that is as its URDF says."""
+    """Return the calibrated model expected from random poses of a robot that agrees with its URDF."""
     drawn = reach.draw(_CALIBRATED_FROM, rng)
     q = drawn.q
     if len(q) < _FEWEST:
@@ -292,7 +292,7 @@ def _as_if_calibrated(reach: Reach, options: Options, request: CheckRequest, *, 
 
 
 def _conditions(model: CalibratedModel, q: np.ndarray, request: CheckRequest, *, rng: np.random.Generator) -> Conditions:
-    """Return poses with the loads in turn and all that the effects of a model ask for."""
+    """Return poses with the loads in turn and all columns that the effects of a model need."""
     n, needs = len(q), {column for effect in model.model.effects for column in effect.needs}
     return Conditions(
         q,
@@ -307,7 +307,7 @@ def _conditions(model: CalibratedModel, q: np.ndarray, request: CheckRequest, *,
 
 
 def _rig_of(rig: SensorSetup, model: CalibratedModel) -> SensorSetup:
-    """Return a rig with its target where that of the calibration is, unless it is told."""
+    """Return a rig with the calibration's target, unless the rig specifies one."""
     names = [f"{model.model.chain.targets[0]}.{symbol}" for symbol in FRAME_SYMBOLS[:3]]
     if rig.tool is not None or not set(names) <= set(model.estimate.names):
         return rig
@@ -318,7 +318,7 @@ def _rig_of(rig: SensorSetup, model: CalibratedModel) -> SensorSetup:
 def _noticed(
     watch: DetectionDesign, final: ChangeHypotheses, guarded: list[DetectableChange], chosen: list[int]
 ) -> tuple[NoticedChange, ...]:
-    """Return how surely each change is noticed at the chosen poses, the hardest first and in its hardest direction."""
+    """Return the detectability of each change at the chosen poses, in its hardest direction, the hardest change first."""
     found, needed = watch.noncentralities(chosen), watch.needed(len(chosen))
     order = np.argsort(found / needed)
     hardest: dict[int, NoticedChange] = {}
@@ -331,7 +331,7 @@ def _noticed(
 def _alarms(
     lineup: ChangeHypotheses, degrees: float, request: CheckRequest, *, step: np.ndarray, rng: np.random.Generator
 ) -> float:
-    """Return the part of simulated checks that end in an alarm: noise and what the calibration left open are drawn."""
+    """Return the fraction of simulated checks with an alarm, with random noise and random errors of the calibration."""
     station, start = lineup.station, lineup.start
     root = prior_root(station, lineup.known, lineup.surroundings)
     noise = np.repeat(lineup.robot.sigma, station.block_sizes)[:, None] / station.weights

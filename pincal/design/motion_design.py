@@ -1,14 +1,14 @@
-r"""Which motion to drive before an IMU: moves from pose to pose, chosen for what they tell in the time that they take.
+r"""Design of motions with an IMU: moves from pose to pose with the most information in the time that they take.
 
-Between some poses that keep to all constraints lie all moves from one to another; each stops at its ends and is a polynomial
-of degree 5 in time, as fast as limits of speed and acceleration allow. A tour that has each of them once is one motion of
-the arm, whose rows before an IMU give the information :math:`H_e` of each move e on the parameters. From pose to pose that
-move is taken whose decrease of the predicted error a second is largest,
+The moves connect all pairs of some admissible poses; each is at rest at both ends and a polynomial of degree 5 in time, as
+fast as limits of speed and acceleration allow. A tour that contains each of them once is one motion of the arm, whose IMU
+rows give the information :math:`H_e` of each move e on the parameters. At each pose the next move is the one with the
+largest decrease of the predicted error per second,
 
 .. math:: \big( \mathrm{tr}(W H^{-1}) - \mathrm{tr}(W (H + H_e)^{-1}) \big) / T_e ,
 
-with W the mean squared error of the tool over random poses, base and tool placed. A controller need not follow the same law
-of time: a calibration takes the joints as they were logged.
+with W the mean squared error of the tool over random poses, base and tool refitted. A controller need not follow the same
+time law, as a calibration uses the logged joint positions.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from pincal.motion.moving_arm import MovingArm
 from pincal.motion.stations import ideal_imu_table
 from pincal.robot.robot import Robot
 
-# Poses between which moves are chosen; a prime number, for the tour.
+# Number of poses between which moves are chosen; a prime, for the tour.
 _POSES = 31
-# Largest speed and acceleration of a polynomial of degree 5 from rest to rest, for a move of 1 in a time of 1.
+# Largest speed and acceleration of a polynomial of degree 5 from rest to rest, for unit move and duration.
 _SPEED, _ACCELERATION = 15.0 / 8.0, 10.0 / 3.0**0.5
-# Poses of a move that have to keep to the constraints, its ends left out.
+# Number of intermediate poses of a move at which constraints are checked.
 _WITHIN = 9
-# Positions a second through which the tour's spline goes, and its knots a second.
+# Sampling rate of the tour for its spline, and the spline's knots [1/s].
 _RATE, _KNOTS = 100.0, 16.0
-# Poses from which a motion may begin.
+# Number of poses from which a motion may begin.
 _STARTS = 8
-# Random motions of the same length, whose median the chosen one is compared with.
+# Number of random motions of the same length, for comparison by their median.
 _RANDOM = 10
 # Poses over which errors are averaged; numbers of poses of an instrument, and random sets of each.
 _CARED, _NUMBERS, _SETS = 200, (3, 4, 6, 8, 10, 12, 15, 20, 30, 40, 60), 8
@@ -52,21 +52,21 @@ _CARED, _NUMBERS, _SETS = 200, (3, 4, 6, 8, 10, 12, 15, 20, 30, 40, 60), 8
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MotionDesign:
-    """A motion to be driven before an IMU, and what it promises.
+    """A motion with an IMU on the tool, and the predicted accuracy.
 
     Attributes:
         robot: the arm.
-        time: when each of V poses is reached, shape (V,) [s].
-        q: the poses, at which the arm stands for a moment, shape (V, n) [rad or m].
-        drawn: the poses between which moves were chosen, and what the constraints removed.
-        before: predicted error of the tool over random poses, base and tool placed, root mean square, by what an IMU tells
-            of the arm, as the priors have it [m].
+        time: times at which V poses are reached, shape (V,) [s].
+        q: the poses, at which the arm stops, shape (V, n) [rad or m].
+        drawn: the poses between which moves were chosen, and the number removed by each constraint.
+        before: predicted rms error of the tool over random poses, with base and tool refitted, due to the priors of the
+            parameters that an IMU observes [m].
         error: the same after this motion.
-        random: the same after a random motion as long, the median of ten.
-        lengths: predicted error by the lengths, which an IMU does not tell [m].
-        needed: number of random poses before an instrument that reads positions -> root mean square error predicted by these
-            alone, and with the motion [m].
-        noise: of a component of the IMU's rows [m/s^2, rad/s], and of a position [m].
+        random: the same after a random motion of the same duration, the median of ten.
+        lengths: predicted error due to lengths, which an IMU does not observe [m].
+        needed: number of random poses measured by an instrument for positions -> rms error predicted from these alone, and
+            together with the motion [m].
+        noise: noise of a component of the IMU's rows [m/s^2, rad/s], and of a position [m].
     """
 
     robot: Robot
@@ -118,19 +118,19 @@ def design_motion(
     limits: Limits | None = None,
     seed: int = 0,
 ) -> MotionDesign:
-    """Choose a motion by which an IMU on the tool tells most of an arm.
+    """Choose the motion with which an IMU on the tool yields most information on an arm.
 
     Args:
         robot: the arm.
-        duration: of the motion, to the end of the move in which it is over [s].
-        options: as for the calibration: effects, and noise of the positions that an instrument would read beside it.
-        speed: largest speed of a joint [rad/s], of one that slides half as much [m/s]; the URDF's limit where that is less.
+        duration: duration of the motion, up to the end of its last move [s].
+        options: as for the calibration: effects, and noise of an additional instrument's positions.
+        speed: largest speed of a joint [rad/s], half of it for a prismatic one [m/s]; at most the URDF's limit.
         acceleration: likewise [rad/s^2].
-        limits: where the arm may go.
-        seed: of all random numbers.
+        limits: limits of the workspace.
+        seed: seed of all random numbers.
 
     Raises:
-        BadInputError: for a duration, speed or acceleration that can't be, or constraints that leave no motion.
+        BadInputError: for an invalid duration, speed or acceleration, or constraints that leave no motion.
 
     Example:
         >>> found = design_motion(Robot.from_urdf("ur5"), 20.0)  # doctest: +SKIP
@@ -159,7 +159,7 @@ def design_motion(
     walk = _best_walk(moves, worth, duration)
     at_random = [_walk(moves, worth, duration, np.flatnonzero(moves.allowed), rng) for _ in range(_RANDOM)]
     known = np.eye(design.n_free)
-    at = np.flatnonzero(design.has_prior)[worth.told]
+    at = np.flatnonzero(design.has_prior)[worth.observed]
     known[np.ix_(at, at)] = covariance(covariance(worth.known(walk))[np.ix_(worth.columns, worth.columns)])
     needed = {}
     for poses in _NUMBERS:
@@ -169,8 +169,8 @@ def design_motion(
     times = np.array([0.0, *accumulate(moves.seconds[walk].tolist())])
     if times[-1] < duration:
         warn(
-            f"the motion ends after {times[-1]:.0f} s of {duration:.0f} s: no further move is left between these {_POSES} "
-            "poses; expected fewer constraints or less time"
+            f"the motion ends after {times[-1]:.0f} s of {duration:.0f} s, as all moves between its {_POSES} poses are "
+            "used; expected fewer constraints or less time"
         )
     return MotionDesign(
         robot,
@@ -192,9 +192,9 @@ class _Moves:
 
     Attributes:
         q: poses, shape (M, n).
-        first, last: shape (E,), the poses where each move begins and ends.
-        seconds: shape (E,), the time that each takes.
-        allowed: shape (E,), whether the constraints are kept on the way.
+        first, last: shape (E,), the first and last pose of each move.
+        seconds: shape (E,), the duration of each.
+        allowed: shape (E,), whether the constraints are satisfied along the move.
     """
 
     q: np.ndarray
@@ -205,7 +205,7 @@ class _Moves:
 
     @classmethod
     def of(cls, reach: Reach, q: np.ndarray, speed: float, acceleration: float) -> _Moves:
-        """Return the tour: of a prime number of poses, steps of 1, 2, ... from pose to pose each come back to the first."""
+        """Return the tour: steps of 1, 2, ... through a prime number of poses each return to the first."""
         M = len(q)
         first = np.array([step * k % M for step in range(1, M) for k in range(M)])
         last = np.roll(first, -1)
@@ -221,7 +221,7 @@ class _Moves:
         return cls(q, first, last, seconds, np.asarray(np.all(allowed.reshape(-1, _WITHIN), axis=1)))
 
     def path(self) -> JointPath:
-        """Return the whole tour in time."""
+        """Return the whole tour as a path in time."""
         ends = np.cumsum(self.seconds)
         time = np.arange(0.0, ends[-1], 1.0 / _RATE)
         move = np.minimum(np.searchsorted(ends, time, side="right"), len(ends) - 1)
@@ -240,48 +240,48 @@ def _speed_limits(robot: Robot) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Worth:
-    """What moves are worth, for the F parameters of arm and IMU that a fit by the IMU alone releases, in units of priors.
+    """Information of moves on the F parameters of arm and IMU that an IMU-only fit releases, in units of priors.
 
     Attributes:
-        W: shape (F, F) [m^2], squared error of the tool by these, base and tool placed.
+        W: shape (F, F) [m^2], squared error of the tool by these parameters, with base and tool refitted.
         H: shape (E, F, F), information of each move.
-        columns: where the arm's parameters on which a position depends, too, stand among the F.
-        told: which of the own parameters of a model of positions these are.
-        lengths: squared error by the priors of the others, which an IMU does not tell [m^2].
-        noise: of a component of the IMU's rows [m/s^2, rad/s].
+        columns: indices among the F parameters of those on which positions depend as well.
+        observed: which parameters with a prior of a model of positions these are.
+        lengths: squared error due to the priors of the others, which an IMU does not observe [m^2].
+        noise: noise of a component of the IMU's rows [m/s^2, rad/s].
     """
 
     W: np.ndarray
     H: np.ndarray
     columns: np.ndarray
-    told: np.ndarray
+    observed: np.ndarray
     lengths: float
     noise: tuple[float, ...]
 
     def known(self, walk: Sequence[int]) -> np.ndarray:
-        """Return the information after some moves, that of the priors among it, shape (F, F)."""
+        """Return the information after some moves, including the priors', shape (F, F)."""
         return np.asarray(np.eye(len(self.W)) + self.H[list(walk)].sum(axis=0))
 
     def error(self, walk: Sequence[int]) -> float:
-        """Return the predicted error of the tool after some moves by what an IMU tells [m]."""
+        """Return the predicted error of the tool after some moves due to the F parameters [m]."""
         return float(np.sqrt(value(covariance(self.known(walk)), self.W)))
 
 
 def _worth(robot: Robot, moves: _Moves, options: Options, design: DesignModel, cared: Conditions) -> _Worth:
-    """Return what moves are worth to a fit."""
+    """Return the information of moves for a fit."""
     ends = np.cumsum(moves.seconds)
     table = ideal_imu_table(MovingArm(robot, moves.path()))
-    # Noise of an instrument beside it is none of the IMU's.
+    # The noise in the options is another instrument's, not the IMU's.
     ((station, values),) = place(robot, {"": table}, replace(options, sigma=None, sigma_orientation=None))
     problem = Problem((station,))
-    # As in a fit by an IMU alone, lengths stay.
+    # As in an IMU-only fit, lengths are held fixed.
     free = released_of(problem, options)
     sizes = priors_of(problem, options).sizes[free]
     names = [p.name for p, is_free in zip(station.parameters, free, strict=True) if is_free]
-    told = np.array([name in names for name in design.own_names])
-    columns = np.array([names.index(name) for name in np.array(design.own_names)[told]])
+    observed = np.array([name in names for name in design.own_names])
+    columns = np.array([names.index(name) for name in np.array(design.own_names)[observed]])
     units = np.where(np.isfinite(sizes), sizes, 1.0)
-    units[columns] = design.units[design.has_prior][told]
+    units[columns] = design.units[design.has_prior][observed]
     noise = np.repeat([block.noise for block in station.sensor.blocks], station.block_sizes)
     assert table.time is not None
     move = np.minimum(np.searchsorted(ends, table.time), len(ends) - 1)
@@ -292,13 +292,13 @@ def _worth(robot: Robot, moves: _Moves, options: Options, design: DesignModel, c
             part = A[move[rows] == e].reshape(-1, len(units))
             H[e] += part.T @ part
     J, W = design.placed_errors(cared), np.zeros_like(H[0])
-    W[np.ix_(columns, columns)] = J[:, told].T @ J[:, told] / len(cared.q)
-    lengths = float(np.sum(J[:, ~told] ** 2)) / len(cared.q)
-    return _Worth(W, H, columns, told, lengths, tuple(block.noise for block in station.sensor.blocks))
+    W[np.ix_(columns, columns)] = J[:, observed].T @ J[:, observed] / len(cared.q)
+    lengths = float(np.sum(J[:, ~observed] ** 2)) / len(cared.q)
+    return _Worth(W, H, columns, observed, lengths, tuple(block.noise for block in station.sensor.blocks))
 
 
 def _best_walk(moves: _Moves, worth: _Worth, duration: float) -> list[int]:
-    """Return the best of some walks, each from another pose and by the moves that tell most a second."""
+    """Return the best of some walks, each from another pose and by the moves with the most information per second."""
     begins = np.flatnonzero(moves.allowed)
     begins = begins[np.argsort(-_rates(moves, worth, begins, worth.known([])))]
     _, at = np.unique(moves.first[begins], return_index=True)
@@ -307,7 +307,7 @@ def _best_walk(moves: _Moves, worth: _Worth, duration: float) -> list[int]:
 
 
 def _rates(moves: _Moves, worth: _Worth, which: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return by how much moves lower the squared error a second, shape (n,), where there is information known."""
+    """Return the decrease of the squared error per second by each move, shape (n,), given information ``known``."""
     after = np.array([value(C, worth.W) for C in np.linalg.inv(known + worth.H[which])])
     return np.asarray((value(covariance(known), worth.W) - after) / moves.seconds[which])
 
@@ -315,7 +315,7 @@ def _rates(moves: _Moves, worth: _Worth, which: np.ndarray, known: np.ndarray) -
 def _walk(
     moves: _Moves, worth: _Worth, duration: float, begins: np.ndarray, rng: np.random.Generator | None = None
 ) -> list[int]:
-    """Return moves that follow each other, none twice: those that tell most a second, or random ones."""
+    """Return consecutive moves without repetition: those with the most information per second, or random ones."""
     left, spent, walk, known, here = moves.allowed.copy(), 0.0, list[int](), worth.known([]), begins
     while spent < duration and len(here):
         if rng is not None:

@@ -1,15 +1,15 @@
-r"""Which poses to measure: from a robot and constraints to a list of poses and what they will tell.
+r"""Pose designs: the poses to measure for a robot and constraints, and the predicted accuracy.
 
-Among this are observability indices as the literature numbers them (Sun and Hollerbach 2008). With the singular values
+They include observability indices, numbered as in the literature (Sun and Hollerbach 2008). With the singular values
 :math:`\sigma_1 \ge \dots \ge \sigma_r` of the identification Jacobian at n poses:
 
 .. math:: O_1 = \frac{(\sigma_1 \cdots \sigma_r)^{1/r}}{\sqrt n} \quad
     O_2 = \frac{\sigma_r}{\sigma_1} \quad O_3 = \sigma_r \quad O_4 = \frac{\sigma_r^2}{\sigma_1} \quad
     O_5 = \Big(\sum_i \frac{1}{\sigma_i}\Big)^{-1}
 
-Such indices depend on units and on the choice of parameters. Here columns are in units of the priors (so many mm, mrad),
-readings in units of the noise, and base and tool are projected out. The r directions are those that all candidates
-together, spread over n poses, tell better than the priors do: the same for all designs that are compared.
+Such indices depend on units and on the choice of parameters. Here parameters are in units of the priors (some mm, mrad),
+readings in units of the noise, and base and tool are projected out. The r directions are those that n average candidates
+determine better than the priors do, the same for all designs that are compared.
 """
 
 from __future__ import annotations
@@ -42,20 +42,20 @@ SOURCES = {
     "O4": "Nahvi and Hollerbach 1996",
     "O5": "Sun and Hollerbach 2008",
 }
-"""Where each index comes from."""
+"""Source of each index."""
 
 
 def observed_directions(design_model: DesignModel, mean: np.ndarray, n: int) -> np.ndarray:
-    """Return the directions that n average candidates tell, orthonormal in units of the priors, shape (H, r).
+    """Return the directions that n average candidates identify, orthonormal in units of the priors, shape (H, r).
 
-    They span parts of the H parameters that have a prior; ``mean`` is the information of one candidate, shape (F, F).
+    They are directions of the H parameters with a prior; ``mean`` is the information of one candidate, shape (F, F).
     """
     posterior = design_model.posterior(n * mean)
     return posterior.directions[:, posterior.information > 1.0]
 
 
 def observability(design_model: DesignModel, directions: np.ndarray, H: np.ndarray, n: int) -> dict[str, float]:
-    """Return O1 to O5, in these directions, of n poses with information H, shape (F, F); empty where they tell nothing."""
+    """Return O1 to O5, in these directions, of n poses with information H, shape (F, F); empty without directions."""
     if not directions.shape[1]:
         return {}
     posterior = design_model.posterior(H)
@@ -73,9 +73,10 @@ def observability(design_model: DesignModel, directions: np.ndarray, H: np.ndarr
     }
 
 
-# Poses that stand for any number of them, and the part of the error that they leave above which more of them are in vain.
+# Practically unlimited number of poses, and the fraction of the error remaining with them above which more poses are
+# useless.
 _MANY, _MOSTLY = 1e6, 0.9
-# Readings beyond the directions that they could tell, below which little is left to judge a fit by.
+# Recommended ratio of readings to identifiable directions, which leaves degrees of freedom to judge a fit.
 _COMFORTABLE = 1.5
 
 
@@ -85,25 +86,25 @@ class Design:
 
     Attributes:
         robot: the arm.
-        conditions: the N poses; approach where it was part of the design.
-        has_payloads: whether payloads were.
-        rig: with what they are measured.
+        conditions: the N poses, with the approach if it was part of the design.
+        has_payloads: whether payloads were part of the design.
+        rig: sensor set-up.
         criterion: "task", "determinant" or "tell apart".
-        rivals: the effects to be distinguished, as they were named; none with the other criteria.
+        rivals: names of the effects to be distinguished; empty with the other criteria.
         design_model: the parameters and their priors.
-        drawn: the candidates, and what the constraints removed.
+        drawn: the candidates, and the number removed by each constraint.
         found: the design compared with random poses.
-        before: the poses measured before alone; None without any.
-        bound: predicted error that no choice of N of the candidates can fall below, by the criterion task [m]; else None.
+        before: the previously measured poses alone; None without any.
+        bound: lower bound of the predicted error for N of the candidates, with the criterion task [m]; else None.
         curve: designs of other numbers of poses and of this one, all chosen among the candidates and not refined.
-        needed: smallest number of candidates that reaches the accuracy asked for; None where none was.
-        observability: indices O1 to O5 of the poses, those measured before among them.
-        observability_random: their medians of random poses.
-        rank: directions that such poses determine better than the priors do, including base and tool.
-        path_length: length of the way through the poses, in ranges of the joint that moves farthest.
-        path_length_unordered: in the order in which they were found.
+        needed: smallest number of candidates that reaches the requested accuracy; None without one.
+        observability: indices O1 to O5 of the poses, including previously measured ones.
+        observability_random: their medians over random poses.
+        rank: number of directions that such poses determine better than the priors do, including base and tool.
+        path_length: length of the path through the poses, in ranges of the joint that moves farthest.
+        path_length_unordered: the same in the order in which they were found.
         notes: messages to the user.
-        seconds: that it took.
+        seconds: computing time.
     """
 
     robot: Robot
@@ -137,7 +138,7 @@ class Design:
         return self.conditions.q
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return the table to be filled in: joints, and target, payload and approach where they belong to the poses."""
+        """Return the table to be filled in: joints, and target, payload and approach if they are part of the design."""
         targets = self.design_model.model.chain.targets
         poses = pose_columns(self.robot, self.conditions, has_payloads=self.has_payloads, targets=targets)
         station = predicted_station(self.design_model.model, self.design_model.values, self.rig, self.conditions)
@@ -192,19 +193,19 @@ def design_poses(
 
     Args:
         robot: the arm.
-        request: what is to be designed, or the number of poses alone.
+        request: the specification, or the number of poses alone.
         options: as for the calibration: effects, noise, moment frame, centre of mass of the payload. Base and tool are
             taken as unknown.
-        rig: sensor, and from where it measures.
-        limits: where the arm may go.
-        **earlier: fields of the request, which for one more release may be given here.
+        rig: sensor set-up.
+        limits: limits of the workspace.
+        **earlier: fields of the request, deprecated.
 
     Returns:
-        The design; look at its ``notes``.
+        The design; note its ``notes``.
 
     Raises:
-        BadInputError: for constraints that leave too few poses, an accuracy that no number of poses reaches, an unknown
-            effect, or a sensor or model that a design can't be made for.
+        BadInputError: for constraints that leave too few poses, an unreachable accuracy, an unknown effect, or an
+            unsupported sensor or model.
 
     Example:
         >>> from pincal.model.effects import GEOMETRIC
@@ -229,7 +230,7 @@ def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
         _check_count(study, n)
         _check_limit(study, n)
     picked = study.candidates.select(np.array(study.design(n)))
-    # A pose in which the target is held stays where it is.
+    # A pose in which the target is held can't be refined.
     if request.refine and not reach.rig.held_at:
         picked = study.refine(picked, reach)
     H, at_random = study.H + total(study.design_model.readings(picked)), study.random(n)
@@ -262,7 +263,7 @@ def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
 
 
 def _check_count(study: Study, n: int) -> None:
-    """Warn of fewer poses than the parameters need."""
+    """Warn of too few poses for the parameters."""
     size, rank, count = study.A.shape[1], study.rank(n), n + study.n_measured
     if size * count < rank:
         fewest, good = -(-rank // size), int(np.ceil(_COMFORTABLE * rank / size))
@@ -273,7 +274,7 @@ def _check_count(study: Study, n: int) -> None:
 
 
 def _check_limit(study: Study, n: int) -> None:
-    """Warn where most of the error is what no number of such readings shows."""
+    """Warn if most of the error remains with any number of such readings."""
     error, limit = (study.quality(study.H + count * study.mean).error for count in (n, _MANY))
     if limit > _MOSTLY * error:
         warn(
@@ -286,7 +287,7 @@ def _check_limit(study: Study, n: int) -> None:
 def _indices(
     study: Study, n: int, H: np.ndarray, at_random: Sequence[np.ndarray]
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the indices of the design, and their medians over random ones, what was measured before included."""
+    """Return the indices of the design, and their medians over random ones, including previously measured poses."""
     directions, prior = observed_directions(study.design_model, study.mean, n), study.design_model.known
     found, *random = (
         observability(study.design_model, directions, X - prior, n + study.n_measured) for X in (H, *at_random)

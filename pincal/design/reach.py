@@ -1,4 +1,4 @@
-"""Where an arm may go and can be measured: joint limits, floor, box, line of sight, self-collision; poses drawn there."""
+"""Admissible poses: joint limits, floor, box, line of sight, self-collision; random poses within these constraints."""
 
 from __future__ import annotations
 
@@ -13,32 +13,33 @@ from pincal.design.collisions import Bodies
 from pincal.errors import BadInputError
 from pincal.robot.robot import Robot
 
-# Half angle of the cone in which a corner-cube reflector is seen [rad]: 30 degrees by the makers' sheets.
+# Half angle of the cone in which a corner-cube reflector is seen [rad]: 30 degrees by the data sheets.
 CONE = np.pi / 6.0
-# The first joint with which something moves that has to keep off the floor, counted from 1.
+# The first joint, counted from 1, whose link has to stay above the floor.
 _OFF_THE_FLOOR = 3
-# Random poses tried for one that is wanted, and at once.
+# Most random poses tried per pose requested, and at once.
 _TRIES, _BATCH = 200, 4096
-# Poses that a design chooses from at most: about 200 MB (20 000: 40 MB), and minutes.
+# Most candidates of a design: about 200 MB (20 000: 40 MB), and minutes.
 _MOST = 100_000
-# Steps towards a place where the target is held, their damping in reaches, and how near they have to come [m].
+# Steps towards a socket for the target, their damping in reaches of the arm, and the tolerance [m].
 _STEPS, _DAMPING, _THERE = 25, 0.03, 1e-4
-# Where a target sits by default: off the last axis and along it, in reaches of the arm.
+# Default position of a target off and along the last axis, in reaches of the arm.
 _OFF_AXIS, _ALONG = 0.05, 0.05
 
 
 @dataclass(frozen=True)
 class SensorSetup:
-    """Sensor and position from which poses are measured.
+    """Sensor, its position and the target.
 
     Attributes:
         sensor: "position", "pose", "distance" or "socket".
-        tool: about where the target sits in the tip frame [m]; default: off the last axis by a twentieth of the reach.
-        instrument: where the instrument stands in the robot's base frame [m]; None where it sees everything.
-        normal: where the target looks, in the tip frame; None where it is seen from all sides.
-        cone: angle off the normal at which it is still seen [rad].
-        held_at: about where the target is held, one place after the other, in the frame of the link where the robot's path
-            starts, its base for one arm [m]: sockets.
+        tool: approximate position of the target in the tip frame [m]; default: off the last axis by a twentieth of the
+        reach.
+        instrument: position of the instrument in the robot's base frame [m]; None if it sees everything.
+        normal: normal of the target, in the tip frame; None if it is visible from all sides.
+        cone: largest angle to the normal at which it is visible [rad].
+        held_at: approximate positions of the sockets that hold the target, in the frame of the first link of the robot's
+            path, its base for one arm [m].
     """
 
     sensor: str = "position"
@@ -54,7 +55,7 @@ class SensorSetup:
             if place is not None and not np.isfinite(place).all():
                 raise BadInputError(f"{what} {' '.join(f'{v:g}' for v in place)}; expected three finite numbers")
         if self.normal is not None and self.instrument is None:
-            raise BadInputError("the target has a normal, but the position of the instrument that it faces is not given")
+            raise BadInputError("the target has a normal, but the position of the instrument is not given")
         if self.normal is not None and not np.any(self.normal):
             raise BadInputError(f"normal of the target {self.normal}; expected a direction")
         if not 0.0 < self.cone <= np.pi:
@@ -62,21 +63,21 @@ class SensorSetup:
 
     @property
     def places(self) -> np.ndarray:
-        """Where the target is held, shape (K, 3) [m]."""
+        """Positions of the sockets, shape (K, 3) [m]."""
         return np.array(self.held_at, float).reshape(-1, 3)
 
     def target(self, robot: Robot) -> np.ndarray:
-        """Return where the target sits in the tip frame, shape (3,) [m]."""
+        """Return the position of the target in the tip frame, shape (3,) [m]."""
         return default_target(robot) if self.tool is None else np.array(self.tool, float)
 
 
 def default_target(robot: Robot) -> np.ndarray:
-    """Return a place in the tip frame, shape (3,) [m], off the last axis: a target on it says nothing of the last joint."""
+    """Return a position in the tip frame, shape (3,) [m], off the last axis: on it a target does not show the last joint."""
     last = robot.path.tip_joint
     T_tip_joint = np.linalg.inv(robot.path.T_joint_tip) @ robot.T_link_joint[last]
     slides = robot.joint_types[last] == "prismatic"
     axis = (robot.frames.T_base_link[last] @ robot.path.T_joint_tip)[:3, :3].T @ robot.frames.axis(last, robot.parents[last])
-    # Away from the arm: along the axis in the sense that leads from the last joint to the tip.
+    # Away from the arm: along the axis in the direction from the last joint to the tip.
     axis = axis if axis @ T_tip_joint[:3, 3] <= 0.0 or slides else -axis
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     return np.asarray(robot.reach * (_OFF_AXIS * side / np.linalg.norm(side) + _ALONG * axis))
@@ -87,11 +88,10 @@ class Limits:
     """Limits of the workspace.
 
     Attributes:
-        span: part of the joint range that is used, about its middle.
-        floor: height in the base frame above which target and arm stay, from what moves with the third joint on [m]; None
-            for no floor.
-        box: least x, y, z and largest x, y, z of the target where it is measured, in the base frame [m]; None for no box.
-        clearance: distance that the arm keeps from itself [m].
+        span: fraction of the joint range that is used, about its middle.
+        floor: least height in the base frame of target and arm, from the third joint's link on [m]; None for no floor.
+        box: least x, y, z and largest x, y, z of the measured target, in the base frame [m]; None for no box.
+        clearance: least distance of the arm from itself [m].
     """
 
     span: float = 0.95
@@ -112,12 +112,12 @@ class Limits:
 
 @dataclass(frozen=True)
 class Draw:
-    """Random poses that keep to all constraints.
+    """Random poses that satisfy all constraints.
 
     Attributes:
         q: shape (N, n), joint positions [rad or m].
         drawn: number of poses tried.
-        removed: constraint in words -> number of poses that it removed of those that the ones before had left.
+        removed: constraint -> number of poses that it removed from those left by the preceding constraints.
     """
 
     q: np.ndarray
@@ -125,17 +125,14 @@ class Draw:
     removed: dict[str, int]
 
     def in_words(self) -> str:
-        """Return what was tried and what each constraint removed."""
+        """Return the number of poses tried, and of those removed by each constraint."""
         parts = [f"{name} {count}" for name, count in self.removed.items()]
         removed = f"removed: {', '.join(parts)}" if parts else "nothing else limits them"
         return f"{len(self.q)} of {self.drawn} random poses within the joint limits; {removed}"
 
 
 class _Placed(NamedTuple):
-    """Poses with what constraints ask of them: joint positions; frames of the bodies, tip and target in the base frame.
-
-    The places where a target is held are there, too, shape (N, K, 3).
-    """
+    """Joint positions, and in the base frame the frames of the bodies, tips, targets and sockets, shape (N, K, 3)."""
 
     q: np.ndarray
     frames: np.ndarray
@@ -146,12 +143,12 @@ class _Placed(NamedTuple):
 
 @dataclass(frozen=True)
 class Reach:
-    """The poses that an arm can take, and those in which it can be measured.
+    """The admissible poses of an arm, and those in which it can be measured.
 
     Attributes:
         robot: the arm.
-        rig: with what it is measured.
-        limits: where it may go.
+        rig: sensor set-up.
+        limits: limits of the workspace.
 
     Example:
         >>> reach = Reach(Robot.from_urdf("ur10"), SensorSetup(instrument=(3.0, 0.0, 1.0)))
@@ -166,21 +163,21 @@ class Reach:
 
     @cached_property
     def bodies(self) -> Bodies:
-        """What may be in the way."""
+        """Bodies of the arm, which may obstruct it."""
         return Bodies.of(self.robot, clearance=self.limits.clearance)
 
     @cached_property
     def target(self) -> np.ndarray:
-        """Where the target sits in the tip frame, shape (3,) [m]."""
+        """Position of the target in the tip frame, shape (3,) [m]."""
         return self.rig.target(self.robot)
 
     @cached_property
     def range(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest joint positions, shape (n,) each [rad or m]; a turn where a joint has no limits."""
+        """Least and largest joint positions, shape (n,) each [rad or m]; a full turn for a joint without limits."""
         return self.robot.joint_range(self.limits.span)
 
     def allows_apart(self, q: np.ndarray) -> np.ndarray:
-        """Return whether poses, shape (N, n), keep to all constraints of a measurement but self-collision, shape (N,)."""
+        """Return whether poses, shape (N, n), satisfy all constraints of a measurement but self-collision, shape (N,)."""
         lower, upper = self.range
         allowed = np.asarray(np.all((q >= lower - 1e-12) & (q <= upper + 1e-12), axis=1))
         rows = np.flatnonzero(allowed)
@@ -189,26 +186,26 @@ class Reach:
         return allowed
 
     def collides(self, q: np.ndarray) -> np.ndarray:
-        """Return whether the arm touches itself, shape (N,), as far as that can be checked."""
+        """Return whether the arm collides with itself, shape (N,), as far as that can be checked."""
         return np.zeros(len(q), bool) if self.bodies.collisions is None else self.bodies.collisions.hit(q)
 
     def draw(self, n: int, rng: np.random.Generator, *, measured: bool = True) -> Draw:
-        """Draw random joint positions until ``n`` keep to all constraints, or hardly any does.
+        """Draw random joint positions until ``n`` satisfy all constraints; fewer if hardly any do.
 
         Args:
-            n: how many are wanted; fewer come back where constraints leave hardly any.
+            n: number of poses.
             rng: source of randomness.
-            measured: whether they have to be in the box and in sight, too, or only within the arm's reach.
+            measured: whether they also have to be in the box and in sight.
 
         Raises:
-            BadInputError: for more than can be worked on.
+            BadInputError: for too many poses.
         """
         if n > _MOST:
             raise BadInputError(f"{n} random poses to choose from; expected at most {_MOST}: ask for fewer")
         lower, upper = self.range
         found, removed, drawn = np.empty((0, len(lower))), dict[str, int](), 0
         while len(found) < n and drawn < _TRIES * n + _BATCH:
-            # About as many as are still needed, by what has come out so far.
+            # About as many as are still needed, by the acceptance rate so far.
             wanted = (n - len(found)) * (drawn + 1) / (len(found) + 1) if drawn else 1.25 * n
             q = self.robot.following(rng.uniform(lower, upper, (int(np.clip(wanted, 64, _BATCH)), len(lower))))
             q = q if self.robot.linkage is None else q[self.robot.linkage.can_take(q)]
@@ -222,13 +219,13 @@ class Reach:
         return Draw(found[:n], drawn, removed)
 
     def _brought(self, q: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return poses near some, shape (N, n), that hold the target at one of the places, where that is in reach.
+        """Return poses near q, shape (N, n), that hold the target in one of the sockets, if within reach.
 
-        Steps are Levenberg's: Newton's of least length, damped so that they stay short near singular poses.
+        The steps are Levenberg's: of least length, damped near singular poses.
         """
         choice = rng.integers(len(self.rig.held_at), size=len(q))
         steps = dict(self.robot.path.steps(self.robot.parents))
-        # A joint on the way to the target carries it, one on the way to the places carries these, all others neither.
+        # A joint carries the target, or on the other branch of the path the sockets, or neither.
         carries = np.array([steps.get(i, 0) for i in range(self.robot.n_joints)])
         turns = np.array([kind != "prismatic" for kind in self.robot.joint_types])
         for _ in range(_STEPS):
@@ -243,7 +240,7 @@ class Reach:
             damped = J @ J.transpose(0, 2, 1) + (_DAMPING * self.robot.reach) ** 2 * np.eye(3)
             step = (J.transpose(0, 2, 1) @ np.linalg.solve(damped, (goals - placed.targets)[..., None]))[..., 0]
             q = self.robot.spread(q[:, self.robot.own_joints] + step)
-        # A joint at q and q + 2 pi is at the same place: the one nearest to the middle of its range is taken.
+        # Of equivalent positions q + 2 pi k the one nearest to the middle of the range is used.
         middle = np.mean(self.range, axis=0)
         return self.robot.following(q - np.where(turns, 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), 0.0))
 
@@ -255,10 +252,10 @@ class Reach:
         return _Placed(q, frames, tips, tips[:, :3, :3] @ self.target + tips[:, :3, 3], places)
 
     def _faults(self, placed: _Placed, *, measured: bool, colliding: bool) -> Iterator[tuple[str, np.ndarray]]:
-        """Yield each constraint and the poses that it forbids, shape (N,); those already forbidden may be left out."""
+        """Yield each constraint and the poses that violate it, shape (N,), except poses that already violate others."""
         limits, left = self.limits, np.ones(len(placed.q), bool)
         if limits.floor is not None:
-            # What comes before may stand on it, as the shoulder of a small arm does.
+            # Links before it may touch the floor, like the shoulder of a small arm.
             height = np.minimum(placed.targets[:, 2], self.bodies.boxes.lowest(placed.frames, _OFF_THE_FLOOR))
             yield f"floor at {limits.floor:g} m", height < limits.floor
             left &= height >= limits.floor
@@ -272,7 +269,7 @@ class Reach:
             yield "self-collision", at_fault
 
     def _unseen(self, placed: _Placed) -> Iterator[tuple[str, np.ndarray]]:
-        """Yield what keeps a target from being measured."""
+        """Yield each constraint on the measurement of the target, and the poses that violate it."""
         rig, box = self.rig, self.limits.box
         if rig.held_at:
             off = np.linalg.norm(placed.targets[:, None] - placed.places, axis=2).min(axis=1)

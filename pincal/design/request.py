@@ -1,4 +1,4 @@
-"""What is to be designed, and the conditions of its poses: payloads, directions of approach and targets."""
+"""Specifications of pose designs, and the conditions of their poses: payloads, directions of approach and targets."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class DesignRequest:
         criterion: "task" for the smallest predicted error over the task (I- or V-optimal, with the priors of the fit),
             "determinant" for the smallest volume of the parameters' uncertainty (D-optimal, with priors).
         tell_apart: two rival effects, as in :func:`pincal.design.study.find_rival`, to be distinguished instead.
-        task: joint positions that the user cares for, with payloads where they matter; default: the whole reach.
-        measured: poses measured already, with their payloads; their information counts.
+        task: joint positions of the application, with payloads if they matter; default: the whole reach.
+        measured: previously measured poses, with their payloads, whose information counts.
         payloads: masses at the tip [kg] to choose from, pose by pose; default: no payload.
         candidates: number of random poses to choose from; default: 1500, or twice ``poses`` if that is more.
         refine: whether to refine the chosen poses joint by joint.
-        curve: whether to design for other numbers of poses, too, and to bound what any choice can reach.
+        curve: whether to design for other numbers of poses, too, and to compute the lower bound of the error.
         seed: seed of all random numbers.
 
     Raises:
@@ -71,7 +71,7 @@ class DesignRequest:
         if self.criterion not in ("task", "determinant"):
             raise BadInputError(f"criterion {self.criterion!r}; expected task or determinant")
         if self.accuracy is not None and (self.tell_apart or self.criterion != "task"):
-            raise BadInputError("an accuracy goes with the criterion task alone; leave it out")
+            raise BadInputError("an accuracy requires the criterion task; leave it out")
         loads = self.payloads
         if loads is not None and (not loads or not all(0.0 <= load < np.inf for load in loads)):
             listed = ", ".join(f"{load:g}" for load in loads)
@@ -91,13 +91,13 @@ class DesignRequest:
         return max(self.poses or 1, 2)
 
     def has_approach(self, robot: Robot) -> bool:
-        """Return whether the direction from which joints arrive is part of the design."""
+        """Return whether the direction of approach is part of the design."""
         return any(needs_column(text, "approach", robot) for text in self.tell_apart or ())
 
 
 @dataclass(frozen=True)
 class PoseBuilder:
-    """How joint positions become conditions."""
+    """Conversion of joint positions to conditions."""
 
     robot: Robot
     options: Options
@@ -105,7 +105,7 @@ class PoseBuilder:
 
     @property
     def targets(self) -> tuple[str, ...]:
-        """Names of the targets: of those measured before, the first is the one that is measured again."""
+        """Names of the targets: of previously measured ones, the first is measured again."""
         measured = self.request.measured
         return ("tool",) if measured is None else tuple(str(name) for name in np.unique(measured.target))
 
@@ -114,14 +114,14 @@ class PoseBuilder:
         return np.array(self.request.payloads or (0.0,), float)
 
     def at(self, q: np.ndarray, rng: np.random.Generator) -> Conditions:
-        """Return poses with the loads in turn and, where it matters, random directions of approach."""
+        """Return poses with the loads in turn and, if it matters, random directions of approach."""
         n, loads = len(q), self._loads
         approach = rng.choice([-1.0, 1.0], q.shape) if self.request.has_approach(self.robot) else None
         centre = np.array(self.options.payload_centre, float)
         return Conditions(q, np.zeros(n, int), loads[np.arange(n) % len(loads)], centre, approach=approach)
 
     def of(self, table: Measurements) -> Conditions:
-        """Return the poses of a table; rows without a payload carry the first of the loads."""
+        """Return the poses of a table; rows without a payload have the first of the loads."""
         n, targets, approach = len(table), self.targets, table.approach
         index = np.array([targets.index(str(name)) if str(name) in targets else 0 for name in table.target], int)
         payload = np.full(n, self._loads[0]) if table.payload is None else np.asarray(table.payload)
@@ -135,7 +135,7 @@ class PoseBuilder:
 def pose_columns(
     robot: Robot, conditions: Conditions, *, has_payloads: bool, targets: Sequence[str] = ()
 ) -> dict[str, np.ndarray]:
-    """Return a table to fill in: joints as commanded, and target, payload and approach where they belong to the poses."""
+    """Return a table to fill in: commanded joints, and target, payload and approach if they are part of the poses."""
     columns: dict[str, np.ndarray] = dict(zip(robot.joint_names, robot.as_reported(conditions.q).T, strict=True))
     if len(targets) > 1:
         columns["target"] = np.array(targets)[conditions.target]

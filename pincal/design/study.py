@@ -1,4 +1,4 @@
-"""What all designs for one robot and one rig share: candidates, their information, and the criterion."""
+"""The common basis of all designs for one robot and rig: candidates, their information, and the criterion."""
 
 from __future__ import annotations
 
@@ -34,35 +34,34 @@ from pincal.model.effect import Effect, Reducible
 log = logging.getLogger(__name__)
 
 RANDOM_DESIGNS = 50
-"""Random designs whose median a design is held against."""
+"""Number of random designs with whose median a design is compared."""
 
-# Poses over which the task's error is averaged.
+# Number of poses over which the task's error is averaged.
 _TASK_POSES = 400
-# Numbers of poses that the curve tells of, and how far it goes beyond the one that was asked for.
+# Numbers of poses of the curve, and its extent as a multiple of the requested number, at least.
 _LADDER = (10, 15, 20, 30, 40, 50, 70, 100, 150, 200, 300, 500)
 _BEYOND, _AT_LEAST = 2.0, 100
-# Passes of an exchange that begins at a design which is nearly right.
+# Passes of an exchange from a nearly optimal design.
 _FEW_PASSES = 2
-# Positions tried of each joint, and the part of its range that they are spread over, sweep by sweep.
+# Positions tried of each joint, and the fraction of its range over which they are spread, sweep by sweep.
 _STEPS = 11
 _WINDOWS = (1.0, 0.4, 0.15)
-# Part of its range by which a joint's positions differ from pose to pose, and that of a pose's share of the range.
+# Least difference of a joint's positions between poses, as a fraction of its range, and of a pose's share of the range.
 _APART, _OF_SHARE = 2e-3, 0.25
-# Steps of one pose lie between those of the next, by this part of a step.
+# Offset of the trial positions from pose to pose, as a fraction of a step.
 _SHIFT = 0.5 * (5.0**0.5 - 1.0)
-# Relative gain below which a pose stays where it is.
+# Relative gain below which a pose is not moved.
 _WORTH = 1e-6
 
 
 @dataclass(frozen=True)
 class Quality:
-    """What a set of poses will tell.
+    """Predicted quality of a set of poses.
 
     Attributes:
-        error: predicted error of a calibrated model over the task, root mean square [m]: of the position, or of the distance
-            where that is measured. What noise and priors leave of the parameters; no noise of a new measurement in it and
-            nothing that the model misses.
-        apart: for each rival of typical size the non-centrality that no refit takes up; empty without rivals.
+        error: predicted rms error of a calibrated model over the task [m], of the position, or of a measured distance. It is
+            due to the posterior uncertainty of the parameters, without noise of a new measurement or model error.
+        apart: non-centrality after a refit of each rival of typical size; empty without rivals.
     """
 
     error: float
@@ -77,7 +76,7 @@ class Quality:
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """Designed poses beside random ones (the median of many draws); what was measured before counts with both."""
+    """Designed poses compared with random ones (the median of many draws), both including previously measured poses."""
 
     poses: int
     designed: Quality
@@ -86,18 +85,18 @@ class CurvePoint:
 
 @dataclass(frozen=True)
 class Study:
-    """Candidates and what each would tell.
+    """Candidates and the information of each.
 
     Attributes:
         design_model: the parameters.
-        drawn: the candidates' joint positions, and what the constraints removed.
+        drawn: the candidates' joint positions, and the number removed by each constraint.
         candidates: the M poses to choose from.
         A: shape (M, m, F), their Jacobian in units of noise and priors.
-        H: shape (F, F), information before: that of the priors and of the poses measured already.
-        n_measured: their number.
-        task: shape (F, F), mean of the squared error over the task by the parameters [m^2].
-        W: shape (F, F), of the criterion; None for the determinant.
-        rng: source of random designs.
+        H: shape (F, F), information of the priors and of previously measured poses.
+        n_measured: number of previously measured poses.
+        task: shape (F, F), matrix of the mean squared error over the task [m^2].
+        W: shape (F, F), weights of the criterion; None for the determinant.
+        rng: random generator for random designs.
     """
 
     design_model: DesignModel
@@ -112,11 +111,10 @@ class Study:
 
     @classmethod
     def of(cls, reach: Reach, *, options: Options, request: DesignRequest) -> Study:
-        """Draw candidates, and work out what each would tell.
+        """Draw candidates, and compute the information of each.
 
         Raises:
-            BadInputError: for constraints that leave too few poses, a rival that is not known, or a sensor or model that a
-                design can't be made for.
+            BadInputError: for constraints that leave too few poses, an unknown rival, or an unsupported sensor or model.
         """
         rng = [np.random.default_rng([request.seed, part]) for part in range(4)]
         log.info("drawing %d candidates within the constraints", request.n_candidates)
@@ -149,20 +147,20 @@ class Study:
         return total(self.A) / len(self.A)
 
     def rank(self, n: int) -> int:
-        """Return how many directions n average candidates would tell better than the priors do, base and tool included."""
+        """Return the number of directions, including base and tool, that n average candidates identify beyond the priors."""
         return self.design_model.posterior(n * self.mean).identifiable_rank
 
     def quality(self, H: np.ndarray) -> Quality:
-        """Return what information H, shape (F, F), comes to."""
+        """Return the quality of information H, shape (F, F)."""
         core = np.ix_(self.design_model.core, self.design_model.core)
         error = np.sqrt(value(covariance(H[core]), self.task[core]))
         rivals = self.design_model.rivals
         return Quality(float(error), noncentrality(covariance(H), rivals) if rivals else ())
 
     def design(self, n: int) -> list[int]:
-        """Return n candidates that no single exchange makes better: the better of those from two starts.
+        """Return n candidates that no single exchange improves: the better of two starts.
 
-        Exchanges end in one of many local optima; where the determinant is largest begins another way than a greedy choice.
+        Exchanges end in one of many local optima; the optimum of the determinant is another start than a greedy choice.
         """
         log.info("exchanging %d poses among %d candidates", n, len(self.A))
         found = []
@@ -174,9 +172,9 @@ class Study:
     def refine(self, design: Conditions, reach: Reach) -> Conditions:
         """Improve a design by coordinate exchange within the constraints (Meyer and Nachtsheim, Technometrics 37, 1995).
 
-        Each pose in turn is taken out, and the best neighbour that differs in one joint is taken in; what else belongs to a
-        pose, its payload say, stays as it is. No position is taken that another pose has already: what a drive does there
-        would be seen twice, and what it does elsewhere not at all.
+        Each pose in turn is replaced by its best neighbour that differs in one joint; its other conditions, such as the
+        payload, are unchanged. Joint positions do not repeat between poses, as a drive's error would be measured twice at
+        one position and not at all at another.
         """
         q, A = design.q.copy(), self.design_model.readings(design)
         for sweep, window in enumerate(_WINDOWS):
@@ -197,16 +195,16 @@ class Study:
         return replace(design, q=q)
 
     def random(self, n: int) -> list[np.ndarray]:
-        """Return the information of random designs of n poses, those measured before included."""
+        """Return the information of random designs of n poses, including previously measured ones."""
         draws = (self.rng.choice(len(self.A), n, replace=False) for _ in range(RANDOM_DESIGNS))
         return [self.H + information(self.A, draw) for draw in draws]
 
     def bound(self, n: int) -> float:
-        """Return the predicted error that no choice of n candidates falls below, by the criterion task [m]."""
+        """Return the lower bound of the predicted error of n candidates, with the criterion task [m]."""
         return float(np.sqrt(max(lower_bound(self.A, self.task, self.H, n), 0.0)))
 
     def curve(self, known: CurvePoint) -> tuple[CurvePoint, ...]:
-        """Return designs of several numbers of poses, that of ``known`` among them, each begun at the one before."""
+        """Return designs of several numbers of poses, including the number of ``known``, each starting from the previous."""
         most = min(max(_BEYOND * known.poses, _AT_LEAST), len(self.A))
         points, chosen = [], list[int]()
         for n in sorted({n for n in _LADDER if n <= most} | {known.poses}):
@@ -222,7 +220,7 @@ class Study:
         """Return the smallest number of candidates whose exchanged design reaches an accuracy [m].
 
         Raises:
-            BadInputError: if no number of candidates does that a campaign could measure.
+            BadInputError: if no practical number of candidates does.
         """
         most = min(_LADDER[-1], len(self.A))
         log.info("looking for the number of poses that gives %.4g mm", 1e3 * accuracy)
@@ -243,7 +241,7 @@ class Study:
 
 
 def _neighbours(q: np.ndarray, place: int, reach: Reach, window: float) -> np.ndarray:
-    """Return the poses allowed, but for self-collision, that differ from one of q, shape (N, n), in one joint."""
+    """Return poses, admissible except for self-collision, that differ from one of q, shape (N, n), in one joint."""
     lower, upper = reach.range
     half = 0.5 * window * (upper - lower)
     low, high = np.maximum(lower, q[place] - half), np.minimum(upper, q[place] + half)
@@ -260,13 +258,13 @@ def _neighbours(q: np.ndarray, place: int, reach: Reach, window: float) -> np.nd
 
 
 def find_rival(text: str, chain: Chain, conditions: Conditions) -> Effect:
-    """Return the effect of a name, as :func:`find_effect`, in the fewest parameters: a drive curve with few pieces."""
+    """Return the effect of a name as by :func:`find_effect`, in the fewest parameters: a drive curve with few pieces."""
     effect = find_effect(text, chain, conditions)
     return effect.reduced(PoseSet(chain, conditions)) if isinstance(effect, Reducible) else effect
 
 
 def _rivals(reach: Reach, options: Options, request: DesignRequest, *, candidates: Conditions) -> list[Effect]:
-    """Return the effects that are to be told apart."""
+    """Return the effects to be distinguished."""
     chain = Chain.of(reach.robot, moment_frame=options.first_frame, gravity=options.gravity)
     rivals = [find_rival(text, chain, candidates) for text in request.tell_apart or ()]
     if rivals and rivals[0] == rivals[1]:
@@ -275,19 +273,18 @@ def _rivals(reach: Reach, options: Options, request: DesignRequest, *, candidate
 
 
 def _check_draw(drawn: Draw, request: DesignRequest) -> None:
-    """Refuse constraints that leave too few poses, and say which of them it is."""
+    """Refuse constraints that leave too few poses, with the number that each removes."""
     found, needed = len(drawn.q), request.fewest
     if found < needed:
         raise BadInputError(
             f"the constraints leave too few poses for {needed}: {drawn.in_words()}; relax the one that removes most"
         )
     if found < request.n_candidates:
-        text = f"the constraints leave {found} candidates, {request.n_candidates} were asked for"
-        warn(text)
+        warn(f"the constraints leave {found} candidates of {request.n_candidates} requested")
 
 
 def _together(one: Conditions, other: Conditions) -> Conditions:
-    """Return the poses of both, one after the other; a column that only one of them has is left out."""
+    """Return the poses of both, one after the other, without columns that only one of them has."""
     pairs = {f.name: (getattr(one, f.name), getattr(other, f.name)) for f in fields(Conditions)}
     columns: dict[str, Any] = {
         name: None if a is None or b is None else np.concatenate([a, b]) for name, (a, b) in pairs.items()

@@ -1,4 +1,4 @@
-"""An arm of a URDF that was read: its path, frames and limits, and masses, or what the shape suggests of these."""
+"""The attributes of an arm of a URDF: its path, frames, limits and masses, which may be guessed from its shape."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ from pincal.units import LARGEST
 if TYPE_CHECKING:
     import pinocchio as pin
 
-# A limit beyond this [rad or m] is how URDFs write "none".
+# A joint range beyond this [rad or m] is how URDFs express "no limit".
 _NO_LIMIT = 1e3
-# Mass of a robot [kg] below which grams were not meant, but nothing at all.
+# Least mass of a robot [kg].
 _LIGHTEST = 1e-3
-# No robot has more joints that move; memory and time grow with their cube.
+# Most moving joints of a robot; memory and time grow with their cube.
 _MOST_JOINTS = 150
-# Mass of what moves of an industrial arm, over the length of its links along the joints to the power below [kg/m^2.5]; from
-# data sheets of arms from 0.6 m to 3.2 m. Of cobots it is a fifth. It is only where a search starts.
+# Moving mass of an industrial arm, per length of its links along the joints to the power below [kg/m^2.5]; from data sheets
+# of arms from 0.6 m to 3.2 m. Cobots have a fifth of it. It is an initial value only.
 _PER_LENGTH, _GROWTH = 36.0, 2.5
-# Part of a data sheet's mass that moves; the rest is the base that the arm stands on.
+# Moving fraction of a data sheet's mass; the rest is the base.
 _MOVING = 0.7
-# Length that a link has at least, over that of the arm: flanges are short but weigh.
+# Least length of a link relative to the arm, as flanges are short but have mass.
 _SHORTEST = 0.02
-# Links that may weigh the same by chance are fewer than these.
+# Number of links from which equal masses are not a coincidence.
 _FEWEST_ALIKE = 3
 
 
 @dataclass(frozen=True)
 class TreeRequest:
-    """Which part of a URDF is the robot.
+    """The part of a URDF that is the robot.
 
     Attributes:
-        tip: link at the end of the path; default: that of the chain of ``joints``, or of the longest moving chain.
+        tip: link at the end of the path; default: the end of the chain of ``joints``, or of the longest moving chain.
         start: link at its start; default: the base.
-        base: link on which the tree stands; default: where one path runs down from its start, this start; else the root.
-        joints: names of the joints with positions of their own (the columns of a table of measurements).
+        base: link on which the tree stands; default: the start of a single path down the tree, else the root.
+        joints: names of the joints with independent positions (the columns of a table of measurements).
         paths: further paths, by the names of their first and last links.
-        others: names of further joints that move; default: all others are locked at their neutral position.
+        others: names of further moving joints; all others are locked at their neutral position.
     """
 
     tip: str | None = None
@@ -73,7 +73,7 @@ def arm_of_tree(tree: UrdfTree, request: TreeRequest, *, mass: float | None) -> 
 
 
 def _stand(tree: UrdfTree, tip: str, request: TreeRequest) -> tuple[str, str]:
-    """Return the link on which the tree stands, and where the first path starts."""
+    """Return the link on which the tree stands, and the start of the first path."""
     base, start = request.base, request.start
     if start is None:
         default = _default_base(tree, tip, request.joints) if not request.paths else tree.root
@@ -88,9 +88,9 @@ def _stand(tree: UrdfTree, tip: str, request: TreeRequest) -> tuple[str, str]:
 def _moving_joints(
     tree: UrdfTree, base: str, ends: Sequence[tuple[str, str]], others: Sequence[str]
 ) -> tuple[UrdfJoint, ...]:
-    """Return the joints that move, each behind those that carry it: those of the first path's tip before branches of it.
+    """Return the moving joints, each after those that carry it: those of the first path's tip before its branches.
 
-    What two ends of a path share is locked unless it is on another path. All joints of a loop move if one does.
+    Joints above both ends of a path are locked unless they are on another path. All joints of a loop move if one does.
     """
     paths = [_checked_path(tree, base, *pair) for pair in ends]
     order: dict[str, None] = dict.fromkeys(joint.name for pair in paths for way in reversed(pair) for joint in way)
@@ -110,7 +110,7 @@ def _moving_joints(
             f"{tree.source}: base {base!r} is in a loop with {cut[0]!r}; expected a link that carries the loop"
         )
     for name in list(order):
-        # A joint moves as the one that it mimics, which may be of another branch.
+        # A mimic joint moves with its source, which may be on another branch.
         while (mimic := known[name].mimic) is not None and mimic.source in known and mimic.source not in order:
             name = mimic.source
             order[name] = None
@@ -128,7 +128,7 @@ def _is_above(tree: UrdfTree, base: str, joint: UrdfJoint) -> bool:
 
 
 def _in_preorder(tree: UrdfTree, joints: Sequence[UrdfJoint]) -> tuple[UrdfJoint, ...]:
-    """Return joints each behind the one that carries it and what that carries first, in their order otherwise."""
+    """Return joints in depth-first preorder, otherwise in their given order."""
     parents, names = _parents(tree, joints), [joint.name for joint in joints]
     children: dict[int, list[int]] = {}
     for i in range(len(names)):
@@ -142,14 +142,14 @@ def _in_preorder(tree: UrdfTree, joints: Sequence[UrdfJoint]) -> tuple[UrdfJoint
 
 
 def _parents(tree: UrdfTree, joints: Sequence[UrdfJoint]) -> tuple[int, ...]:
-    """Return which of some joints carries each, -1 for none of them."""
+    """Return the index of the joint that carries each, -1 for none of them."""
     return tuple(tree.carrier(joints, joint.parent) for joint in joints)
 
 
 def path_between(
     tree: UrdfTree, joint_names: Sequence[str], base: str, start: str, tip: str, *, at_rest: bool = False
 ) -> LinkPath:
-    """Return the way between two links of a tree of which some joints move, see :meth:`pincal.robot.robot.Robot.between`."""
+    """Return the path between two links of a tree with some moving joints, see :meth:`pincal.robot.robot.Robot.between`."""
     import pinocchio as pin
 
     known = {joint.name: joint for joint in tree.joints}
@@ -252,14 +252,14 @@ def _attributes(
 
 
 def _link_ends(parents: Sequence[int], joints: np.ndarray, aims: np.ndarray) -> np.ndarray:
-    """Return where the link behind each joint begins, and ends at the next joint or at what it aims at, shape (n, 2, 3)."""
+    """Return the start of each joint's link, and its end at the next joint or at its aim, shape (n, 2, 3)."""
     following = {parent: i for i, parent in reversed(list(enumerate(parents)))}
     ends = [joints[following[i], :3, 3] if i in following else aims[i, :3, 3] for i in range(len(joints))]
     return np.stack([joints[:, :3, 3], np.array(ends)], axis=1)
 
 
 def _local_axes(model: pin.Model, data: pin.Data, ids: list[int]) -> np.ndarray:
-    """Return the unit axes of the joints in their own frames, shape (n, 3), whatever Pinocchio's type of joint."""
+    """Return the unit axes of the joints in their own frames, shape (n, 3), for any of Pinocchio's joint types."""
     import pinocchio as pin
 
     pin.computeJointJacobians(model, data, pin.neutral(model))
@@ -273,7 +273,7 @@ def _local_axes(model: pin.Model, data: pin.Data, ids: list[int]) -> np.ndarray:
 def _with_mimics(
     lower: np.ndarray, upper: np.ndarray, *, names: tuple[str, ...], mimics: tuple[Mimic, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return limits, shape (n,) each, within which the joints that follow others keep their own limits, too."""
+    """Return limits, shape (n,) each, within which mimic joints also respect their own limits."""
     low, high = lower.copy(), upper.copy()
     for mimic in mimics:
         i, k = names.index(mimic.joint), names.index(mimic.source)
@@ -291,7 +291,7 @@ def _with_mimics(
 def _notes(
     tree: UrdfTree, names: tuple[str, ...], ends: Sequence[tuple[str, str]], notes: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return what the user should know of how the arm was read, beside what is noted already; it is also warned of."""
+    """Return ``notes`` plus a note on locked joints, and issue them as warnings."""
     locked = [joint for joint in tree.joints if joint.kind != "fixed" and joint.name not in names]
     if locked:
         more = f" and {len(locked) - 6} more" if len(locked) > 6 else ""
@@ -305,7 +305,7 @@ def _notes(
 
 
 def _default_base(tree: UrdfTree, tip: str, joints: Sequence[str] | None) -> str:
-    """Return the root, or the link behind the moving joints that stand before the first of ``joints``."""
+    """Return the root, or the parent link of the first of ``joints`` if other moving joints precede it."""
     moving = [joint for joint in tree.path(tree.root, tip) if joint.kind in MOVING_TYPES]
     known = tree.with_loops(joints or ())
     if joints is None or not moving or moving[0].name in known:
@@ -314,7 +314,7 @@ def _default_base(tree: UrdfTree, tip: str, joints: Sequence[str] | None) -> str
 
 
 def _checked_path(tree: UrdfTree, base: str, start: str, tip: str) -> tuple[tuple[UrdfJoint, ...], tuple[UrdfJoint, ...]]:
-    """Return all joints on the way between two links, fixed ones too: those passed backwards, and those passed along."""
+    """Return all joints between two links, including fixed ones: those traversed backwards, and those forwards."""
     up, down = tree.path(base, start), tree.path(base, tip)
     shared = len([a for a, b in zip(up, down, strict=False) if a is b])
     for joint in (path := (*up[shared:], *down[shared:])):
@@ -328,7 +328,7 @@ def _checked_path(tree: UrdfTree, base: str, start: str, tip: str) -> tuple[tupl
 
 
 def arm_model(urdf: bytes, joint_names: tuple[str, ...], source: str) -> pin.Model:
-    """Build the model from text of any encoding; what Pinocchio can't do with it is passed on in words."""
+    """Build the model from text of any encoding; an error of Pinocchio becomes a RobotFileError."""
     import pinocchio as pin
 
     try:
@@ -338,9 +338,7 @@ def arm_model(urdf: bytes, joint_names: tuple[str, ...], source: str) -> pin.Mod
 
 
 def are_placeholders(masses: Sequence[float]) -> bool:
-    """Return whether the masses of links [kg] were only written so that a program reads them: all of them the same.
-
-    The last link may carry a flange that has its own.
+    """Return whether the masses of links [kg] are placeholders: all equal, except that the last may include a flange.
 
     Example:
         >>> are_placeholders([2.0] * 6), are_placeholders([2.0, 2.0, 2.0, 4.0]), are_placeholders([7.8, 12.9, 12.9, 3.9])
@@ -358,16 +356,16 @@ def guessed_masses(
     total: float | None = None,
     parents: Sequence[int] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return masses, those that are not known told by the shape of the arm, and where the shape has the centres of mass.
+    """Return masses, the unknown ones guessed from the shape of the arm, and guessed centres of mass.
 
-    A link weighs in proportion to the length of arm beyond its joint, and has its centre between its joint and the next. The
-    scale is that of the links whose mass is known, or else of industrial arms of this length.
+    The mass of a link is proportional to the length of arm beyond its joint, and its centre is midway to the next joint. The
+    scale is taken from the known masses, or else from industrial arms of this length.
 
     Args:
-        masses: shape (n,), as far as they are known [kg].
-        ends: shape (n, 2, 3), where each link begins and ends at q = 0, in the base frame [m]; or, of a serial arm, shape
+        masses: shape (n,), as far as known [kg].
+        ends: shape (n, 2, 3), start and end of each link at q = 0, in the base frame [m]; or, for a serial arm, shape
             (n + 1, 3), its joints and the tip.
-        unknown: shape (n,), which links have no mass that is known.
+        unknown: shape (n,), which links have no known mass.
         total: mass of the whole robot with its base, as on a data sheet [kg].
         parents: the joint that carries each joint, -1 for the base; default: each carries the next.
 

@@ -1,4 +1,4 @@
-"""Robots of one cell, each with a URDF of its own, as one tree: the bases of the others are fixed to that of the first."""
+"""Robots of one cell, each with its own URDF, as one tree: the other robots' bases are fixed to the first one's."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from pincal.robot.packages import find_mesh
 from pincal.robot.tree import UrdfTree
 from pincal.robot.urdf_file import find_file, parse_urdf, parse_xml, read_urdf
 
-# What has a name that no other one has, and what gives a name or refers to it.
+# Elements with unique names, and attributes that define or reference a name.
 _NAMED = ("link", "joint", "constraint")
 _NAMING = ("name", "link", "joint", "reference")
 NOWHERE = (0.0,) * 6
-"""Where a robot stands, for want of a better place, until readings tell it: where the first one does."""
+"""Provisional placement of a robot, until readings determine it: at the first robot's."""
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,10 @@ class Beside:
 
     Attributes:
         source: path of its URDF or xacro file, or its name in example-robot-data.
-        name: what its links and joints have before their names, ``NAME_``, if some are called as those of another robot.
-        place: where its root link stands in the frame of the first robot's root link: x, y, z [m], roll, pitch, yaw [rad];
-            None if that is unknown.
-        is_found: whether readings tell the place, not the user.
+        name: prefix ``NAME_`` of its links and joints, if some have the same name as another robot's.
+        place: its root link in the frame of the first robot's root link: x, y, z [m], roll, pitch, yaw [rad]; None if
+            unknown.
+        is_found: whether the place was determined from readings, not given by the user.
     """
 
     source: str
@@ -52,10 +52,10 @@ class Beside:
 def read_cell(
     source: str | os.PathLike[str], others: Sequence[Beside] = (), *, xacro_args: Mapping[str, str] | None = None
 ) -> UrdfTree:
-    """Read a robot and those that stand beside it as one tree, whose root is that of the first.
+    """Read a robot and further ones as one tree, whose root is the first robot's.
 
-    Where another one stands is the origin of the fixed joint ``NAME_placement``. A calibration finds where it really does,
-    as of any second arm: the first joint of the arm has the six parameters of its mount.
+    The placement of each further robot is the origin of the fixed joint ``NAME_placement``. A calibration estimates it as
+    for any second arm: the first joint of the arm has the six parameters of its mount.
 
     Args:
         source: path of the first robot's URDF or xacro file, or its name in example-robot-data.
@@ -63,7 +63,7 @@ def read_cell(
         xacro_args: values of the arguments of the first robot's xacro file.
 
     Raises:
-        RobotFileError: as :func:`pincal.robot.urdf_file.read_urdf`, for two robots of one name, or an unknown place.
+        RobotFileError: as :func:`pincal.robot.urdf_file.read_urdf`, for two robots of one name, or an unknown placement.
     """
     first = read_urdf(find_file(source), xacro_args=xacro_args)
     if not others:
@@ -73,8 +73,8 @@ def read_cell(
         tree, prefix = read_urdf(find_file(of.source)), f"{of.name}_"
         if of.place is None:
             raise RobotFileError(
-                f"{tree.source}: nothing tells where it stands beside {first.name}; expected contacts of the two, one "
-                f"station that sees both, or its place, as in --beside {of.name}={of.source}@1.5,0,0,0,0,3.14159"
+                f"{tree.source}: its placement relative to {first.name} is unknown; expected contacts of the two, one "
+                f"station that sees both, or the placement, as in --beside {of.name}={of.source}@1.5,0,0,0,0,3.14159"
             )
         if of.is_found:
             at = ", ".join(f"{number:.4f}" for number in of.place)
@@ -83,8 +83,7 @@ def read_cell(
         notes += tree.notes
         if twice := sorted(_names(its) & taken):
             _prefix(its, prefix, _names(its))
-            told = f"two robots have a {twice[0]}: links and joints of {of.source} are {prefix}{twice[0]} and so on"
-            notes += (told,)
+            notes += (f"two robots have a {twice[0]}: links and joints of {of.source} are {prefix}{twice[0]} and so on",)
         _prefix(its, prefix, _names(its, "material") & _names(root, "material"))
         if twice := sorted((_names(its) | {of.joint}) & taken):
             raise RobotFileError(
@@ -101,7 +100,7 @@ def read_cell(
 
 
 def robot_files(source: str | os.PathLike[str], others: Sequence[Beside]) -> list[Path]:
-    """Return the files of a robot and of those beside it."""
+    """Return the files of a robot and of the further ones."""
     return [find_file(of) for of in (source, *(one.source for one in others))]
 
 
@@ -110,7 +109,7 @@ def _names(root: Any, *tags: str) -> set[str]:
 
 
 def _prefix(root: Any, prefix: str, names: set[str]) -> None:
-    """Put a prefix before some names, wherever they are used."""
+    """Prefix some names wherever they are used."""
     for element in root.iter(etree.Element):
         for key in _NAMING:
             if element.get(key) in names:
@@ -121,7 +120,7 @@ def _prefix(root: Any, prefix: str, names: set[str]) -> None:
 
 
 def _root_of(its: Any, tree: UrdfTree) -> str:
-    """Return the root link's name as it is now."""
+    """Return the root link's current name."""
     return str(its.findall("link")[tree.links.index(tree.root)].get("name"))
 
 

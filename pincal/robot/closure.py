@@ -1,9 +1,9 @@
-"""Closed loops of a robot: which joints follow from the others, and where.
+"""Closed loops of a robot: passive joints, whose positions follow from the others.
 
-A closure joins two links that both hang on others already. Its equations hold the frame that it has on one in the frame that
-it has on the other, and as many joints, the passive ones, stand where these are met. A loop in a plane meets others of
-itself: of its equations in space only those are solved that the passive joints can meet, the same ones everywhere, and what
-is left of the others is the play that the real joints have.
+A closure joins two links of the tree. Its equations constrain its frame on one link relative to its frame on the other, and
+determine the positions of as many joints, the passive ones. A planar loop satisfies some of the spatial equations
+identically: only those that the passive joints can satisfy are solved, the same ones in every pose, and the residuals of the
+others are the play of the real joints.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from pincal.robot.urdf_loops import ClosureKind
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-# Closed to this [m, rad] is closed to rounding; a loop that does not come nearer than the second can't be closed.
+# Gaps [m, rad] of a loop that is closed to rounding, and above which it counts as open.
 CLOSED, _OPEN = 1e-13, 1e-9
-# A pin nearer than this to the end of a rod is there [m].
+# A pin closer than this to the end of a rod is taken to be there [m].
 _AT_END = 1e-9
-# Part of the largest motion below which joints do not move a loop: axes of a calibrated one are tilted by milliradians.
+# Fraction of the largest motion below which joints do not move a loop: axes of a calibrated one are tilted by milliradians.
 STILL = 1e-2
-# Known positions that others are reached from, and the longest step there [rad or m].
+# Number of known positions from which others are reached, the longest step [rad or m], and the most steps.
 _KNOWN, _STEP, _MOST_STEPS = 512, 0.25, 100
 NEWTON, _LONGEST, _DAMPING = 30, 0.5, 1e-14
 
 
 @dataclass(frozen=True, eq=False)
 class Closure:
-    """What closes a loop.
+    """A loop closure.
 
     Attributes:
-        name: of the joint or constraint in the URDF.
-        kind: what it holds: "point", the origin; "axis", the origin and the z axis; "pose", all of the frame.
-        path: from its frame on one link to its frame on the other, both placed in link frames.
-        rows: those of its equations that passive joints meet.
+        name: name of the joint or constraint in the URDF.
+        kind: the constrained quantity: "point", the origin; "axis", the origin and the z axis; "pose", the whole frame.
+        path: from its frame on one link to its frame on the other, both in link frames.
+        rows: its equations that passive joints satisfy.
     """
 
     name: str
@@ -56,22 +56,22 @@ class Closure:
         return {"point": 3, "axis": 5, "pose": 6}[self.kind]
 
     def pinned(self, parents: Sequence[int]) -> int:
-        """Return on which link its place is one of its own: 1 where its path ends, -1 where it starts, 0 on neither.
+        """Return on which link its position is independent: 1 at the end of its path, -1 at the start, 0 on neither.
 
-        At the end of a rod, a link that carries no other, it is where the link ends.
+        On a rod, a link that carries no other, it is at the end of the link.
         """
         ends = zip(reversed(self.path.ends), (1, -1), strict=True)
         return next((side for (_, i, T), side in ends if i < 0 or i in parents or np.abs(T[:2, 3]).max() > _AT_END), 0)
 
     def residuals(self, T: np.ndarray) -> np.ndarray:
-        """Return what it is open by, shape (N, R) [m, rad], where one frame stands at T in the other, (N, 3 or 4, 4)."""
+        """Return its gaps, shape (N, R) [m, rad], with one frame at T in the other, shape (N, 3 or 4, 4)."""
         place = T[:, :3, 3]
         if self.kind == "point":
             return np.asarray(place)
         return np.hstack([place, T[:, :2, 2] if self.kind == "axis" else rotation_vectors(T[:, :3, :3])])
 
     def derivatives(self, T: np.ndarray, J: np.ndarray) -> np.ndarray:
-        """Return the derivative of the residuals, shape (N, R, K), from how the frame moves and turns, shape (N, 6, K)."""
+        """Return the derivatives of the residuals, shape (N, R, K), from the frame's velocities, shape (N, 6, K)."""
         if self.kind == "point":
             return J[:, :3]
         if self.kind == "pose":
@@ -87,8 +87,8 @@ class Linkage:
 
     Attributes:
         kinematics: the arm with its loops open.
-        closures: what closes them.
-        passive: shape (p,), the joints that follow.
+        closures: the loop closures.
+        passive: shape (p,), the passive joints.
         lower, upper: shape (n,), joint limits [rad or m].
     """
 
@@ -106,7 +106,7 @@ class Linkage:
 
     @cached_property
     def rows(self) -> np.ndarray:
-        """The equations that the passive joints meet, shape (p,), among those of all closures."""
+        """Indices among all equations of those that the passive joints satisfy, shape (p,)."""
         starts = np.cumsum([0, *(closure.size for closure in self.closures)])
         return np.array([a + row for a, closure in zip(starts, self.closures, strict=False) for row in closure.rows], int)
 
@@ -133,18 +133,15 @@ class Linkage:
         return closure.residuals(T), closure.derivatives(T, J)
 
     def rates(self, q: np.ndarray) -> np.ndarray:
-        """Return how the passive joints follow the drivers, shape (N, p, d), at positions where the loops are closed."""
+        """Return the derivatives of the passive joints by the drivers, shape (N, p, d), at positions with closed loops."""
         C = self.equations(q)[1][:, self.rows]
         return -np.linalg.solve(C[..., self.passive], C[..., self.drivers])
 
     def closed(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return joint positions with the passive joints where the loops close, shape (N, n), and which rows do, shape (N,).
+        """Return joint positions with the loops closed, shape (N, n), and which rows are, shape (N,).
 
-        Others come as near as they can. Of several ways to assemble a loop it is that of the URDF at zero positions; what
-        lies beyond a dead centre, where bars are in line, is another.
-
-        Args:
-            q: shape (N, n); what stands for the passive joints means nothing.
+        Others are as nearly closed as possible. The assembly mode is the URDF's at zero positions; beyond a dead centre,
+        with bars in line, there is another one. In q, shape (N, n), the positions of passive joints are ignored.
         """
         drivers, passive, tree, side = self._known
         nearest = tree.query(q[:, self.drivers])[1]
@@ -152,16 +149,15 @@ class Linkage:
         return found, is_closed & (sides == side)
 
     def can_take(self, q: np.ndarray) -> np.ndarray:
-        """Return at which positions, shape (N, n), loops close and passive joints keep to their limits, shape (N,)."""
+        """Return at which positions, shape (N, n), loops close with passive joints within their limits, shape (N,)."""
         found, is_closed = self.closed(q)
         within = (found >= self.lower) & (found <= self.upper)
         return np.asarray(is_closed & within[:, self.passive].all(axis=1))
 
     def _led(self, q: np.ndarray, drivers: np.ndarray, passive: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lead the loops to joint positions, shape (N, n), from known ones, shape (N, d) and (N, p), in short steps.
+        """Continue the loops to joint positions, shape (N, n), from known ones, shape (N, d) and (N, p), in short steps.
 
-        Returns:
-            The positions, which rows are closed, and on which side of a dead centre they are, -1 or 1, shape (N,).
+        Returns the positions, which rows are closed, and their side of a dead centre, -1 or 1, shape (N,).
         """
         found, way = np.array(q, float), q[:, self.drivers] - drivers
         found[:, self.passive] = passive
@@ -173,14 +169,14 @@ class Linkage:
         return found, open_by < _OPEN, np.linalg.slogdet(C)[0]
 
     def _newton(self, q: np.ndarray) -> np.ndarray:
-        """Close the loops from near by, in place; return what they are left open by, shape (N,)."""
+        """Close the loops by Newton's method, in place; return the remaining gaps, shape (N,)."""
         left = np.arange(len(q))
         open_by, before = np.full(len(q), np.inf), np.full(len(q), np.inf)
         for _ in range(NEWTON):
             residuals, C = self.equations(q[left])
             C, missing = C[:, self.rows][..., self.passive], residuals[:, self.rows]
             before[left], open_by[left] = open_by[left], np.abs(missing).max(axis=1, initial=0.0)
-            # Once near, a step that gains nothing more has reached rounding.
+            # Near the solution, a step without improvement has reached rounding.
             is_left = (open_by[left] > CLOSED) & ((open_by[left] > _OPEN) | (open_by[left] < 0.5 * before[left]))
             left, C, missing = left[is_left], C[is_left], missing[is_left]
             if not len(left):
@@ -190,7 +186,7 @@ class Linkage:
 
     @cached_property
     def _known(self) -> tuple[np.ndarray, np.ndarray, cKDTree, float]:
-        """Positions of drivers, shape (K, d), of passive joints there, shape (K, p), a tree of the first, and the side."""
+        """Positions of drivers, shape (K, d), and passive joints, shape (K, p), a search tree of the first, and the side."""
         from scipy.spatial import cKDTree
 
         start = self.assembled()
@@ -206,7 +202,7 @@ class Linkage:
         return found[:, self.drivers], found[:, self.passive], cKDTree(found[:, self.drivers]), float(side[0])
 
     def assembled(self) -> np.ndarray:
-        """Return joint positions at which the loops are closed as far as they can be, shape (n,): zero, or the nearest."""
+        """Return joint positions with the loops closed as nearly as possible, shape (n,): zero, or the nearest ones."""
         q = np.zeros((1, len(self.lower)))
         if len(self.passive) and self._newton(q)[0] < _OPEN and np.abs(q).max() < np.pi:
             return np.asarray(q[0])
@@ -219,13 +215,13 @@ class Linkage:
 
 
 def loose_step(C: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Return the steps of least length, shape (N, k), that close what joints can close."""
+    """Return the steps of least length, shape (N, k), that close the gaps as far as joints can."""
     step = (np.linalg.pinv(C, rcond=STILL) @ missing[..., None])[..., 0]
     return np.asarray(step * np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300)))
 
 
 def least_step(C: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Return the steps of least length, shape (N, k), of least squares, damped where joints don't move; none is long."""
+    """Return damped least-squares steps of bounded length, shape (N, k)."""
     A = C.swapaxes(1, 2) @ C
     A += (_DAMPING * (1.0 + np.trace(A, axis1=1, axis2=2)))[:, None, None] * np.eye(A.shape[1])
     step = np.linalg.solve(A, C.swapaxes(1, 2) @ missing[..., None])[..., 0]

@@ -5,12 +5,12 @@ i+1. The nominal chain of a joint is
 
 .. math:: R(x; s_x) R(y; s_y) R(z; \theta) Tr(z; d) Tr(x; a) R(x; \alpha)
 
-(paper, Eq. (2) at q = 0). Its s_x and s_y are zero but where two axes are parallel up to the rounding of the URDF: the
-common normal of such axes may lie kilometres away, so they are taken as parallel and the remaining tilt goes into s_x
-and s_y of the next joint. The frames are exact either way.
+(paper, Eq. (2) at q = 0). Its s_x and s_y are zero unless two axes are parallel up to the rounding of the URDF: the common
+normal of such axes may be kilometres away, so they are taken as parallel and s_x and s_y of the next joint absorb the
+remaining tilt. The frames are exact either way.
 
-Where an origin is free (the first axis, parallel axes) it is where the URDF has its joint: bearings are compliant about this
-point, so it is not a mere convention.
+If an origin is free (the first axis, parallel axes) it is at the URDF's joint: bearings are compliant about this point, so
+it is not a mere convention.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ COAXIAL = 1e-12
 class DhFrames:
     """Nominal frames of an arm, or of a tree of arms.
 
-    Along the tree each joint continues the frames of the one that carries it, but for the first joint of a branch: where
-    several joints hang on a link, the first continues and the others begin anew. Each of those has a frame of its own on its
-    axis, as the first joint has.
+    Along the tree each joint continues the frames of the joint that carries it, except the first joint of a branch: of
+    several joints on a link the first one continues, and each of the others begins a branch, with its own frame on its axis
+    like the first joint.
 
     Attributes:
         T_base_first: shape (4, 4), frame S_0 in the base frame.
         parameters: shape (n, 6), columns s_x, s_y, theta, d, a, alpha [rad, m].
         T_base_link: shape (n, 4, 4), frames S_1 .. S_n in the base frame at q = 0.
         T_last_tip: shape (4, 4), the tip in the link frame of the joint that carries it.
-        branches: the m joints that begin a branch, the first one left out.
+        branches: the m joints that begin a branch, except the first joint.
         T_branch_first: shape (m, 4, 4), the frame on the axis of each of these, in the link frame of the joint that carries
             it, or in the base frame.
     """
@@ -56,13 +56,13 @@ class DhFrames:
     T_branch_first: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))
 
     def before(self, i: int) -> np.ndarray:
-        """Return what stands between the link that carries joint i and the joint's own transforms, shape (4, 4)."""
+        """Return the fixed transform from the link that carries joint i to the joint's own transforms, shape (4, 4)."""
         if i in self.branches:
             return np.asarray(self.T_branch_first[self.branches.index(i)])
         return self.T_base_first if i == 0 else np.eye(4)
 
     def axis(self, i: int, parent: int) -> np.ndarray:
-        """Return the direction of joint i's axis in the base frame at q = 0, (3,); it is on ``parent``, -1 the base."""
+        """Return the direction of joint i's axis in the base frame at q = 0, shape (3,); ``parent`` is -1 for the base."""
         before = (self.T_base_link[parent] if parent >= 0 else np.eye(4)) @ self.before(i)
         s_x, s_y = self.parameters[i, :2]
         return np.asarray(before[:3, :3] @ [np.sin(s_y), -np.sin(s_x) * np.cos(s_y), np.cos(s_x) * np.cos(s_y)])
@@ -75,19 +75,19 @@ def dh_frames(
     parents: Sequence[int] | None = None,
     pins: Mapping[int, np.ndarray] | None = None,
 ) -> DhFrames:
-    """Lay Denavit-Hartenberg frames along joint axes at q = 0.
+    """Return the Denavit-Hartenberg frames of joint axes at q = 0.
 
     Args:
-        origins: shape (n, 3), a point on each axis in the base frame [m], where the URDF has its joint.
+        origins: shape (n, 3), the URDF's joint origins, on the axes, in the base frame [m].
         axes: shape (n, 3), unit directions in the base frame.
-        T_base_tip: shape (4, 4), the tip at q = 0; of a tree shape (n, 4, 4), what the last link of a branch aims at, for
+        T_base_tip: shape (4, 4), the tip at q = 0; for a tree shape (n, 4, 4), the end of the last link of a branch, for
             each joint that carries no other.
         parents: the joint that carries each joint, -1 for the base, earlier joints first; default: each carries the next.
-        pins: of joints that carry no other but close a loop the frame of the pin, shape (4, 4), whose z is the axis at the
-            end of the link: so its length is that of the rod.
+        pins: for joints of rods, which carry no other joint, the frame of the pin, shape (4, 4), with z along the axis at
+            the end of the link, so that the link's length is the rod's.
 
     Returns:
-        The frames; of a serial arm their product with ``T_last_tip`` equals ``T_base_tip`` to rounding.
+        The frames; for a serial arm their product with ``T_last_tip`` equals ``T_base_tip`` to rounding.
     """
     n = len(axes)
     parents = range(-1, n - 1) if parents is None else parents

@@ -1,4 +1,4 @@
-"""The nominal arm as products of constant steps and joint motions, at many poses at once."""
+"""The nominal arm as products of constant transforms and joint motions, at many poses at once."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Kinematics:
 
     @classmethod
     def of(cls, frames: DhFrames, types: tuple[str, ...], parents: tuple[int, ...]) -> Kinematics:
-        """Return the kinematics of nominal frames and types of joints."""
+        """Return the kinematics of nominal frames and joint types."""
         rows = frames.parameters
         before = [rotation("x", s_x) @ rotation("y", s_y) @ rotation("z", theta) for s_x, s_y, theta, *_ in rows]
         for i, T in zip(frames.branches, frames.T_branch_first, strict=True):
@@ -45,10 +45,9 @@ class Kinematics:
         return cls(frames.T_base_first, np.array(before), np.array(after), types, parents)
 
     def frames(self, q: np.ndarray) -> np.ndarray:
-        """Return the frames of all bodies in the base frame at joint positions [rad or m], shape (N, n).
+        """Return the base frame and all link frames S_i, in the base frame, at joint positions of shape (N, n) [rad or m].
 
-        Returns:
-            Shape (N, n + 1, 4, 4): the base's own, then the link frame S_i of what moves with joint i.
+        Their shape is (N, n + 1, 4, 4).
         """
         frames = np.empty((len(q), len(self.types) + 1, 4, 4))
         frames[:, 0] = np.eye(4)
@@ -59,7 +58,7 @@ class Kinematics:
 
 
 def _moves(q: np.ndarray, kind: str) -> np.ndarray:
-    """Return what a joint does at each of N positions, shape (N, 4, 4)."""
+    """Return the transforms of a joint at each of N positions, shape (N, 4, 4)."""
     moves = np.tile(np.eye(4), (len(q), 1, 1))
     if kind == "prismatic":
         moves[:, 2, 3] = q

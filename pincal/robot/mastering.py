@@ -1,4 +1,4 @@
-"""The same arm described with other zeros and directions of its joints."""
+"""The same arm with other zeros and directions of its joints."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from pincal.robot.urdf_file import parse_urdf, parse_xml
 
 
 def free_joints(robot: Robot) -> tuple[str, ...]:
-    """Return the names of the joints that mimic none and that none mimics."""
+    """Return the names of the joints that are neither mimic joints nor their sources."""
     bound = {name for mimic in robot.mimics for name in (mimic.joint, mimic.source)}
     return tuple(name for name in robot.joint_names if name not in bound)
 
 
 def remastered(robot: Robot, *, shifts: Mapping[str, float] | None = None, turned: Collection[str] = ()) -> Robot:
-    """Return the robot of a URDF in which joints have other zeros or count the other way; the arm itself is the same.
+    """Return the same arm with other zeros or directions of its joints.
 
     Args:
         robot: the arm.
-        shifts: where the joints that turn stand by the URDF when they report zero [rad], by name.
+        shifts: the URDF's position of revolute joints at which they report zero [rad], by name.
         turned: names of the joints that report the opposite of the URDF's positions.
 
     Raises:
@@ -62,11 +62,11 @@ def remastered(robot: Robot, *, shifts: Mapping[str, float] | None = None, turne
                 limit.set("lower", _text(-upper))
                 limit.set("upper", _text(-lower))
     with warnings.catch_warnings(action="ignore", category=PincalWarning):
-        # It was warned of when the robot was read.
+        # The same warnings were issued when the robot was read.
         tree = parse_urdf(etree.tostring(root), source=robot.source)
         found = Robot.from_tree(tree, robot.request)
     flipped = np.isin(robot.joint_names, list(turned))
-    # What hangs on a joint keeps its place in the URDF's frame of it.
+    # Links keep their pose in the URDF's joint frames.
     frames = found.T_link_joint @ np.linalg.inv(robot.T_link_joint)
     return replace(
         found,

@@ -1,4 +1,4 @@
-"""ROS packages beside a robot's file, and the meshes in them; nothing is fetched."""
+"""ROS packages near a robot's file, and the meshes in them; nothing is downloaded."""
 
 from __future__ import annotations
 
@@ -9,18 +9,17 @@ from urllib.parse import unquote, urlparse
 
 from lxml import etree
 
-# What marks the folder of a ROS package.
+# The file that marks the folder of a ROS package.
 _MARK = "package.xml"
-# A mesh file beyond this is not read [bytes], nor are more of one robot together than the other: the largest robots of
-# example-robot-data have 29 MB and 90 MB, and what reads them takes twelve times their size.
+# Largest mesh file and largest sum of a robot's mesh files that are read [bytes]: the largest in example-robot-data are 29
+# MB and 90 MB, and reading takes twelve times their size in memory.
 _LARGEST_MESH, _LARGEST_ROBOT = 40_000_000, 200_000_000
 
 
 def neighbouring_packages(file: str | os.PathLike[str]) -> dict[str, Path]:
     """Return the folders of the ROS packages around a file, by name; of two with one name, the nearer one.
 
-    A workspace is walked up from the file: each folder above it, with the packages in it and one level deeper, until one
-    holds none any more.
+    Each folder above the file is searched, one level deep, until one contains no more packages.
     """
     found: dict[str, Path] = {}
     for home in Path(file).resolve().parents:
@@ -43,37 +42,31 @@ def _package_name(mark: Path) -> str:
 
 
 class Meshes:
-    """The mesh files of one robot, as far as they are on this machine and together of a size that can be worked on."""
+    """The mesh files of one robot that are on this machine, up to a total size that can be processed."""
 
     def __init__(self, source: str, folders: Sequence[Path] = ()) -> None:
-        """Look for them as :func:`find_mesh` does."""
+        """Prepare a search as by :func:`find_mesh`."""
         self._source, self._folders, self._read = source, folders, 0
 
     def find(self, name: str) -> tuple[Path | None, str]:
-        """Return the file that the URDF names, to be read once; or None, and why not in words.
-
-        Args:
-            name: file name or URL in the URDF.
-        """
+        """Return the file of a name or URL in the URDF, to be read once; or None and the reason."""
         path = find_mesh(name, self._source, self._folders)
         if path is None:
             return None, "is not here"
         size = path.stat().st_size
         if size > _LARGEST_MESH:
-            return None, f"has {size / 1e6:.0f} MB, more than the {_LARGEST_MESH / 1e6:.0f} MB that are read: thin it out"
+            return None, f"has {size / 1e6:.0f} MB, more than the {_LARGEST_MESH / 1e6:.0f} MB that are read: simplify it"
         if self._read + size > _LARGEST_ROBOT:
-            return None, f"is left out, as the robot's meshes have more than {_LARGEST_ROBOT / 1e6:.0f} MB: thin them out"
+            return None, f"is left out, as the robot's meshes exceed {_LARGEST_ROBOT / 1e6:.0f} MB: simplify them"
         self._read += size
         return path, ""
 
 
 def find_mesh(name: str, source: str, folders: Sequence[Path] = ()) -> Path | None:
-    """Return the mesh file that a URDF names, None if it is not on this machine; nothing is fetched.
+    """Return the mesh file of a name or URL in a URDF, None if it is not on this machine.
 
-    Args:
-        name: file name or URL in the URDF.
-        source: the URDF's file; meshes are looked for beside it, in the packages around it and in those of ROS.
-        folders: further folders with meshes, or with packages.
+    The search covers the folder of the URDF's file ``source``, the packages around it, ROS's, and further folders with
+    meshes or packages.
     """
     try:
         url = urlparse(name)
@@ -92,7 +85,7 @@ def find_mesh(name: str, source: str, folders: Sequence[Path] = ()) -> Path | No
 
 
 def _in_packages(path: Path, source: str, folders: Sequence[Path]) -> Iterator[Path]:
-    """Yield where a path that begins with the name of a package may be, the likeliest place first."""
+    """Yield the possible locations of a path that begins with the name of a package, the likeliest first."""
     beside = Path(source).resolve().parent
     homes, inside = [beside, *beside.parents], Path(*path.parts[1:]) if len(path.parts) > 1 else path
     yield from (home / inside for home in homes if path.parts[:1] == (home.name,))

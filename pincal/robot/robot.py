@@ -1,4 +1,4 @@
-"""A serial arm as Pinocchio reads it from a URDF, with its Denavit-Hartenberg frames and the masses it carries."""
+"""A serial arm, or a tree of arms, read by Pinocchio from a URDF, with Denavit-Hartenberg frames and masses."""
 
 from __future__ import annotations
 
@@ -22,42 +22,42 @@ from pincal.robot.urdf_file import find_file, parse_urdf, read_urdf
 if TYPE_CHECKING:
     import pinocchio as pin
 
-# Of reported positions that tell those of the joints.
+# Least determinant of couplings that are invertible.
 _LEAST_DETERMINANT = 1e-3
 
 
 @dataclass(frozen=True, repr=False)
 class Robot:
-    """The joints between links of a URDF, a serial arm or a tree of arms; everything else is locked in place.
+    """The moving joints between links of a URDF, a serial arm or a tree of arms; everything else is locked.
 
     Attributes:
         name: name of the robot in the URDF.
-        joint_names: the n moving joints, each behind the one that carries it; of a serial arm from base to tip.
-        joint_types: "revolute" (continuous ones too) or "prismatic", one a joint.
+        joint_names: the n moving joints, each after the one that carries it; of a serial arm from base to tip.
+        joint_types: "revolute" (including continuous) or "prismatic", one per joint.
         lower: shape (n,), joint limits [rad or m], -inf where there is none.
         upper: shape (n,), likewise, +inf.
         base: name of the base link, on which the tree stands.
         tip: name of the tip link, at the end of the path.
         frames: Denavit-Hartenberg frames at q = 0 in the base frame.
         T_link_joint: shape (n, 4, 4), the URDF's joint frame i in the link frame S_i; both move with joint i.
-        masses: shape (n,), mass of link i [kg]: all that moves with joint i but not with a joint that it carries; estimated
-            from the shape of the arm where the URDF has none.
+        masses: shape (n,), mass of link i [kg]: all that moves with joint i but not with a joint that it carries; guessed
+            from the shape of the arm if the URDF has none.
         centres: shape (n, 3), its centre of mass in the link frame S_i [m]; likewise.
-        massless: names of the links of the arm without a mass in the URDF, or with a placeholder, such as one that all
-            links have.
+        massless: names of the links of the arm without a mass in the URDF, or with a placeholder, such as one mass for all
+            links.
         gravity: shape (3,), gravity in the base frame [m/s^2]: along -z of the URDF's root link.
-        notes: which joints were locked, and how ambiguous parts of the URDF were read.
-        urdf: the URDF's text as it was read.
-        source: where the URDF came from.
-        mimics: the mimic joints of the arm; the joint that they follow respects their limits.
-        couplings: the joints whose controller reports a combination of positions. Tables, arrays and commands hold what is
-            reported, everything else of the library the positions of the URDF.
+        notes: locked joints, and the interpretation of ambiguous parts of the URDF.
+        urdf: the URDF's text.
+        source: the origin of the URDF, for messages.
+        mimics: the mimic joints of the arm, whose limits are imposed on their sources.
+        couplings: the joints whose controller reports a combination of positions. Tables, arrays and commands contain the
+            reported positions, all other parts of the library the URDF's.
         parents: the joint that carries each joint, -1 for the base; default: each carries the next.
-        ends: the links between which a reading is if nothing else is said; default: base and tip.
-        unmeasured: names of joints off all paths, whose motion changes only what the others bear.
+        ends: the links between which readings are taken by default; default: base and tip.
+        unmeasured: names of joints off all paths, whose motion only changes the loads of the others.
         links: the pairs of links of further paths, by name.
-        closures: what closes loops of its joints.
-        passive: names of the joints that follow from the others, as the loops have it.
+        closures: the loop closures.
+        passive: names of the joints whose positions follow from the loops.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Robot:
 
     @cached_property
     def path(self) -> LinkPath:
-        """The way between the links between which a reading is if nothing else is said."""
+        """The path between the links of readings by default."""
         whole = LinkPath(self.base, self.tip, -1, self.n_joints - 1, np.eye(4), self.frames.T_last_tip)
         return whole if self.ends is None else self.ends
 
@@ -122,19 +122,19 @@ class Robot:
             tip: link at the end of the arm; default: the end of the chain of ``joints``, or of the longest moving chain
                 without its gripper.
             base: link on which the robot stands; default: the root of the URDF, or the parent of the first of ``joints``
-                where other moving joints stand before it.
-            start: link from which readings are seen, such as that of a camera; default: the base.
-            paths: further pairs of links between which readings are, by name.
-            joints: names of the joints that the arm consists of (the columns of a table of measurements).
-            others: names of further joints that move and so change what the joints of the paths bear.
+                if other moving joints precede it.
+            start: link relative to which readings are taken, such as a camera's; default: the base.
+            paths: further pairs of links between which readings are taken, by name.
+            joints: names of the joints of the arm (the columns of a table of measurements).
+            others: names of further moving joints that change the loads on the joints of the paths.
             xacro_args: values of the arguments of a xacro file, such as ``{"ur_type": "ur5e"}``.
-            mass: of the whole robot with its base, as on its data sheet [kg]; masses of the links are then guessed from the
-                shape of the arm, and found by a calibration, whatever the URDF says. Default: those of the URDF; where it
-                has none, masses as industrial arms of this size have them.
+            mass: mass of the whole robot with its base, as on its data sheet [kg]; the masses of the links are then guessed
+                from the shape of the arm and estimated by a calibration, and the URDF's are ignored. Default: the URDF's
+                masses, or if it has none, typical ones of industrial arms of this size.
 
         Raises:
-            BadInputError: if the mass is no mass.
-            RobotFileError: if the URDF can't be read, is no tree, lacks a link or has no moving joint on the path.
+            BadInputError: for an invalid mass.
+            RobotFileError: if the URDF can't be read, is not a tree, lacks a link or has no moving joint on the path.
 
         Example:
             >>> robot = Robot.from_urdf("ur10", tip="tool0")
@@ -151,20 +151,20 @@ class Robot:
 
     @property
     def request(self) -> TreeRequest:
-        """Which part of its URDF it is."""
+        """The part of the URDF that it is."""
         own = [self.joint_names[i] for i in self.own_joints] if self.passive else None
         return TreeRequest(self.tip, self.path.start, self.base, own, paths=self.links, others=self.joint_names)
 
     def between(self, start: str | None = None, tip: str | None = None, *, at_rest: bool = False) -> LinkPath:
-        """Return the way between two links of the robot.
+        """Return the path between two links of the robot.
 
         Args:
-            start: the link from which a reading is seen; default: where the robot's own path starts.
-            tip: the link that it is about; default: where that ends.
-            at_rest: whether joints that are locked in this robot may be on the way.
+            start: the link relative to which a reading is taken; default: the start of the robot's own path.
+            tip: the measured link; default: the end of the robot's own path.
+            at_rest: whether locked joints may be on the path.
 
         Raises:
-            RobotFileError: for an unknown link, or if a joint on the way is locked in this robot and may not be.
+            RobotFileError: for an unknown link, or a locked joint on the path that is not allowed.
         """
         key = start or self.path.start, tip or self.path.tip, at_rest
         if key not in self._ways:
@@ -175,7 +175,7 @@ class Robot:
 
     @cached_property
     def _ways(self) -> dict[tuple[str, str, bool], LinkPath]:
-        """Ways between its links that were asked for: the URDF is read for each but its own."""
+        """Cached paths between its links, as each but its own requires reading the URDF."""
         return {(self.path.start, self.path.tip, at_rest): self.path for at_rest in (False, True)}
 
     @property
@@ -185,7 +185,7 @@ class Robot:
 
     @property
     def measured_joints(self) -> tuple[str, ...]:
-        """Names of the joints that a path passes: those that readings can be about."""
+        """Names of the joints on any path, on which readings can depend."""
         return tuple(name for name in self.joint_names if name not in self.unmeasured)
 
     @property
@@ -194,10 +194,7 @@ class Robot:
         return self.parents == tuple(range(-1, self.n_joints - 1))
 
     def joints_between(self, start: str | None = None, tip: str | None = None) -> tuple[str, ...]:
-        """Return the names of the joints on the way between two links, of those that follow others the others.
-
-        Default: the links of the robot's own path.
-        """
+        """Return the names of the joints on the path between two links, with dependent joints replaced by their sources."""
         names = [self.joint_names[joint] for joint, _ in self.between(start, tip).steps(self.parents)]
         source = {mimic.joint: [mimic.source] for mimic in self.mimics}
         if self.linkage is not None:
@@ -205,12 +202,12 @@ class Robot:
         return tuple(dict.fromkeys(own for name in names for own in source.get(name, [name])))
 
     def next_joint(self, i: int) -> int | None:
-        """Return the joint at the end of link i (from 0); None if it carries none, or several."""
+        """Return the joint at the end of link i (from 0); None if it carries no joint, or several."""
         carried = [k for k, parent in enumerate(self.parents) if parent == i]
         return carried[0] if len(carried) == 1 else None
 
     def are_neighbours(self, joint: str, other: str) -> bool:
-        """Return whether two joints are the same one, or one carries the other directly."""
+        """Return whether two joints are the same, or one carries the other directly."""
         i, k = self.joint_names.index(joint), self.joint_names.index(other)
         return i == k or self.parents[i] == k or self.parents[k] == i
 
@@ -220,18 +217,18 @@ class Robot:
 
     @cached_property
     def dependent(self) -> frozenset[str]:
-        """Names of the joints without a position of their own: those that mimic others, and the passive ones of loops."""
+        """Names of the joints without an independent position: mimic joints, and the passive ones of loops."""
         return frozenset(mimic.joint for mimic in self.mimics).union(self.passive)
 
     @cached_property
     def own_joints(self) -> np.ndarray:
-        """Indices of the m joints that have a position of their own, from the base; those of loops as they are numbered."""
+        """Indices of the m independent joints, from the base; with loops in the order of the numbers in their names."""
         own = [name for name in self.joint_names if name not in self.dependent]
         return np.array([self.joint_names.index(name) for name in (numbered(own) if self.passive else own)])
 
     @cached_property
     def kinematics(self) -> Kinematics:
-        """How its nominal frames move with the joints."""
+        """Its nominal kinematics."""
         return Kinematics.of(self.frames, self.joint_types, self.parents)
 
     @cached_property
@@ -243,9 +240,9 @@ class Robot:
         return Linkage(self.kinematics, self.closures, passive, self.lower, self.upper)
 
     def following(self, q: np.ndarray) -> np.ndarray:
-        """Return joint positions, shape (N, n), with each dependent joint where the others put it.
+        """Return joint positions, shape (N, n), with each dependent joint set from the independent ones.
 
-        Loops that can't be closed come as near as they can, see :meth:`pincal.robot.closure.Linkage.can_take`.
+        Loops are closed as nearly as possible, see :meth:`pincal.robot.closure.Linkage.can_take`.
         """
         if not self.dependent:
             return q
@@ -253,7 +250,7 @@ class Robot:
         return out if self.linkage is None else self.linkage.closed(out)[0]
 
     def spread(self, own: np.ndarray) -> np.ndarray:
-        """Return the positions of all joints, shape (N, n), from those that have their own, shape (N, m)."""
+        """Return the positions of all joints, shape (N, n), from the independent ones, shape (N, m)."""
         if not self.dependent:
             return own
         q = np.zeros((len(own), self.n_joints))
@@ -261,11 +258,11 @@ class Robot:
         return self.following(q)
 
     def gathered(self, J: np.ndarray, q: np.ndarray | None = None) -> np.ndarray:
-        """Return derivatives by the joints that have positions of their own, shape (..., m).
+        """Return derivatives by the independent joints, shape (..., m).
 
         Args:
-            J: those by all joints, shape (..., n); with loops shape (N, ..., n).
-            q: joint positions, shape (N, n); None if derivatives by others hold those by the passive joints of loops.
+            J: derivatives by all joints, shape (..., n); with loops shape (N, ..., n).
+            q: joint positions, shape (N, n); None if J already includes the motion of the passive joints of loops.
         """
         if not self.dependent:
             return J
@@ -282,12 +279,11 @@ class Robot:
         """Return the robot with joints whose controller reports a combination of positions.
 
         Args:
-            couplings: each as an object, or in words: ``joint_3=+joint_2`` if joint 3 stands where its own reported position
-                and that of joint 2 add up to, ``joint_5=-1/3*joint_4``.
+            couplings: objects or text: ``joint_3=+joint_2`` if the position of joint 3 is the sum of the reported positions
+                of joints 3 and 2, ``joint_5=-1/3*joint_4``.
 
         Raises:
-            BadInputError: for a joint that the robot does not have or that mimics another, or positions that do not tell
-                where all joints are.
+            BadInputError: for an unknown joint or a mimic joint, or couplings that do not determine all positions.
 
         Example:
             >>> robot = Robot.from_urdf("ur10").with_couplings("elbow_joint=-shoulder_lift_joint")
@@ -300,23 +296,23 @@ class Robot:
             raise BadInputError(f"coupling of the joint {name!r}; expected one of {', '.join(nearest_first([name], own))}")
         found = replace(self, couplings=(*self.couplings, *given))
         if abs(np.linalg.det(found.combination)) < _LEAST_DETERMINANT:
-            raise BadInputError("couplings from which the positions of the joints do not follow; expected others")
+            raise BadInputError("the couplings do not determine the positions of the joints; expected other couplings")
         return found
 
     @property
     def combination(self) -> np.ndarray:
-        """Matrix of joint positions by what is reported, shape (n, n)."""
+        """Matrix from reported to joint positions, shape (n, n)."""
         out, index = np.eye(self.n_joints), self.joint_names.index
         for one in self.couplings:
             out[index(one.joint), index(one.source)] += one.factor
         return out
 
     def from_reported(self, q: np.ndarray) -> np.ndarray:
-        """Return the positions of the URDF's joints, shape (N, n), from those that the controller reports."""
+        """Return the positions of the URDF's joints, shape (N, n), from those reported by the controller."""
         return self.following(np.asarray(q @ self.combination.T)) if self.couplings or self.passive else q
 
     def as_reported(self, q: np.ndarray) -> np.ndarray:
-        """Return what the controller reports, and is commanded, at positions of the URDF's joints, shape (N, n)."""
+        """Return the positions reported by and commanded to the controller at the URDF's joint positions, shape (N, n)."""
         own = np.asarray(q, float) @ np.linalg.inv(self.combination).T if self.couplings else q
         return self.following(own) if self.couplings else own
 
@@ -327,7 +323,7 @@ class Robot:
 
     @property
     def unweighed(self) -> tuple[str, ...]:
-        """Names of the joints that move the links without a mass that is known."""
+        """Names of the joints that move the links without a known mass."""
         if not self.massless:
             return ()
         moves = {joint.name for joint in parse_urdf(self.urdf).joints if joint.child in self.massless}
@@ -343,11 +339,9 @@ class Robot:
         return float(np.hypot(s[:, 3], s[:, 4]).sum() + np.linalg.norm(self.frames.T_last_tip[:3, 3]) + sum(travel))
 
     def forward_kinematics(self, q: np.ndarray, path: LinkPath | None = None) -> np.ndarray:
-        """Return the nominal tip by Pinocchio, shape (N, 4, 4), in the frame of the link where its path starts.
+        """Return the nominal tip by Pinocchio, shape (N, 4, 4), in the frame of the path's first link.
 
-        Args:
-            q: shape (N, n) [rad or m].
-            path: the links; default: those of the robot.
+        Joint positions q have shape (N, n) [rad or m]; the default path is the robot's.
         """
         import pinocchio as pin
 
@@ -361,13 +355,13 @@ class Robot:
         return out
 
     def pinocchio_model(self) -> pin.Model:
-        """Return the nominal ``pin.Model`` of the arm, everything off the path locked."""
+        """Return the nominal ``pin.Model`` of the arm, with all other joints locked."""
         return arm_model(self.urdf, self.joint_names, self.source)
 
     def configuration(self, model: pin.Model, q: np.ndarray) -> np.ndarray:
         """Return Pinocchio's configuration vector of ``model`` for joint positions ``q``, shape (n,).
 
-        A continuous joint stands in Pinocchio's vector as (cos q, sin q).
+        Pinocchio's vector contains (cos q, sin q) for a continuous joint.
         """
         out = np.empty(model.nq)
         for name, value in zip(self.joint_names, q, strict=True):
@@ -376,10 +370,9 @@ class Robot:
         return out
 
     def joint_range(self, span: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-        """Return the ends of a part ``span`` of the joints' ranges, about their middles; +-pi where there are no limits.
+        """Return lower and upper ends of a fraction ``span`` of the joints' ranges, shape (n,) each [rad or m].
 
-        Returns:
-            Least and largest positions, shape (n_joints,) each [rad or m].
+        The ranges are centred; joints without limits have +-pi.
         """
         lower = np.where(np.isfinite(self.lower), self.lower, -np.pi)
         upper = np.where(np.isfinite(self.upper), self.upper, np.pi)
@@ -389,9 +382,9 @@ class Robot:
         return middle - half, middle + half
 
     def random_configurations(self, n: int, rng: np.random.Generator) -> np.ndarray:
-        """Draw joint positions, shape (n, n_joints), uniform within the limits (within +-pi where there are none).
+        """Draw joint positions, shape (n, n_joints), uniform within the limits (+-pi without limits).
 
-        Of robots with loops they are those at which these close and the passive joints keep to their limits.
+        Loops are closed, with the passive joints within their limits.
         """
         found = self.following(np.asarray(rng.uniform(*self.joint_range(), (n, self.n_joints))))
         while self.linkage is not None and not (is_there := self.linkage.can_take(found)).all():

@@ -1,7 +1,7 @@
-"""Rigid transforms and rotations: the one place for the algebra of SE(3).
+"""Rigid transforms and rotations: the algebra of SE(3).
 
-Transforms are arrays of shape (4, 4), or (N, 3, 4) for many poses at once (rotation and translation, the last row left
-out). ``T_a_b`` takes coordinates in frame b to frame a.
+Transforms are arrays of shape (4, 4), or (N, 3, 4) for many poses at once (rotation and translation without the last row).
+``T_a_b`` maps coordinates in frame b to frame a.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def translation(x: float, y: float, z: float) -> np.ndarray:
 
 
 def placed(reference: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
-    r"""Return the frame, shape (4, 4), that six coordinates describe about a reference orientation.
+    r"""Return the frame, shape (4, 4), of six coordinates about a reference orientation.
 
     :math:`Tr(x, y, z)\, R_{ref}\, R(x; r_x)\, R(y; r_y)\, R(z; r_z)`: how base and tool frames are parametrised.
 
@@ -90,7 +90,7 @@ def exponentials(vectors: np.ndarray) -> np.ndarray:
 
 
 def shortest_turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return the rotation, shape (4, 4), that turns one unit vector into another by the shortest way."""
+    """Return the smallest rotation, shape (4, 4), from one unit vector to another."""
     axis = np.cross(start, end)
     sine, cosine = float(np.linalg.norm(axis)), float(start @ end)
     if sine < 1e-12:
@@ -107,14 +107,14 @@ def nearest_rotation(M: np.ndarray) -> np.ndarray:
 
 
 def align(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rotation and the translation that bring points ``a`` nearest to ``b`` (Kabsch 1976, Umeyama 1991)."""
+    """Return the least-squares rotation and translation from points ``a`` to ``b`` (Kabsch 1976, Umeyama 1991)."""
     ca, cb = a.mean(axis=0), b.mean(axis=0)
     R = nearest_rotation((b - cb).T @ (a - ca))
     return R, cb - R @ ca
 
 
 def are_rotations(matrices: np.ndarray, *, tolerance: float) -> bool:
-    """Return whether matrices, shape (..., 3, 3), are rotations up to ``tolerance`` in every element of R R^T."""
+    """Return whether matrices, shape (..., 3, 3), are rotations to ``tolerance`` in every element of R R^T."""
     products = matrices @ np.swapaxes(matrices, -1, -2)
     is_orthogonal = np.abs(products - np.eye(3)).max(initial=0.0) <= tolerance
     return bool(is_orthogonal and (np.linalg.det(matrices) > 0.0).all())

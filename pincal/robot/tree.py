@@ -1,4 +1,4 @@
-"""The tree of links and joints that a URDF describes, and which of its chains is the arm."""
+"""The tree of links and joints of a URDF, and the selection of the arm among its chains."""
 
 from __future__ import annotations
 
@@ -12,24 +12,25 @@ import numpy as np
 from pincal.errors import BadInputError, RobotFileError, nearest_first
 
 MOVING_TYPES = ("revolute", "continuous", "prismatic")
-# How ROS-Industrial and makers' URDFs name the link that a tool is mounted on, most specific first.
+# Names of the link that a tool is mounted on, in URDFs of ROS-Industrial and makers, most specific first.
 _TIP_NAMES = ("tool0", "tcp", "flange", "ee_link", "eef", "end_effector")
-# How fingers and their joints are named. The body of a gripper is what the last joint of many an arm turns.
+# Names of fingers and their joints. The last joint of many arms turns the body of a gripper, so "gripper" is only for
+# joints.
 _FINGER = re.compile(r"finger|thumb|jaw|knuckle|hand[a-z_]*_(index|middle|ring|little|pinky)", re.IGNORECASE)
 _FINGER_JOINT = re.compile(_FINGER.pattern + "|gripper", re.IGNORECASE)
-# What is fixed to an arm and is no place to fix a tool.
+# Names of links on an arm to which no tool is mounted.
 _NO_TIP = re.compile(_FINGER_JOINT.pattern + "|camera|optical|imu|accelerometer|range|laser|light", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class Mimic:
-    """A joint that another one drives: its position is ``multiplier`` times that of ``source`` plus ``offset``.
+    """A mimic joint: its position is ``multiplier`` times the position of ``source`` plus ``offset``.
 
     Attributes:
-        joint: name of the driven joint.
+        joint: name of the mimic joint.
         source: name of the joint that it follows.
-        multiplier: factor of that one's position [rad or m per rad or m].
-        offset: its position where that one's is zero [rad or m].
+        multiplier: factor [rad or m per rad or m].
+        offset: its position with the source at zero [rad or m].
     """
 
     joint: str
@@ -39,7 +40,7 @@ class Mimic:
 
 
 def mimicked(q: np.ndarray, names: Sequence[str], mimics: Iterable[Mimic]) -> np.ndarray:
-    """Return the positions of named joints, shape (N, n), with those that mimic another where that one puts them."""
+    """Return the positions of named joints, shape (N, n), with mimic joints set from their sources."""
     out = np.array(q, np.result_type(q, float))
     for mimic in mimics:
         out[:, names.index(mimic.joint)] = mimic.multiplier * out[:, names.index(mimic.source)] + mimic.offset
@@ -47,7 +48,7 @@ def mimicked(q: np.ndarray, names: Sequence[str], mimics: Iterable[Mimic]) -> np
 
 
 def numbered(names: Sequence[str]) -> Sequence[str]:
-    """Return names in the order of the last numbers in them, or as they are if not each has one of its own.
+    """Return names sorted by the last number in each, or unchanged if these numbers are not distinct.
 
     Example:
         >>> numbered(["joint_1", "joint_4", "joint_3"])
@@ -59,12 +60,12 @@ def numbered(names: Sequence[str]) -> Sequence[str]:
 
 @dataclass(frozen=True)
 class Coupling:
-    """A joint whose position as reported lacks a part of another's: it is what it reports plus ``factor`` times that one.
+    """A coupled joint: its position is its reported position plus ``factor`` times the reported position of ``source``.
 
     Attributes:
         joint: name of the joint.
         source: name of the joint whose reported position is added.
-        factor: of what that one reports [rad or m per rad or m].
+        factor: factor [rad or m per rad or m].
 
     Example:
         >>> Coupling.of("joint_5 = -1/3 * joint_4")
@@ -77,10 +78,10 @@ class Coupling:
 
     @classmethod
     def of(cls, text: str) -> Coupling:
-        """Return what a text such as ``joint_3=+joint_2`` or ``joint_5=-1/3*joint_4`` says.
+        """Parse a text such as ``joint_3=+joint_2`` or ``joint_5=-1/3*joint_4``.
 
         Raises:
-            BadInputError: if it says nothing of the kind.
+            BadInputError: if it is malformed.
         """
         joint, _, term = text.replace(" ", "").partition("=")
         found = re.fullmatch(r"([+-]?)(?:([0-9.]+)(?:/([0-9.]+))?\*)?([^*]+)", term)
@@ -96,7 +97,7 @@ class Coupling:
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """One ``<joint>`` of a URDF, as far as the topology of the tree needs it."""
+    """One ``<joint>`` of a URDF, as far as the topology of the tree requires."""
 
     name: str
     kind: str
@@ -107,13 +108,13 @@ class UrdfJoint:
 
 @dataclass(frozen=True, eq=False)
 class UrdfClosure:
-    """What closes a loop: a joint between two links that hang on others already.
+    """A loop closure: a joint between two links of the tree.
 
     Attributes:
-        name: of the joint or constraint.
-        kind: its type, as the URDF has it.
+        name: name of the joint or constraint.
+        kind: its type in the URDF.
         parent, child: the links that it joins.
-        T_parent: shape (4, 4), its frame on the parent link; None for where it is on the child at zero positions.
+        T_parent: shape (4, 4), its frame on the parent link; None if it coincides with the child's at zero positions.
         T_child: shape (4, 4), its frame on the child link.
         axis_parent, axis_child: shape (3,), its axis in each of these frames.
     """
@@ -130,17 +131,17 @@ class UrdfClosure:
 
 @dataclass(frozen=True)
 class UrdfTree:
-    """The checked text of a URDF and the tree of links and joints it describes.
+    """The validated text of a URDF and its tree of links and joints.
 
     Attributes:
         text: the URDF.
-        name: of the robot.
-        source: where the text came from.
+        name: name of the robot.
+        source: the origin of the text, for messages.
         links: names of the links.
-        joints: of the tree.
-        root: the link that all others hang on.
-        closures: what closes loops in the tree.
-        notes: how the text was read where that may be doubted, in words.
+        joints: the joints of the tree.
+        root: the link that carries all others.
+        closures: the loop closures.
+        notes: the interpretation of ambiguous parts, in words.
     """
 
     text: bytes
@@ -165,8 +166,8 @@ class UrdfTree:
         links = [joint.parent for joint in joints]
         if base != tip and base not in links:
             raise RobotFileError(
-                f"{self.source}: {base!r} is not an ancestor of {tip!r}; expected a base link on the way from "
-                f"the root {self.root!r} to the tip: choose one of {', '.join(reversed(links))}"
+                f"{self.source}: {base!r} is not an ancestor of {tip!r}; expected a base link between the root "
+                f"{self.root!r} and the tip: choose one of {', '.join(reversed(links))}"
             )
         return joints[links.index(base) :] if base != tip else ()
 
@@ -183,19 +184,19 @@ class UrdfTree:
         return {joint.child: joint for joint in self.joints}
 
     def carrier(self, joints: Sequence[UrdfJoint], link: str) -> int:
-        """Return which of some joints carries a link, -1 for none of them."""
+        """Return the index of the joint that carries a link, -1 for none of them."""
         place = {joint.name: i for i, joint in enumerate(joints)}
         return next((place[joint.name] for joint in reversed(self.above(link)) if joint.name in place), -1)
 
     def default_tip(self, joint_names: Iterable[str] | None = None) -> str:
         """Return the link at the end of the arm.
 
-        The arm is the chain of the joints named in ``joint_names`` where they are given, else the longest moving chain
-        without the fingers of a gripper. Of several links rigidly behind its last joint, one named like a tool or a
-        flange is preferred, as industrial URDFs name it, else the last along the chain that is not part of a gripper.
+        The arm is the chain of the joints ``joint_names`` if given, else the longest moving chain without the fingers of a
+        gripper. Of several links fixed to its last joint, one named like a tool or a flange in industrial URDFs is
+        preferred, else the last along the chain that is not part of a gripper.
 
         Raises:
-            RobotFileError: if no chain of this URDF has just the joints ``joint_names``.
+            RobotFileError: if no chain of this URDF consists of the joints ``joint_names``.
         """
         chains = self._moving_chains()
         if joint_names is None:
@@ -208,10 +209,10 @@ class UrdfTree:
         return next(named, next((link for link in reversed(ends) if not _NO_TIP.search(link)), ends[-1]))
 
     def mimics(self, path: Sequence[UrdfJoint]) -> tuple[Mimic, ...]:
-        """Return how each joint on a path that mimics another follows a joint on the path that mimics none.
+        """Return each mimic joint on a path as a function of an independent joint on the path.
 
         Raises:
-            RobotFileError: for a joint that mimics one off the path, or itself in the end.
+            RobotFileError: for a joint that mimics one off the path, or itself through others.
         """
         by_name = {joint.name: joint for joint in path}
         found = []
@@ -226,8 +227,8 @@ class UrdfTree:
             if total.source not in by_name or total.source in seen:
                 ends = f"between {path[0].parent!r} and {path[-1].child!r}"
                 raise RobotFileError(
-                    f"{self.source}: joint {name!r} {ends} mimics {total.source!r}, which is no joint of its own on the way "
-                    "from base to tip: choose another base or tip, or let it mimic a joint of the arm"
+                    f"{self.source}: joint {name!r} {ends} mimics {total.source!r}, which is not an independent joint between base "
+                    "and tip: choose another base or tip, or let it mimic a joint of the arm"
                 )
             found.append(total)
         return tuple(found)
@@ -239,17 +240,17 @@ class UrdfTree:
 
     @cached_property
     def loops(self) -> tuple[UrdfClosure, ...]:
-        """What closes loops of joints that move; a loop of which a joint mimics another is described by that."""
+        """Closures of loops with moving joints, except loops with a mimic joint, which describes their motion."""
         driven = {joint.name for joint in self.joints if joint.mimic is not None}
         return tuple(closure for closure in self.closures if (loop := self.loop(closure)) and not loop & driven)
 
     def loop(self, closure: UrdfClosure) -> frozenset[str]:
-        """Return the names of the moving joints of the loop that a closure closes."""
+        """Return the names of the moving joints of a closure's loop."""
         one, other = ({j.name for j in self.above(end) if j.kind in MOVING_TYPES} for end in (closure.parent, closure.child))
         return frozenset(one ^ other)
 
     def with_loops(self, names: Iterable[str]) -> set[str]:
-        """Return names of joints with those of all joints that are in a loop with some of them."""
+        """Return names of joints together with all joints that are in a loop with some of them."""
         found, loops = set(names), [self.loop(closure) for closure in self.loops]
         while more := [loop for loop in loops if loop & found and loop - found]:
             found.update(*more)
@@ -261,7 +262,7 @@ class UrdfTree:
         return tuple(name for name in chain if name not in driven)
 
     def _moving_chains(self) -> dict[str, tuple[str, ...]]:
-        """Return the moving joints from the root to each link where those that mimic one have it on the way, too."""
+        """Return the moving joints from the root to each link, if the sources of their mimic joints are among them."""
         mimics = {joint.name: joint.mimic.source for joint in self.joints if joint.mimic is not None}
         chains: dict[str, tuple[str, ...]] = {self.root: ()}
         for joint in in_tree_order(self.root, self.joints):
@@ -274,13 +275,13 @@ class UrdfTree:
         }
 
     def _without_gripper(self, chains: dict[str, tuple[str, ...]], chain: tuple[str, ...]) -> tuple[str, ...]:
-        """Cut the fingers off: joints named so, and at most two that hang on a link beside other moving joints."""
+        """Cut off the fingers: joints named so, and at most two last ones that share a link with other moving joints."""
         by_name = {joint.name: joint for joint in self.joints}
         cuts = [i for i, name in enumerate(chain) if _FINGER_JOINT.search(name) or _FINGER.search(by_name[name].child)]
-        # A robot whose first joint is named so is a hand, or has the word in all its names.
+        # A robot whose first joint is named so is a hand, or all its names contain the word.
         if cuts and cuts[0] > 0:
             return chain[: cuts[0]]
-        # Behind which joints each moving joint hangs, the rods of loops left out.
+        # The joints above each moving joint, without the rods of loops.
         rods = self.looped - set(chain)
         hangs = [chains.get(joint.parent) for joint in self.joints if joint.kind in MOVING_TYPES and joint.name not in rods]
         for cut in range(max(len(chain) - 2, 1), len(chain)):
@@ -297,7 +298,7 @@ class UrdfTree:
             if own and (is_all or (own[-1] in names and names <= reached)):
                 fitting.append((is_all, len(needed), chain))
         if fitting:
-            # All of a chain's joints before a part of one; with those that follow the last.
+            # A complete chain is preferred to a part of one, and the longest with these joints.
             best = max(fitting, key=lambda found: (found[0], -found[1], len(found[2])))
             return best[2]
         unknown = sorted(names - {joint.name for joint in self.joints})
@@ -306,7 +307,7 @@ class UrdfTree:
 
 
 def in_tree_order(root: str, joints: tuple[UrdfJoint, ...]) -> list[UrdfJoint]:
-    """Return the joints below a link, each behind those that carry it."""
+    """Return the joints below a link, each after those that carry it."""
     by_parent: dict[str, list[UrdfJoint]] = {}
     for joint in joints:
         by_parent.setdefault(joint.parent, []).append(joint)
@@ -320,5 +321,5 @@ def in_tree_order(root: str, joints: tuple[UrdfJoint, ...]) -> list[UrdfJoint]:
 
 
 def known_links(name: str, known: Iterable[str]) -> str:
-    """Return the names that there are, the nearest first, for a message."""
+    """Return known names for a message, the nearest first."""
     return f"known ones: {', '.join(nearest_first([name], known)[:12])}"

@@ -1,4 +1,4 @@
-"""The loops of a URDF's tree: what closes them on its links, which joints follow from others, and which equations tell."""
+"""The loops of a URDF's tree: frames of their closures, and the choice of passive joints and equations."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from pincal.robot.link_path import LinkPath, above
 from pincal.robot.tree import UrdfClosure, UrdfJoint, UrdfTree
 from pincal.robot.urdf_loops import KINDS, ClosureKind
 
-# What a loop may be open by in directions that its joints can't close: a calibrated one is by its errors [m, rad].
+# Admissible gap of a loop in directions that its joints can't close, as from the errors of a calibrated one [m, rad].
 _LOOSE = 1e-2
-# Part of the poses in which joints have to move a loop independently to count as doing so.
+# Fraction of the poses in which joints have to move a loop independently.
 _MOSTLY = 0.5
-# Poses in which it is found out which joints move a loop, and how far joints are moved there [rad or m].
+# Poses in which the joints that move a loop are determined, and the range of joint positions there [rad or m].
 _SAMPLES, _SAMPLE_STEP = 12, 0.4
-# A pin nearer than this to the axis of the joint that carries it has no direction from there [m].
+# A pin closer than this to the axis of the joint that carries it has no direction from there [m].
 _ON_AXIS = 1e-6
 
 
@@ -29,9 +29,9 @@ class Pins:
     """A closure's frames in the base frame at zero positions, z along its axis and x away from the joint that carries it.
 
     Attributes:
-        closure: what the URDF says of it.
-        kind: what it holds.
-        carriers: the joints that carry the two, -1 for the base.
+        closure: the closure in the URDF.
+        kind: the constrained quantity.
+        carriers: the joints that carry the two frames, -1 for the base.
         T_base: shape (2, 4, 4), the frames on the parent and on the child link.
     """
 
@@ -48,13 +48,13 @@ class Pins:
 
         Args:
             tree: the URDF.
-            closure: what closes the loop.
+            closure: the closure.
             carriers: the joints that carry its links, -1 for the base.
             T_base_link: shape (2, 4, 4), these links at zero positions.
             lines: shape (n, 2, 3), a point on the axis of each joint and its direction, likewise.
 
         Raises:
-            RobotFileError: for a type of joint that closes no loop here.
+            RobotFileError: for an unsupported type of closure.
         """
         kind = KINDS.get(closure.kind)
         if kind is None:
@@ -75,7 +75,7 @@ class Pins:
     def of_tree(
         cls, tree: UrdfTree, joints: Sequence[UrdfJoint], T_base_links: Mapping[str, np.ndarray], lines: np.ndarray
     ) -> list[Pins]:
-        """Return the frames of all that closes loops of some joints, links by name; see :meth:`of`."""
+        """Return the frames of all closures of loops of some joints, with links by name; see :meth:`of`."""
         names = {joint.name for joint in joints}
         pairs = [(closure, (closure.parent, closure.child)) for closure in tree.loops if tree.loop(closure) <= names]
         carriers = [(tree.carrier(joints, one), tree.carrier(joints, other)) for _, (one, other) in pairs]
@@ -83,7 +83,7 @@ class Pins:
         return [cls.of(tree, c, at, T, lines) for (c, _), at, T in zip(pairs, carriers, placed, strict=True)]
 
     def placed(self, T_base_link: np.ndarray) -> Closure:
-        """Return the closure with its frames in link frames, which stand at T_base_link, shape (n, 4, 4)."""
+        """Return the closure with its frames in link frames at T_base_link, shape (n, 4, 4)."""
         carried = [
             np.linalg.inv(T_base_link[i]) @ T if i >= 0 else T for i, T in zip(self.carriers, self.T_base, strict=True)
         ]
@@ -93,7 +93,7 @@ class Pins:
 
 
 def _axes(z: np.ndarray, towards: np.ndarray) -> np.ndarray:
-    """Return the rotation, shape (3, 3), with an axis z and an x that leads as far as it can towards a direction."""
+    """Return the rotation, shape (3, 3), with a given z axis and the x axis as close as possible to a direction."""
     length = np.linalg.norm(z)
     z = z / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
     x = towards - z * (z @ towards)
@@ -105,14 +105,14 @@ def _axes(z: np.ndarray, towards: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Choice:
-    """Which joints of loops are the better ones to follow from the others.
+    """Criteria for the choice of passive joints.
 
     Attributes:
-        source: where the URDF came from, for messages.
-        names: of all joints.
-        recorded: those that have readings; None where that is not known.
-        on_path: those between the links whose pose is wanted.
-        mimicked: those that others mimic.
+        source: the origin of the URDF, for messages.
+        names: names of all joints.
+        recorded: joints with readings; None if unknown.
+        on_path: joints between the links whose pose is wanted.
+        mimicked: sources of mimic joints.
     """
 
     source: str
@@ -125,12 +125,12 @@ class Choice:
 def linkage_of(
     kinematics: Kinematics, closures: Sequence[Closure], limits: tuple[np.ndarray, np.ndarray], choice: Choice
 ) -> Linkage:
-    """Find out which joints follow from the others, and which equations they meet.
+    """Choose the passive joints and the equations that they satisfy.
 
-    Joints without readings follow if they can, then those that most other joints carry.
+    Joints without readings are passive if possible, then the deepest ones of the tree.
 
     Raises:
-        RobotFileError: if the loops can't be closed or moved, or their joints do not follow from those with readings.
+        RobotFileError: if the loops can't be closed or moved, or the joints with readings do not determine the others.
     """
     free = Linkage(kinematics, tuple(closures), np.empty(0, int), *limits)
     loop = free.drivers.tolist()
@@ -141,7 +141,7 @@ def linkage_of(
             "on both links that joints can bring together"
         )
     C = free.equations(_samples(free))[1]
-    # A turn counts as what it moves at the largest distance there is.
+    # Rotations are weighted by the largest lever arm.
     turns = np.concatenate([np.arange(closure.size) >= 3 for closure in closures])
     C[:, turns] *= np.abs(C[:, ~turns]).max()
     rank = int(np.max(_ranks(C[..., loop])))
@@ -175,7 +175,7 @@ def linkage_of(
 
 
 def linkage_notes(linkage: Linkage, choice: Choice) -> tuple[str, ...]:
-    """Return in words which joints follow from which, and which readings are not used."""
+    """Return notes on the passive joints and on unused readings."""
     passive, drivers = ([choice.names[i] for i in joints] for joints in (linkage.passive, linkage.drivers))
     verb = "follow" if len(passive) > 1 else "follows"
     loops = " and ".join(closure.name for closure in linkage.closures)
@@ -183,12 +183,12 @@ def linkage_notes(linkage: Linkage, choice: Choice) -> tuple[str, ...]:
         f"{', '.join(passive)} {verb} from {', '.join(drivers)}, as the loops closed by {loops} have it",
     )
     if unused := [name for name in passive if name in (choice.recorded or ())]:
-        notes = (*notes, f"readings of {', '.join(unused)} are not used: more than the loops leave free")
+        notes = (*notes, f"readings of {', '.join(unused)} are not used: the loops determine these positions")
     return notes
 
 
 def _samples(free: Linkage) -> np.ndarray:
-    """Return joint positions about zero at which loops are closed, all of whose joints may move, shape (S, n)."""
+    """Return joint positions about zero at which loops are closed by moving all their joints, shape (S, n)."""
     rng = np.random.default_rng(0)
     q = np.tile(free.assembled(), (_SAMPLES, 1))
     C = free.equations(q)[1][..., free.drivers]
@@ -203,13 +203,13 @@ def _samples(free: Linkage) -> np.ndarray:
 
 
 def _ranks(C: np.ndarray) -> np.ndarray:
-    """Return how many of some joints move a loop independently of each other in each sample, shape (S,)."""
+    """Return the number of joints that move a loop independently in each sample, shape (S,)."""
     singular = np.linalg.svd(C, compute_uv=False)
     return np.asarray((singular > STILL * np.maximum(singular[:, :1], np.abs(C).max())).sum(axis=1))
 
 
 def _followers(C: np.ndarray, loop: list[int], rank: int, kinematics: Kinematics, choice: Choice) -> list[int]:
-    """Return the joints that follow, as many as equations can be met."""
+    """Return the passive joints, as many as equations can be satisfied."""
     depth = {joint: len(above(joint, kinematics.parents)) for joint in loop}
 
     def preference(joint: int) -> tuple[bool, bool, int, bool, int]:
@@ -225,7 +225,7 @@ def _followers(C: np.ndarray, loop: list[int], rank: int, kinematics: Kinematics
 
 
 def _equations_of(C: np.ndarray) -> list[int]:
-    """Return which equations as many joints, shape (S, R, p), meet in all samples: those that they move most."""
+    """Return the p equations that the joints, shape (S, R, p), affect most over all samples."""
     from scipy.linalg import qr
 
     _, order = qr(np.concatenate(C, axis=1).T, mode="r", pivoting=True)

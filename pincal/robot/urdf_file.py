@@ -1,4 +1,4 @@
-"""Reading a URDF with care: what is not a tree of links and joints is refused with the place and the reason."""
+"""Reading and validating a URDF: anything but a tree of links and joints is refused, with location and reason."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from pincal.robot.urdf_loops import cut_loops, take_loops
 from pincal.units import LARGEST, plain_numbers
 
 _UNSUPPORTED_TYPES = ("planar", "floating")
-# Lengths of an axis that can be meant; others lose all digits when they are normalised.
+# Plausible lengths of an axis; others lose all digits when normalised.
 _AXIS_LENGTHS = (1e-6, 1e6)
-# What Pinocchio calls the world.
+# Pinocchio's name of the world.
 _RESERVED = "universe"
-# What a file that xacro has to expand is told by.
+# The namespace in files that xacro has to expand.
 _NAMESPACE = "xacro"
-# Longest part of an error of xacro that is passed on: it lists every macro on the way.
+# Longest part of xacro's error message that is passed on, as it lists every macro involved.
 _LONGEST = 600
 
 
 def parse_xml(text: bytes, source: str) -> Any:
-    """Parse XML with entities, network and external files shut off.
+    """Parse XML with entities, network and external files disabled.
 
     Raises:
         RobotFileError: if the text is not XML, declares entities, or its root is not ``<robot>``.
@@ -50,10 +50,10 @@ def parse_xml(text: bytes, source: str) -> Any:
 
 
 def arm_text(text: bytes, moving: Collection[str], source: str, *, loops: bool = False) -> str:
-    """Return the XML of an arm, in which all joints but those named are fixed where they are at zero.
+    """Return the XML of an arm in which all joints but the ``moving`` ones are fixed at zero.
 
-    With ``loops`` the joints that close them stay, which make it no tree. It is without a declaration of its encoding, for
-    readers that know only one.
+    With ``loops`` it includes the joints that close loops, so that it is not a tree. It declares no encoding, for readers
+    that support only one.
     """
     root = parse_xml(text, source)
     closing = cut_loops(root)
@@ -75,7 +75,7 @@ def read_urdf(path: str | os.PathLike[str], *, xacro_args: Mapping[str, str] | N
 
     Raises:
         RobotFileError: if the file can't be read or expanded, is not XML, or is not a tree of links with finite numbers; or
-            if arguments are given for a file that is no xacro.
+            if arguments are given for a file that is not xacro.
     """
     source = os.fspath(path)
     try:
@@ -90,7 +90,7 @@ def read_urdf(path: str | os.PathLike[str], *, xacro_args: Mapping[str, str] | N
 
 
 def robot_name(path: Path) -> str | None:
-    """Return the name of a file's robot without a look at the rest of it; None if the file is none of a robot."""
+    """Return the name of a file's robot without parsing the rest; None if the file contains no robot."""
     try:
         with path.open("rb") as file:
             _, root = next(iter(etree.iterparse(file, events=("start",), resolve_entities=False, no_network=True)))
@@ -136,7 +136,7 @@ def parse_urdf(text: bytes, *, source: str = "URDF") -> UrdfTree:
 
 
 def _settle_axes(root: Any, source: str) -> Iterator[str]:
-    """Write down the axis of joints that have one without a direction, and say so: readers take it for x, or for none."""
+    """Complete axes without a direction, of which readers have different interpretations, and yield notes on them."""
     for joint in root.iterfind("joint"):
         axis = joint.find("axis")
         if axis is not None and axis.get("xyz") is None and joint.get("type") in MOVING_TYPES:
@@ -179,7 +179,7 @@ def _read_mimic(element: Any, name: str, source: str) -> Mimic:
 
 
 def _check_limit(element: Any, name: str, kind: str, source: str) -> None:
-    """URDF asks for limits of revolute and prismatic joints, and readers refuse a file without."""
+    """Refuse missing limits of revolute and prismatic joints, which URDF requires, and invalid numbers."""
     limit = element.find("limit")
     if limit is None and kind in ("revolute", "prismatic"):
         hint = "add <limit lower upper effort velocity>, or make it continuous"
@@ -233,7 +233,7 @@ def _find_root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: st
 
 
 def _xacro_elements(text: bytes) -> list[Any]:
-    """Return the elements of a file that xacro has to expand; a declared namespace alone is none."""
+    """Return the elements of a file that xacro has to expand; a declared namespace alone does not count."""
     try:
         root = etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False))
     except etree.XMLSyntaxError:
@@ -242,21 +242,12 @@ def _xacro_elements(text: bytes) -> list[Any]:
 
 
 def _expand_xacro(path: Path, elements: Sequence[Any], arguments: Mapping[str, str]) -> bytes:
-    """Return the URDF that a xacro file expands to; ``$(find NAME)`` and includes are found in the packages around it.
-
-    Args:
-        path: the file.
-        elements: those for xacro that it holds.
-        arguments: values of its arguments, as ``xacro FILE name:=value`` takes them.
-
-    Raises:
-        RobotFileError: if xacrodoc is not installed, or the file can't be expanded or describes no robot.
-    """
+    """Return the URDF of a xacro file with some xacro elements; ``$(find NAME)`` uses the packages around it."""
     declared = [element for element in elements if etree.QName(element).localname == "arg"]
     known = {element.get("name", ""): element.get("default") for element in declared}
     unknown = [name for name in arguments if name not in known]
     if unknown:
-        takes = f"those that it has: {', '.join(nearest_first(unknown, known))}" if known else "it has none of its own"
+        takes = f"those that it has: {', '.join(nearest_first(unknown, known))}" if known else "it has none"
         warn(f"{path}: does not declare the xacro argument {unknown[0]!r}; {takes}")
     # The name of the robot may use an argument before the line that gives its default.
     literal = {name: value for name, value in known.items() if value is not None and "$" not in value}
@@ -279,14 +270,14 @@ def _expanded_by_xacro(path: Path, values: Mapping[str, str], known: Mapping[str
             "install it (pip install 'pincal[xacro]'), or expand the file with xacro first"
         ) from None
     xacrodoc.packages.update_package_cache(neighbouring_packages(path))
-    # Includes are relative to the file that has them; xacrodoc hands xacro the text alone, for which that is the working
-    # folder, or the file at which an earlier expansion failed.
+    # Includes are relative to the including file; xacrodoc passes only the text to xacro, which would resolve them in the
+    # working folder, or at the file of an earlier failure.
     xacro.init_stacks(os.fspath(path.absolute()))
     try:
-        # Warnings of xacro are about its own history, such as the order of evaluation.
+        # xacro's warnings concern its own history, such as the order of evaluation.
         with contextlib.redirect_stderr(io.StringIO()):
             document = xacrodoc.XacroDoc.from_file(path, walk_up=False, subargs=dict(values), resolve_packages=False)
-    except (Exception, SystemExit) as error:  # Expressions in the file fail in every way there is.
+    except (Exception, SystemExit) as error:  # Expressions in the file may raise anything.
         reason = " ".join(str(error).split())[:_LONGEST] or type(error).__name__
         listed = ", ".join(f"{name}:={values[name]}" if name in values else name for name in known)
         takes = f"; its arguments, to be set by --xacro-arg NAME:=VALUE: {listed}" if known else ""
@@ -301,7 +292,7 @@ def find_file(source: str | os.PathLike[str]) -> Path:
         RobotFileError: for a name that is neither.
     """
     path = Path(source)
-    # A folder of a robot's name, such as that of its results, is no URDF.
+    # A folder with the name of a robot, such as one of results, is not a URDF.
     if path.is_file() or path.suffix or os.sep in os.fspath(source):
         return path
     what, package = f"{path.name!r} is no file, and robots by name", "example-robot-data-loaders"
@@ -323,21 +314,18 @@ def find_file(source: str | os.PathLike[str]) -> Path:
 
 
 def _of_this_name(name: str, file: Path, known: Collection[str]) -> Path:
-    """Return the file of a robot, another one beside it where this one calls itself by the name of another known robot.
+    """Return the file of a robot, or a file next to it if this one has the name of another known robot.
 
-    The table of example-robot-data mixes some up: its "ur3" is the file of a UR5.
-
-    Raises:
-        RobotFileError: if there is no other.
+    The table of example-robot-data confuses some robots: its "ur3" is the file of a UR5.
     """
     found = robot_name(file)
     # A variant, such as "panda_collision", has the name of its robot.
     if found is None or found not in known or name.startswith(found):
         return file
-    told = f"example-robot-data has {file.name} under the name {name!r}, whose robot is called {found!r}"
+    conflict = f"example-robot-data has {file.name} under the name {name!r}, whose robot is called {found!r}"
     other = file.with_name(file.name.replace(found, name))
     if robot_name(other) != name:
         near = ", ".join(nearest_first([name], sorted(one for one in known if one != name))[:12])
-        raise RobotFileError(f"{told}; expected {name!r}: give the path of its URDF, or another name, such as {near}")
-    warn(f"{told}; {other.name} beside it is read instead")
+        raise RobotFileError(f"{conflict}; expected {name!r}: give the path of its URDF, or another name, such as {near}")
+    warn(f"{conflict}; {other.name} next to it is read instead")
     return other

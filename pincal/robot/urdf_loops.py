@@ -1,6 +1,6 @@
-"""What closes loops in a URDF, which describes a tree: constraints, joints of Gazebo, and second joints of one link.
+"""Loop closures in a URDF, itself a tree: constraints, joints of Gazebo, and second joints of one link.
 
-A constraint is the element that is proposed for URDF (urdfdom's pull request 264)::
+A constraint is an element proposed for URDF (urdfdom's pull request 264)::
 
     <constraint name="pin" type="revolute">
       <parent link="rod"/> <parent_origin xyz="0 0 0.9"/> <parent_axis xyz="0 1 0"/>
@@ -24,16 +24,13 @@ ClosureKind = Literal["point", "axis", "pose"]
 KINDS: dict[str, ClosureKind] = {
     "revolute": "axis", "continuous": "axis", "spherical": "point", "ball": "point", "fixed": "pose",
 }  # fmt: skip
-"""What each type of joint that closes a loop holds: the origin of its frame, its axis as well, or all of it."""
+"""The constraint of each type of closing joint: on the origin of its frame, also on its axis, or on the whole frame."""
 _X = "1 0 0"
 _NOWHERE = "0 0 0"
 
 
 def cut_loops(root: Any) -> list[Any]:
-    """Take the joints out of a URDF's XML that make a link the child of several joints; return them.
-
-    A fixed joint stays, or the first one.
-    """
+    """Remove joints from a URDF's XML until each link is the child of one joint, a fixed one or the first; return them."""
     kept: dict[str, Any] = {}
     cut = []
     for joint in sorted(root.iterfind("joint"), key=lambda joint: joint.get("type") != "fixed"):
@@ -45,10 +42,10 @@ def cut_loops(root: Any) -> list[Any]:
 
 
 def take_loops(root: Any, links: Collection[str], source: str) -> Iterator[UrdfClosure]:
-    """Yield what closes loops in a URDF, and take it out of its XML as :func:`cut_loops` does.
+    """Yield the loop closures of a URDF, and cut its loops as :func:`cut_loops` does.
 
     Raises:
-        RobotFileError: for a link that is missing or unknown, or numbers that are none.
+        RobotFileError: for a missing or unknown link, or invalid numbers.
     """
     for element in root.iterfind("constraint"):
         origins = [_origin(element.find(f"{role}_origin"), source) for role in ("parent", "child")]
@@ -56,7 +53,7 @@ def take_loops(root: Any, links: Collection[str], source: str) -> Iterator[UrdfC
         yield UrdfClosure(*_names(element, links, source), origins[0], origins[1], axes[0], axes[1])
     for element in root.iterfind("gazebo/joint"):
         ends = [(element.findtext(role) or "").strip().split("::")[-1] for role in ("parent", "child")]
-        # Others attach what is no part of the URDF, such as the world.
+        # Other joints attach to links outside the URDF, such as the world.
         if all(end in links for end in ends):
             pose = _numbers(element.findtext("pose") or "0 0 0 0 0 0", 6, element, source)
             axis = _numbers(element.findtext("axis/xyz") or _X, 3, element, source)
@@ -70,7 +67,7 @@ def take_loops(root: Any, links: Collection[str], source: str) -> Iterator[UrdfC
 
 
 def _names(element: Any, links: Collection[str], source: str) -> tuple[str, str, str, str]:
-    """Return name and type of a joint or constraint, and the links that it joins."""
+    """Return name, type and both links of a joint or constraint."""
     ends = ["" if (end := element.find(role)) is None else end.get("link", "") for role in ("parent", "child")]
     if unknown := [end for end in ends if end not in links]:
         raise _fault(element, source, f"names the unknown link {unknown[0]!r}; {known_links(unknown[0], links)}")
@@ -83,7 +80,7 @@ def _origin(element: Any, source: str) -> np.ndarray:
 
 
 def _vector(element: Any, key: str, default: str, source: str) -> np.ndarray:
-    """Return three numbers of an attribute, shape (3,), or of what stands for one that is missing."""
+    """Return three numbers of an attribute or its default, shape (3,)."""
     return np.array(default.split(), float) if element is None else _numbers(element.get(key, default), 3, element, source)
 
 

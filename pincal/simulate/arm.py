@@ -1,7 +1,7 @@
-"""The arm of the true machine as Pinocchio reads it from a URDF: placements, joint axes, bodies, limits, pins of loops.
+"""The arm of the true machine: placements, joint axes, bodies, limits, pins of loops.
 
-Every joint gets a working frame whose z is the joint axis. Its x is the x axis of the URDF joint frame without its part
-along the joint axis (the y axis where x is parallel to the joint axis). Where the axis is "0 0 1" the two frames are one.
+Every joint gets a working frame whose z axis is the joint axis. Its x axis is the projection of the URDF joint frame's x
+axis (the y axis if x is parallel to the joint axis). With the axis "0 0 1" the two frames coincide.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Pin:
         name: Its name in the URDF.
         joints: The joints that move the two links, -1 for the base.
         places: Its frames in their working frames at joint position 0, z along its axis, shape (2, 4, 4).
-        has_axis: Whether it is a hinge instead of a ball.
+        has_axis: Whether it is a hinge and not a ball joint.
     """
 
     name: str
@@ -34,27 +34,27 @@ class Pin:
 
 @dataclass(frozen=True)
 class Arm:
-    """An arm from base to tip, nominal or true; with loops also the links beside it that they hang on.
+    """An arm from base to tip, nominal or true, including the other links of its loops.
 
     Attributes:
-        names: Names of the n joints, from base to tip, each behind the one that carries it.
-        prismatic: Whether a joint slides instead of turning, shape (n,).
-        placements: Working frame of joint i in that of the joint that carries it (base frame for the first) at joint
+        names: Names of the n joints, from base to tip, each after the one that carries it.
+        prismatic: Whether a joint is prismatic, shape (n,).
+        placements: Working frame of joint i in the working frame of the joint that carries it (or the base frame) at joint
             position 0, and last the tip in the working frame of its joint; lengths in m, shape (n + 1, 4, 4).
         masses: Mass that moves with joint i, up to the next joint [kg], shape (n,).
         centres: Its centre of mass in the working frame of joint i [m], shape (n, 3).
         axes: Rotation from the working frame to the URDF frame of joint i, shape (n, 3, 3).
         lower: Lower joint limits [rad or m]; -pi for a continuous joint, shape (n,).
         upper: Upper joint limits [rad or m], shape (n,).
-        mimics: Joint, the joint that it follows, multiplier and offset, of those that the URDF has mimic another.
-        inertias: Moments of inertia about these centres in the working frames [kg m^2], shape (n, 3, 3); None for masses at
-            points.
+        mimics: Joint, source joint, multiplier and offset of each mimic joint of the URDF.
+        inertias: Moments of inertia about these centres in the working frames [kg m^2], shape (n, 3, 3); None for point
+            masses.
         parents: The joint that carries each joint, -1 for the base; by default the one before.
         tip_joint: The joint that moves the tip; by default the last.
-        pins: What closes loops.
-        passive: The joints that follow from the others as the loops have it.
-        start_joint: The joint that moves the link from which the tip is seen; -1 for the base.
-        start: That link in the working frame of its joint, or in the base frame, shape (4, 4).
+        pins: Pins that close loops.
+        passive: The joints whose positions follow from the others because of loops.
+        start_joint: The joint that moves the start link, from which the tip is seen; -1 for the base.
+        start: The start link in the working frame of its joint, or in the base frame, shape (4, 4).
     """
 
     names: tuple[str, ...]
@@ -75,24 +75,24 @@ class Arm:
     start: np.ndarray = field(default_factory=lambda: np.eye(4))
 
     def __post_init__(self) -> None:
-        """Fill in that each joint carries the next, and the last the tip."""
+        """By default each joint carries the next, and the last one the tip."""
         n = len(self.names)
         object.__setattr__(self, "parents", self.parents or tuple(range(-1, n - 1)))
         object.__setattr__(self, "tip_joint", self.tip_joint % n)
 
     @cached_property
     def carried(self) -> np.ndarray:
-        """Which links, and last the load at the tip, each joint carries, shape (n, n + 1)."""
+        """Which links, and last the payload, each joint carries, shape (n, n + 1)."""
         n = len(self.names)
         return np.stack([self._supports(joint) for joint in (*range(n), self.tip_joint)], axis=1)
 
     @cached_property
     def movers(self) -> np.ndarray:
-        """How each joint moves the tip as seen from the start link: 1 if it carries the tip alone, -1 the start, (n,)."""
+        """Sign with which each joint moves the tip relative to the start link: 1 if it carries only the tip, shape (n,)."""
         return np.asarray(self._supports(self.tip_joint).astype(float) - self._supports(self.start_joint))
 
     def _supports(self, joint: int) -> np.ndarray:
-        """Return which joints carry what a joint moves, shape (n,)."""
+        """Return which joints move the link of a joint, shape (n,)."""
         found = np.zeros(len(self.names), bool)
         while joint >= 0:
             found[joint] = True
@@ -101,7 +101,7 @@ class Arm:
 
     @property
     def recorded(self) -> list[str]:
-        """Names of the joints that have readings: all but those that loops move."""
+        """Names of the joints that have readings: all but the passive ones."""
         return [name for i, name in enumerate(self.names) if i not in self.passive]
 
     def next_joint(self, joint: int) -> int:
@@ -117,16 +117,16 @@ class Arm:
         return np.array(ends)
 
     def mimicking(self, q: np.ndarray) -> np.ndarray:
-        """Return joint positions, shape (N, n), with those that mimic another joint where it takes them."""
+        """Return joint positions, shape (N, n), with the mimic joints set from their sources."""
         out = np.array(q, float)
-        # As often as there are joints that follow one that follows another.
+        # Repeated, as a source may be a mimic joint itself.
         for joint, source, multiplier, offset in self.mimics * len(self.mimics):
             out[:, joint] = multiplier * out[:, source] + offset
         return out
 
     @cached_property
     def mimicry(self) -> np.ndarray:
-        """How all joints move with those that mimic none, shape (n, m)."""
+        """Derivatives of all joints by the m joints that mimic none, shape (n, m)."""
         moves = np.eye(len(self.names))
         for joint, *_ in self.mimics:
             moves[joint] = 0.0
@@ -141,14 +141,14 @@ class Arm:
 
     @property
     def reach(self) -> float:
-        """Sum of the distances from joint to joint on the way to the tip, and to it [m]; all of those of a loop."""
+        """Sum of the distances from joint to joint on the path to the tip [m]; of all joints if there are loops."""
         return float(self.lengths[(self.movers != 0.0) | bool(self.pins)].sum())
 
     def index(self, joint: str | None) -> int:
         """Return the index of a joint by its name in the URDF, 0 at the base.
 
         Raises:
-            BadInputError: If there is no such joint on the way from base to tip.
+            BadInputError: If there is no such joint between base and tip.
         """
         if joint in self.names:
             return self.names.index(joint)
@@ -157,16 +157,16 @@ class Arm:
 
 
 def frames(arm: Arm, q: np.ndarray) -> np.ndarray:
-    """Return the frames of an arm without load at joint positions q [rad or m], shape (N, n).
+    """Return the frames of an undeformed arm at joint positions q [rad or m], shape (N, n), in the start link's frame.
 
-    These are transforms of base, working frames after q and tip to the frame of the start link, shape (N, n + 2, 4, 4).
+    They are base, working frames after q, and tip, shape (N, n + 2, 4, 4).
     """
     places = frames_in_base(arm, q)
     return places if arm.start_joint < 0 else np.linalg.inv(places[:, arm.start_joint + 1] @ arm.start)[:, None] @ places
 
 
 def frames_in_base(arm: Arm, q: np.ndarray) -> np.ndarray:
-    """Return the same as :func:`frames` in the base frame."""
+    """Return :func:`frames` in the base frame."""
     moves = np.tile(np.eye(4), (*q.shape, 1, 1))
     turn, slide = np.where(arm.prismatic, 0.0, q), np.where(arm.prismatic, q, 0.0)
     moves[..., 0, 0] = moves[..., 1, 1] = np.cos(turn)
@@ -181,7 +181,7 @@ def frames_in_base(arm: Arm, q: np.ndarray) -> np.ndarray:
 
 
 def transform(rotation: ArrayLike | None = None, place: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
-    """Return the transform, shape (4, 4), of a rotation, shape (3, 3), and a place [m], shape (3,)."""
+    """Return the transform, shape (4, 4), of a rotation, shape (3, 3), and a translation [m], shape (3,)."""
     found = np.eye(4)
     found[:3, :3] = np.eye(3) if rotation is None else rotation
     found[:3, 3] = place

@@ -1,4 +1,4 @@
-"""The set-up of the paper: a camera in the robot's hand that looks at a fixed object, plates with marked points."""
+"""The set-up of the paper: a camera on the robot's flange that looks at a fixed object with marked points."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from pincal.simulate.state import Poses
 from pincal.simulate.tracker import as_read
 
 PITCH = 0.025
-"""Distance from one marked point to the next on the paper's object [m]."""
+"""Spacing of the marked points of the paper's object [m]."""
 
 # Points of one image field, in rows and columns.
 _FIELD = 5
-# The paper's object has two sides with three image fields each; the paper does not state how the sides lean.
+# The paper's object has two sides with three image fields each; the paper does not state their inclination.
 _FIELDS, _LEAN = 3, np.pi / 4
 
 
@@ -32,9 +32,9 @@ class CalibrationObject:
 
     Attributes:
         names: Names of the K points.
-        places: Where they are in the object's frame [m], shape (K, 3).
-        normals: Direction in which the plate of each looks, shape (K, 3); None for points seen from everywhere.
-        field: Number of the image field of each, from 0, shape (K,).
+        places: Their positions in the object's frame [m], shape (K, 3).
+        normals: Normal of the plate of each, shape (K, 3); None for points visible from all sides.
+        field: Index of the image field of each, from 0, shape (K,).
     """
 
     names: tuple[str, ...]
@@ -44,7 +44,7 @@ class CalibrationObject:
 
     @classmethod
     def of_points(cls, points: Mapping[str, Any], normals: Mapping[str, Any] | None = None) -> CalibrationObject:
-        """Return an object of one field from named points [m] and, if they have a front, normals, shape (3,) each."""
+        """Return an object of one field from named points [m] and, if visible from one side only, normals, shape (3,)."""
         towards = None if normals is None else np.array([normals[name] for name in points], float)
         return cls(tuple(points), np.array([*points.values()], float), towards, np.zeros(len(points), int))
 
@@ -84,7 +84,7 @@ def paper_object() -> CalibrationObject:
 
 
 def grid_object(rows: int = 7, columns: int = 9) -> CalibrationObject:
-    """Return a plane grid of points 25 mm apart about the origin, looking along z, its rows along y, its columns along x.
+    """Return a plane grid of points 25 mm apart about the origin, normal to z, with rows along y and columns along x.
 
     Example:
         >>> grid_object().names[:2], grid_object().places[-1]
@@ -118,27 +118,27 @@ def _joined(plates: list[tuple[list[str], np.ndarray, np.ndarray]]) -> Calibrati
     )
 
 
-# Points on a plate seen more obliquely than this (cosine of the angle to its normal) can't be made out.
+# Points on a plate seen more obliquely than this (cosine of the angle to its normal) can't be detected.
 _OBLIQUE = 0.25
 # Smallest number of random goals in a round.
 _TRIES = 16
-# The camera looks from where a field's radius fills so much of the image's half height; border that stays free.
+# Range of a field's radius relative to the image's half height, by which the distance is chosen; margin of the image.
 _FILL, _BORDER = (0.45, 0.85), 0.04
-# Rounds of random goals for all views of a field, and to find out whether there are any.
+# Rounds of random goals for all views of a field, and to test whether there are any.
 _PATIENCE, _GLANCES = 60, 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """How a camera is to look at a point.
+    """Admissible views of a point by a camera.
 
     Attributes:
         camera_pose: Transform from camera to tip frame, shape (4, 4).
         look_at: The point in the base frame [m], shape (3,).
         facing: Normal of the object in the base frame, towards the camera, shape (3,).
         distance: Smallest and largest distance of the camera from the point [m].
-        tilt: Largest angle between view and the object's normal [rad].
-        accept: Which transforms from camera to base frame, shape (N, 4, 4), are suitable, shape (N,); None: all.
+        tilt: Largest angle between the optical axis and the object's normal [rad].
+        accept: Returns which transforms from camera to base frame, shape (N, 4, 4), are suitable, shape (N,); None: all.
     """
 
     camera_pose: np.ndarray
@@ -156,7 +156,7 @@ class View:
         return goals
 
     def _orientations(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Return rotations of a camera whose view is tilted from the object's normal, shape (count, 3, 3)."""
+        """Return random rotations of a camera, tilted from the object's normal, shape (count, 3, 3)."""
         from scipy.spatial.transform import Rotation
 
         onto = Rotation.align_vectors(-np.asarray(self.facing, float)[None], [[0.0, 0.0, 1.0]])[0]
@@ -173,10 +173,10 @@ def plan_views(
 ) -> np.ndarray:
     """Draw poses of the nominal arm in which the camera looks at a point, shape (n, number of joints).
 
-    The arm keeps off a floor at ``min_height`` [m] (None: no floor).
+    The arm stays above a floor at ``min_height`` [m] (None: no floor).
 
     Raises:
-        BadInputError: If so many rounds of random goals do not give enough poses within reach.
+        BadInputError: If too few poses are within reach after ``rounds`` rounds of random goals.
     """
 
     def draw() -> np.ndarray:
@@ -198,9 +198,9 @@ class EyeInHand(SensorSetup):
     Attributes:
         target: The calibration object.
         object_pose: Transform from the object's frame to the robot's base frame, shape (4, 4).
-        camera_pose: Transform from the camera frame (z along the view, x to the right) to the tip frame, shape (4, 4).
-        lens: The camera, which measures only what is in its image; None for a camera that sees everything.
-        in_metres: It gives points in its own frame [m], as a stereo camera does, instead of their image [px].
+        camera_pose: Transform from the camera frame (z along the optical axis, x right) to the tip frame, shape (4, 4).
+        lens: The camera, which measures only points in its image; None for a camera that sees everything.
+        in_metres: Whether it measures points in its own frame [m], like a stereo camera, and not their image [px].
     """
 
     target: CalibrationObject
@@ -227,7 +227,7 @@ class EyeInHand(SensorSetup):
         return np.asarray(self.target.places @ self.object_pose[:3, :3].T + self.object_pose[:3, 3])
 
     def plan(self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1) -> np.ndarray:
-        """Draw poses that have the whole of one image field after the other in view, from its front."""
+        """Draw poses with one whole image field after the other in view."""
         owner = np.arange(n) * self.target.n_fields // n
         shares = np.bincount(owner, minlength=self.target.n_fields)
         return np.vstack([
@@ -245,7 +245,7 @@ class EyeInHand(SensorSetup):
         return True
 
     def _view(self, i: int) -> View:
-        """Return how to look at an image field so that it is wholly in the image."""
+        """Return the views in which an image field is wholly in the image."""
         lens = self.lens or Lens()
         centre, normal, radius = self.target.look_at(i)
         places = self._places[self.target.field == i]
@@ -264,7 +264,7 @@ class EyeInHand(SensorSetup):
         )
 
     def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:
-        """Return a row for every pose and point in the image that faces the camera."""
+        """Return a row for every pose and every visible point."""
         if not self.in_metres:
             refuse_scale(machine, "an image has none")
         camera = tips_of(machine, poses) @ self.camera_pose
@@ -281,7 +281,7 @@ class EyeInHand(SensorSetup):
         return Reading(poses, rows, {"point": np.array(self.target.names)[point]} | columns)
 
     def _faces(self, camera: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """Return whether the plate of each point, seen as in :func:`in_camera`, faces the camera, shape (N * K,)."""
+        """Return whether the plate of each point, at ``seen`` in the camera's frame, faces the camera, shape (N * K,)."""
         if self.target.normals is None:
             return np.ones(len(seen), bool)
         normals = self.target.normals @ self.object_pose[:3, :3].T

@@ -1,7 +1,6 @@
-"""Where the parts of set-ups stand, and set-ups that hold the tool point.
+"""Random poses of instruments, targets, sockets, anchors, cameras and calibration objects; set-ups that hold the tool point.
 
-Drawn are instrument, targets, sockets, anchors, camera and calibration object. The tool point is held in sockets or by a bar
-of constant length, while the joints are read.
+The tool point is held in sockets, or by a bar of constant length, while the joints are read.
 """
 
 from __future__ import annotations
@@ -20,23 +19,23 @@ from pincal.simulate.setup import Machine, Reading, SensorSetup, as_lists, draw_
 from pincal.simulate.state import Poses
 from pincal.simulate.tracker import as_read
 
-# Where an instrument stands and a target sits, in reaches of the arm: distance and height; off the last axis and along it.
+# Distance and height of an instrument, and of a target off and along the last axis, in reaches of the arm.
 _DISTANCE, _HEIGHT = (1.5, 2.5), (0.0, 0.7)
 _OFF_AXIS, _ALONG = (0.03, 0.07), (0.02, 0.08)
-# Places tried for holding the tool point, trials per place, least share of successes relative to the best place's, and
-# the share below which a place is useless.
+# Positions tried for holding the tool point, trials at each, least success rate relative to the best, and the success rate
+# below which a position is useless.
 _PLACES, _TRIALS, _GOOD, _SCARCE = 40, 24, 0.4, 0.1
-# How far fixed points are from each other, in reaches of the arm, and the room above the floor that a tool needs [m].
+# Spacing of fixed points, in reaches of the arm, and clearance above the floor that a tool needs [m].
 _APART, _ROOM = 0.25, 0.02
-# A camera's view is turned from the last axis by so much [rad]; an object stands so far and high, in reaches of the arm.
+# Tilt of a camera from the last axis [rad]; distance and height, in reaches of the arm, and rotation [rad] of an object.
 _TURNED = 0.15
 _OBJECT_DISTANCE, _OBJECT_HEIGHT, _OBJECT_TURNED = (0.4, 0.65), (0.05, 0.35), 0.3
-# Places tried for an object.
+# Positions tried for an object.
 _OBJECT_PLACES = 80
 
 
 def draw_instrument(arm: Arm, rng: np.random.Generator) -> np.ndarray:
-    """Return T_instrument_base of an instrument at a random place."""
+    """Return T_instrument_base of an instrument in a random pose."""
     from scipy.spatial.transform import Rotation
 
     place = place_beside(arm, rng)
@@ -45,7 +44,7 @@ def draw_instrument(arm: Arm, rng: np.random.Generator) -> np.ndarray:
 
 
 def draw_targets(arm: Arm, count: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Return targets off the last axis (on it they would not show that joint), away from each other, as T_tip_target."""
+    """Return targets off the last axis (on it they would not show its joint), well separated, as T_tip_target."""
     from scipy.spatial.transform import Rotation
 
     reach, start = arm.reach, rng.uniform(-np.pi, np.pi)
@@ -59,7 +58,7 @@ def draw_targets(arm: Arm, count: int, rng: np.random.Generator) -> dict[str, np
 
 
 def place_beside(arm: Arm, rng: np.random.Generator) -> np.ndarray:
-    """Return a place somewhere in the hall where an instrument can stand, in the robot's base frame [m], shape (3,)."""
+    """Return a random position for an instrument in the hall, in the robot's base frame [m], shape (3,)."""
     direction, reach = rng.uniform(-np.pi, np.pi), arm.reach
     ground = rng.uniform(*_DISTANCE) * np.array([np.cos(direction), np.sin(direction)])
     return np.asarray(reach * np.append(ground, rng.uniform(*_HEIGHT)))
@@ -75,24 +74,24 @@ def draw_fixed_points(
     spacing: float | None = None,
     min_height: float | None = 0.0,
 ) -> np.ndarray:
-    """Find places where the tool point, or the end of a bar, can be held in many ways.
+    """Draw fixed points at which the tool point, or the far end of a bar, can be held in many poses.
 
     Args:
         arm: The nominal arm.
-        count: How many places.
+        count: Number of points.
         rng: Source of randomness.
         tool: Tool point in the tip frame [m].
-        radius: Length of the bar from the place to the tool point [m]; 0 without a bar.
-        spacing: Put them in pairs so far apart [m]; None: each by itself.
+        radius: Length of the bar from the fixed point to the tool point [m]; 0 without a bar.
+        spacing: Distance of the two points of a pair [m]; None for single points.
         min_height: Height of the floor [m]; None for no floor.
 
     Returns:
-        Places in the robot's base frame [m], shape (count, 3).
+        Positions in the robot's base frame [m], shape (count, 3).
 
     Raises:
-        BadInputError: If the arm holds it nowhere.
+        BadInputError: If there is no such point.
     """
-    # The end of a bar is where the tool point was: its other end then is within reach, too.
+    # Bars end at tool points of random poses, so that their other end is within reach, too.
     ends = point_at(frames(arm, plan_poses(arm, _PLACES, rng, min_height=min_height))[:, -1], tool)
     places = ends - radius * upward_directions(_PLACES, rng)
     turn = rng.uniform(-np.pi, np.pi, _PLACES)
@@ -101,7 +100,7 @@ def draw_fixed_points(
     share = _success_rate(arm, together.reshape(-1, 3), rng, tool=tool, radius=radius, min_height=min_height)
     share = share.reshape(together.shape[:2]).min(axis=1)
     if share.max() < _SCARCE:
-        raise BadInputError("the tool point can hardly be held anywhere; look at --tool, --floor and the length of the bar")
+        raise BadInputError("the tool point can hardly be held anywhere; check --tool, --floor and the length of the bar")
     order = np.argsort(-share, kind="stable")
     order = order[share[order] >= _GOOD * share.max()]
     wanted = -(-count // together.shape[1])
@@ -112,7 +111,7 @@ def draw_fixed_points(
 def _success_rate(
     arm: Arm, places: np.ndarray, rng: np.random.Generator, *, tool: Point, radius: float, min_height: float | None
 ) -> np.ndarray:
-    """Return in which part of random trials the tool point can be held at places, shape (n, 3), or a bar about them."""
+    """Return the fraction of random trials in which the tool point, or a bar, can be held at points, shape (n, 3)."""
     seed = np.tile(plan_poses(arm, _TRIALS, rng, min_height=min_height), (len(places), 1))
     goals = np.repeat(places, _TRIALS, axis=0) + radius * upward_directions(len(seed), rng)
     is_held = can_hold(arm, seed, goals=goals, tool=tool, min_height=min_height)[1].reshape(-1, _TRIALS)
@@ -121,7 +120,7 @@ def _success_rate(
 
 
 def _apart(groups: np.ndarray, count: int, distance: float) -> np.ndarray:
-    """Return the first groups of places, shape (n, k, 3), that are so far apart, or closer where there are not enough."""
+    """Return the first ``count`` groups of points, shape (n, k, 3), so far apart, or closer if there are too few."""
     while True:
         chosen: list[np.ndarray] = []
         for group in groups:
@@ -131,18 +130,18 @@ def _apart(groups: np.ndarray, count: int, distance: float) -> np.ndarray:
             return np.array(chosen)
         if distance < 1e-3:
             raise BadInputError(
-                f"only {len(groups)} places where the tool point can well be held, {count} wanted; ask for fewer"
+                f"only {len(groups)} positions at which the tool point can be held well, {count} wanted; ask for fewer"
             )
         distance *= 0.7
 
 
 def draw_camera(arm: Arm, rng: np.random.Generator) -> np.ndarray:
-    """Return T_tip_camera, z along the view, of a camera beside the last axis that looks along it and away from the arm."""
+    """Return T_tip_camera, z along the optical axis, of a camera near the last axis, looking along it away from the arm."""
     from scipy.spatial.transform import Rotation
 
     reach = arm.reach
     axis = arm.placements[-1][:3, :3].T @ [0.0, 0.0, 1.0]
-    # Away from the arm is where the tip lies, seen from the joints before, on the average.
+    # Away from the arm is the mean direction from the middle joint to the tip.
     places = frames(arm, plan_poses(arm, 50, np.random.default_rng(0), min_height=None))
     ahead = np.einsum(
         "nab,na->nb", places[:, -1, :3, :3], places[:, -1, :3, 3] - places[:, max(len(arm.names) // 2, 1), :3, 3]
@@ -156,7 +155,7 @@ def draw_camera(arm: Arm, rng: np.random.Generator) -> np.ndarray:
 
 
 def draw_cell_camera(arm: Arm, rng: np.random.Generator) -> np.ndarray:
-    """Return T_camera_base, z along the view, of a camera beside the robot that looks at the middle of its reach."""
+    """Return T_camera_base, z along the optical axis, of a camera next to the robot that looks at half its reach."""
     from scipy.spatial.transform import Rotation
 
     place = place_beside(arm, rng)
@@ -167,12 +166,10 @@ def draw_cell_camera(arm: Arm, rng: np.random.Generator) -> np.ndarray:
 
 
 def draw_object(arm: Arm, rng: np.random.Generator, *, is_seen: Callable[[np.ndarray], bool]) -> np.ndarray:
-    """Stand a calibration object before the robot where the camera can look at all of it.
-
-    Both the pose returned and the argument of ``is_seen`` are transforms from object to base frame, shape (4, 4).
+    """Draw T_base_object, shape (4, 4), of a calibration object that the camera can see by ``is_seen(T_base_object)``.
 
     Raises:
-        BadInputError: If no place is suitable.
+        BadInputError: If no position is suitable.
     """
     from scipy.spatial.transform import Rotation
 
@@ -186,34 +183,34 @@ def draw_object(arm: Arm, rng: np.random.Generator, *, is_seen: Callable[[np.nda
         if is_seen(pose):
             return pose
     raise BadInputError(
-        f"{_OBJECT_PLACES} places, and the arm can bring the camera before all of the object in none of them; take another "
-        "seed, a plane grid or a lens of shorter focal length, and an arm of at least six joints"
+        f"none of {_OBJECT_PLACES} positions of the object lets the camera see all of it; use another seed, a plane grid or "
+        "a lens of shorter focal length, and an arm of at least six joints"
     )
 
 
 Point = tuple[float, float, float]
-# Chord steps on the true arm, of which each gains about three digits, and the distance that may be left [m].
+# Chord steps on the true arm, of which each gains about three digits, and the tolerance [m].
 _STEPS, _CLOSED = 30, 5e-13
-# The tool point has to move by at least this part of the arm's reach when one joint turns by a radian.
+# Least singular value of the tool point's Jacobian, relative to the arm's reach per radian.
 _LEAST_MOBILITY = 0.02
-# Rounds of random goals before a place counts as out of reach, and the smallest number of goals in a round.
+# Rounds of random goals before a point counts as out of reach, and the smallest number of goals in a round.
 _ROUNDS, _TRIES = 20, 16
-# A pose given for contact has to bring the tool point this close to a place where it can be held [m].
+# Largest distance of the tool point in a given pose from where it can be held [m].
 _NEAR = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contact(SensorSetup):
-    """The tool point is held at fixed places in many orientations: directly, in sockets, or by a ball bar.
+    """The tool point is held at fixed points in many orientations: directly, in sockets, or by a ball bar.
 
-    Of sockets only the joints are read, and ``sigma`` is the standard deviation with which the point sits in its
-    socket, each axis [m]. Of a bar the length is read, too, with noise ``sigma`` [m].
+    With sockets only the joints are read, and ``sigma`` is the standard deviation of the seating along each axis [m]. With a
+    bar its length is read, too, with noise ``sigma`` [m].
 
     Attributes:
-        fixed: The places in the robot's base frame [m], shape (3,), by name.
+        fixed: The fixed points in the robot's base frame [m], shape (3,), by name.
         tool: Tool point in the tip frame [m].
-        instrument: Transform from the robot's base frame to that in which the places are known, shape (4, 4).
-        length: Length of the bar between place and tool point [m]; 0 for sockets.
+        instrument: Transform from the robot's base frame to the frame in which the points are known, shape (4, 4).
+        length: Length of the bar between fixed point and tool point [m]; 0 for sockets.
     """
 
     fixed: Mapping[str, Any]
@@ -238,7 +235,7 @@ class Contact(SensorSetup):
         return np.array([*self.fixed.values()], float)
 
     def plan(self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1) -> np.ndarray:
-        """Draw poses that hold the tool point at one place after the other."""
+        """Draw poses that hold the tool point at one fixed point after the other."""
         shares = np.bincount(np.arange(n) * len(self.fixed) // n, minlength=len(self.fixed))
         planned = []
         for (name, place), share in zip(self.fixed.items(), shares, strict=True):
@@ -257,11 +254,11 @@ class Contact(SensorSetup):
             q, is_held = can_hold(arm, seed, goals=goals, tool=self.tool, min_height=min_height)
             return np.asarray(q[is_held])
 
-        shortage = "hold the tool point there, so that it is out of reach; choose a place within the arm's reach"
+        shortage = "hold the tool point there; choose a point within the arm's reach"
         return collect_poses(draw, n, rounds=_ROUNDS, shortage=shortage)
 
     def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:
-        """Return the joints of the true machine at the place that is nearest to each pose, and what is read there."""
+        """Return the true machine's joints at the fixed point nearest to each pose, and the reading there."""
         if not self.length:
             refuse_scale(machine, "a socket reads none")
         owner, offset = self._nearest(point_at(frames(machine.nominal, poses.q)[:, -1], self.tool))
@@ -272,7 +269,7 @@ class Contact(SensorSetup):
                 f"pose {worst + 1}: the tool point is {off[worst]:.3f} m from where it can be held "
                 f"({', '.join(self.fixed)}); leave --at out, or give poses of the same machine and seed"
             )
-        # Noise of a bar is in the reading of its length, noise of a socket in the place of the point.
+        # A bar has noise in the reading of its length, a socket in the position of the tool point.
         play = draw_noise(offset.shape, 0.0 if self.length else self.sigma, rng)
         held = hold(machine, poses, self._places[owner] + play, tool=self.tool, radius=self.length)
         columns = {self._label: np.array(list(self.fixed))[owner]}
@@ -283,13 +280,13 @@ class Contact(SensorSetup):
         return Reading(held, np.arange(len(owner)), columns)
 
     def _nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the place to which each tool point belongs, shape (N,), and the tool point from there [m], (N, 3)."""
+        """Return the index of each tool point's fixed point, shape (N,), and the vector from there [m], shape (N, 3)."""
         offsets = points[:, None] - self._places
         owner = np.abs(np.linalg.norm(offsets, axis=2) - self.length).argmin(axis=1)
         return owner, offsets[np.arange(len(points)), owner]
 
     def line_of_sight(self, tip: np.ndarray) -> np.ndarray:
-        """Return the tool point in the base frame, or the bar: the way to the tool point from its anchor."""
+        """Return the tool point in the base frame, or the bar's vector from anchor to tool point."""
         points = point_at(tip, self.tool)
         return self._nearest(points)[1] if self.length else points
 
@@ -303,14 +300,14 @@ class Contact(SensorSetup):
 
 
 def hold(machine: Machine, poses: Poses, places: np.ndarray, *, tool: Point, radius: float = 0.0) -> Poses:
-    """Return what is recorded near some poses when the tool point of the true machine is held at places, or by a bar.
+    """Return the recorded poses, near some poses, with the true machine's tool point held at fixed points or by a bar.
 
     Args:
         machine: The true machine.
         poses: Poses near which it is held.
-        places: Where the tool point is held, in the robot's base frame [m], shape (N, 3).
+        places: The fixed points in the robot's base frame [m], shape (N, 3).
         tool: Tool point in the tip frame [m].
-        radius: Length of the bar that holds it off the place, in any direction [m]; 0 without a bar.
+        radius: Length of the bar from the fixed point [m]; 0 without a bar.
 
     Raises:
         BadInputError: If the true arm can't be held there, as with backlash of unknown direction.
@@ -339,7 +336,7 @@ def can_hold(
     """Bring the tool point of the nominal arm to goals [m, base frame], shape (N, 3), from joint positions ``seed``, (N, n).
 
     Returns:
-        Joint positions, shape (N, n), and whether they are suitable, shape (N,): at the goal, within the limits, off the
+        Joint positions, shape (N, n), and whether they are suitable, shape (N,): at the goal, within the limits, above the
         floor, and not so stretched that the true arm could fall short.
     """
     q, reached = reach(arm, seed, goal=goals, tool=tool)
@@ -348,7 +345,7 @@ def can_hold(
 
 
 def upward_directions(count: int, rng: np.random.Generator) -> np.ndarray:
-    """Return unit vectors spread over the upper half of all directions, shape (count, 3)."""
+    """Return random unit vectors, uniform over the upper hemisphere, shape (count, 3)."""
     height, turn = rng.uniform(0.0, 1.0, count), rng.uniform(-np.pi, np.pi, count)
     across = np.sqrt(1.0 - height**2)
     return np.column_stack((across * np.cos(turn), across * np.sin(turn), height))

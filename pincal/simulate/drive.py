@@ -15,7 +15,7 @@ from pincal.simulate.state import Deformation, Loads, Poses
 
 @dataclass(frozen=True, kw_only=True)
 class JointOffset(DriveEffect):
-    """A drive that has lost its zero, as after a collision or an exchange; ``size`` is the angle [rad]."""
+    """A drive that has lost its zero, as after a collision or a replacement; ``size`` is the angle [rad]."""
 
     effect: ClassVar[str] = "joint_offset"
     typical_size: ClassVar[float] = 3e-4
@@ -32,7 +32,7 @@ class GearEccentricity(DriveEffect):
     wheels.
 
     Attributes:
-        order: 1 or 2 errors a turn.
+        order: Cycles per revolution, 1 or 2.
         phase: Direction of the eccentricity or of the long axis [rad].
     """
 
@@ -56,12 +56,12 @@ class GearEccentricity(DriveEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class GearRipple(DriveEffect):
-    """Eccentric wheel on a shaft that turns ``order`` times per turn of the joint; ``size`` is the amplitude [rad].
+    """Eccentric wheel on a shaft with ``order`` revolutions per revolution of the joint; ``size`` is the amplitude [rad].
 
-    The wheel drives through a point off its centre; the stages behind it pass its error on, divided by their ratio.
+    The wheel drives through a point off its centre; the following stages divide its error by their ratio.
 
     Attributes:
-        order: Turns of the wheel per turn of the joint: the ratio from its shaft to the joint.
+        order: Gear ratio from the wheel's shaft to the joint.
         phase: Direction of the eccentricity [rad].
     """
 
@@ -72,7 +72,7 @@ class GearRipple(DriveEffect):
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         turned = self.order * poses.q[:, joint]
-        # Where the point stands on a wheel of radius 1 whose centre is off by e: its angle is the wheel's and an error.
+        # A point on a wheel of radius 1 whose centre is off by e: its angle is the wheel's plus an error.
         e = self.size * self.order
         if not e < 1.0:
             raise BadInputError(
@@ -84,13 +84,13 @@ class GearRipple(DriveEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class EncoderSubdivision(DriveEffect):
-    """Encoder that divides its lines unevenly; ``size`` is its largest error, about [rad].
+    """Encoder with interpolation errors; ``size`` is approximately its largest error [rad].
 
-    Its two signals, a sine and a cosine a line, differ in amplitude and are off zero; their arctangent is what is read.
+    Its two signals, sine and cosine of the line, differ in amplitude and have an offset; their arctangent is read.
 
     Attributes:
-        order: Lines per turn of the joint.
-        offset: Part of the error that is an offset of the sine; the rest is a difference in amplitude.
+        order: Lines per revolution of the joint.
+        offset: Fraction of the error due to an offset of the sine; the rest is a difference in amplitude.
     """
 
     effect: ClassVar[str] = "encoder_subdivision"
@@ -103,7 +103,7 @@ class EncoderSubdivision(DriveEffect):
         error = self.size * self.order
         if not error < 0.5:
             raise BadInputError(f"encoder_subdivision of {self.joint}: size {self.size:g} rad is more than half a line")
-        # Read is the recorded position; what was true is off by as much, the other way, to first order.
+        # The reading is the recorded position; to first order the true position is off by the opposite amount.
         read = np.arctan2(np.sin(place) + share * error, np.cos(place) / (1.0 + 2.0 * (1.0 - share) * error))
         return np.asarray(-np.angle(np.exp(1j * (read - place))) / self.order)
 
@@ -114,8 +114,8 @@ class TransmissionError(DriveEffect):
 
     Attributes:
         seed: The curve's own seed.
-        bumps: Number of local bumps of random place, width and height that make up the curve.
-        periodic: Whether the curve repeats after a full turn; otherwise it differs from turn to turn.
+        bumps: Number of local bumps of random position, width and height that make up the curve.
+        periodic: Whether the curve repeats after a revolution; otherwise it differs from turn to turn.
     """
 
     effect: ClassVar[str] = "transmission_error"
@@ -161,10 +161,10 @@ class GearRatio(DriveEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class JointCoupling(DeformingEffect):
-    """Motion that leaks from one joint to another; ``size`` is the leak over the motion [-].
+    """Coupling of one joint's motion into another; ``size`` is the ratio [-].
 
     Attributes:
-        source: Joint whose motion leaks.
+        source: Joint whose motion couples into ``joint``.
     """
 
     effect: ClassVar[str] = "joint_coupling"
@@ -181,14 +181,14 @@ class JointCoupling(DeformingEffect):
 class AxisWobble(DeformingEffect):
     """Bearing whose axis tilts as it turns; ``size`` is the tilt [rad].
 
-    The tip of the axis runs on a circle, or an ellipse, ``order`` times a turn. In the frame before q a circle of order 1 is
-    a tilt fixed to the link: it is not distinguishable from geometry.
+    The tip of the axis describes a circle, or an ellipse, ``order`` times per revolution. In the frame before q a circle of
+    order 1 is a tilt fixed to the link, which is indistinguishable from geometry.
 
     Attributes:
-        order: Turns of the tilt direction per turn of the joint.
+        order: Revolutions of the tilt direction per revolution of the joint.
         phase: Direction of the tilt at q = 0 [rad].
-        roundness: Short over long half axis of the ellipse: 1 a circle, 0 a line along x.
-        frame: ``"before"`` if the tilt is seen from the previous link, ``"after"`` if from the turning one.
+        roundness: Ratio of the ellipse's semi-axes: 1 for a circle, 0 for a line along x.
+        frame: ``"before"`` if the tilt is seen from the previous link, ``"after"`` if from the moving one.
     """
 
     effect: ClassVar[str] = "axis_wobble"
@@ -208,10 +208,10 @@ class AxisWobble(DeformingEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class Backlash(DriveEffect):
-    """Play in a gear; ``size`` is the full play [rad].
+    """Backlash of a gear; ``size`` is the full backlash [rad].
 
-    The joint lags behind its drive by half the play. Where the approach was recorded it decides the side; otherwise the
-    joint is dragged from pose to pose in their order and keeps its place while the drive crosses the play.
+    The joint lags behind its drive by half the backlash. A recorded direction of approach determines the side; otherwise the
+    joint is dragged from pose to pose in their order and does not move while the drive crosses the backlash.
     """
 
     effect: ClassVar[str] = "backlash"
@@ -232,9 +232,9 @@ class Backlash(DriveEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class ShortOfTarget(DriveEffect):
-    """Drive that is read before it has come to rest; ``size`` is the part of its way that is still ahead of it [-].
+    """Drive that is read before it has settled; ``size`` is the fraction of its move that is left [-].
 
-    The way is from where the joint really stood in the pose before. One that is not sent anywhere stays where it is.
+    The move starts at the joint's true position in the previous pose. A joint that is not commanded to move stays at rest.
     """
 
     effect: ClassVar[str] = "settling"
@@ -270,10 +270,10 @@ class ThermalOffset(DriveEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class JointCreep(DriveEffect):
-    """Joint zero that relaxes after the start; ``size`` is how far in the end [rad].
+    """Joint zero that relaxes after the start; ``size`` is the final shift [rad].
 
     Attributes:
-        time_constant: Time after which 63 % of it are over [s].
+        time_constant: Time after which 63 % of the shift is reached [s].
     """
 
     effect: ClassVar[str] = "joint_creep"
@@ -287,7 +287,7 @@ class JointCreep(DriveEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class JointScatter(DriveEffect):
-    """Joint that does not repeat; ``size`` is the standard deviation [rad]."""
+    """Joint of limited repeatability; ``size`` is the standard deviation [rad]."""
 
     effect: ClassVar[str] = "joint_scatter"
     typical_size: ClassVar[float] = 1e-4
@@ -298,23 +298,23 @@ class JointScatter(DriveEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class JointLag(DriveEffect):
-    """Joint that is where it is recorded only later; ``size`` is the delay [s]. Held poses do not show it."""
+    """Joint that reaches its recorded position with a delay; ``size`` is the delay [s]. Held poses do not show it."""
 
     effect: ClassVar[str] = "joint_lag"
     unit: ClassVar[str] = "s"
     typical_size: ClassVar[float] = 1e-3
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
-        # Where it was before: as far as a step back along the path at constant acceleration.
+        # Its earlier position: a step back along the path at constant acceleration.
         return np.asarray(-self.size * poses.velocity[:, joint] + 0.5 * self.size**2 * poses.acceleration[:, joint])
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionWindup(DriveEffect):
-    """Gear that its friction winds up while it moves; ``size`` is how far [rad]. Held poses do not show it.
+    """Gear wound up by its friction while it moves; ``size`` is the angle [rad]. Held poses do not show it.
 
     Attributes:
-        slow: Speed at which friction has about 70 % of its size [rad/s].
+        slow: Speed at which friction reaches about 70 % of its size [rad/s].
     """
 
     effect: ClassVar[str] = "friction_windup"

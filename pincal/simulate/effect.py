@@ -1,8 +1,8 @@
-"""The hidden effects of the true machine: their interface.
+"""The interface of the true machine's hidden effects.
 
 Every effect is a small frozen value with the name that discovery reports, the joint on which it acts and a size in the
-unit of its class. A size of 0 is no effect. Effects are written from the mechanism (crank, play, bumps), not from the
-linear basis functions of the fit.
+unit of its class; size 0 is no effect. Effects are derived from the mechanism (crank, backlash, bumps), not from the linear
+basis functions of the fit.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ WINDUP = 1e-3
 
 
 class Scope(Enum):
-    """What an effect acts on."""
+    """The part of the robot on which an effect acts."""
 
     JOINT = "joint"
     LINK_OR_ARM = "the link that a joint moves, or the whole arm without a joint"
@@ -35,12 +35,12 @@ class Scope(Enum):
 
 @dataclass(frozen=True)
 class Site:
-    """The place of an effect whose typical size follows from loads.
+    """The location of an effect whose typical size depends on loads.
 
     Attributes:
         arm: The nominal arm.
         joint: Index of the joint on which the effect acts, 0 for the whole arm.
-        moment: Moment for which that joint is made [N m], positive.
+        moment: Rated moment of that joint [N m], positive.
         compliance: Compliance of its drive [rad/(N m)], 0 if rigid.
     """
 
@@ -56,12 +56,11 @@ class HiddenEffect(ABC):
 
     Attributes:
         effect: Name of the effect.
-        unit: Unit of ``size``; on a sliding joint m instead of rad.
-        scope: What the effect acts on.
+        unit: Unit of ``size``; on a prismatic joint m instead of rad.
+        scope: The part of the robot on which it acts.
         column: Column of the table without which the effect is not identifiable; None: no such column.
-        typical_size: A size that is typical whatever the arm, in ``unit``.
-        needs_order: Whether what it does in a pose follows from the poses before it; where its column is the approach, only
-            if that was not recorded.
+        typical_size: Typical size for any arm, in ``unit``.
+        needs_order: Whether it depends on the preceding poses; if its column is the approach, only if that is not recorded.
         joint: Joint on which it acts, None for an effect of the whole arm.
         size: Its size in ``unit``.
     """
@@ -76,7 +75,7 @@ class HiddenEffect(ABC):
     size: float = 0.0
 
     def __init_subclass__(cls) -> None:
-        """List an effect of pincal by its name."""
+        """Register an effect of pincal by its name."""
         super().__init_subclass__()
         if "effect" in vars(cls) and cls.__module__.startswith("pincal."):
             HIDDEN_EFFECTS[cls.effect] = cls
@@ -88,15 +87,15 @@ class HiddenEffect(ABC):
 
 
 def needs_order(effects: Iterable[HiddenEffect], poses: Poses) -> bool:
-    """Return whether what effects do in a pose follows from the poses before it."""
+    """Return whether effects depend on the preceding poses."""
     return any(e.needs_order and (poses.approach is None or e.column != "approach") for e in effects)
 
 
 class SizedByLoad:
-    """An effect that follows from loads: it needs an arm with masses, and they determine its typical size.
+    """An effect of loads: it needs an arm with masses, which determine its typical size.
 
     Attributes:
-        at_largest: What it typically does under the largest moment, of a size that is per moment [rad].
+        at_largest: Typical deflection under the rated moment, for a size per moment [rad].
     """
 
     at_largest: ClassVar[float]
@@ -112,11 +111,11 @@ class DeformingEffect(HiddenEffect):
 
     @abstractmethod
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Add what the effect does to each pose, in the working frames of the true arm, to the deformation in place."""
+        """Add the effect in each pose, in the working frames of the true arm, to the deformation in place."""
 
 
 class DriveEffect(DeformingEffect):
-    """An effect that moves one joint along its own freedom."""
+    """An effect that moves one joint about or along its axis."""
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         joint = arm.index(self.joint)
@@ -124,12 +123,12 @@ class DriveEffect(DeformingEffect):
 
     @abstractmethod
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
-        """Return what is added to the position of the joint with this index [rad or m], shape (N,)."""
+        """Return the addition to the position of the joint with this index [rad or m], shape (N,)."""
 
 
 class ReadBackEffect(DriveEffect):
-    """A motion of a drive that its encoder sees: the table has ``read_<joint>`` in addition to the commanded position."""
+    """A motion of a drive that its encoder measures: the table has ``read_<joint>`` next to the commanded position."""
 
     def read_back(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
-        """Return what the encoder reads of the joint with this index [rad or m], shape (N,)."""
+        """Return the encoder's reading of the joint with this index [rad or m], shape (N,)."""
         return np.asarray(poses.q[:, joint] + self._motion(joint, poses, loads))

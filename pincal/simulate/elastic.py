@@ -25,19 +25,19 @@ from pincal.simulate.effect import (
 from pincal.simulate.state import Deformation, Loads, Poses
 
 MOMENT_FRAMES = ("paper", "before", "after")
-"""Where a bearing's compliance lives.
+"""Frames of a bearing's compliance.
 
-``paper`` takes the components of the moment before q and turns the link about the axes after q; ``before``
-and ``after`` do both on one side.
+``paper`` takes the components of the moment before q and rotates the link about the axes after q; ``before`` and ``after``
+do both in one frame.
 """
 
-# Reach of the arm to which the default dimensions of the gravity compensator belong [m].
+# Reach of the arm for the default dimensions of the gravity compensator [m].
 _COMPENSATOR_REACH = 2.6
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointElasticity(DriveEffect, SizedByLoad):
-    """Linear wind-up of a drive; ``size`` is the compliance c_z [rad/(N m)], or [m/N] for a sliding joint."""
+    """Linear wind-up of a drive; ``size`` is the compliance c_z [rad/(N m)], or [m/N] for a prismatic joint."""
 
     effect: ClassVar[str] = "joint_elasticity"
     unit: ClassVar[str] = "rad/(N m)"
@@ -75,7 +75,7 @@ class BearingElasticity(DeformingEffect, SizedByLoad):
 
 @dataclass(frozen=True, kw_only=True)
 class NonlinearElasticity(DriveEffect, SizedByLoad):
-    """Drive that stiffens with torque; ``size`` is the extra compliance near torque 0 [rad/(N m)].
+    """Drive that stiffens with torque; ``size`` is the extra compliance near zero torque [rad/(N m)].
 
     The extra compliance falls to 1/sqrt(2) of its size at the torque ``stiffening``; its integral is the extra wind-up.
 
@@ -89,7 +89,7 @@ class NonlinearElasticity(DriveEffect, SizedByLoad):
 
     @classmethod
     def typical_fields(cls, site: Site) -> dict[str, Any]:
-        """Return 0.3 mrad more at the largest moment, most of it in its first third."""
+        """Return 0.3 mrad of extra wind-up at the rated moment, most of it in its first third."""
         stiffening = 0.3 * site.moment
         return {"size": 3e-4 / (stiffening * float(np.arcsinh(1.0 / 0.3))), "stiffening": stiffening}
 
@@ -99,10 +99,10 @@ class NonlinearElasticity(DriveEffect, SizedByLoad):
 
 @dataclass(frozen=True, kw_only=True)
 class LoadBacklash(DriveEffect, SizedByLoad):
-    """Play that the load takes up; ``size`` is the full play [rad].
+    """Backlash closed by the load; ``size`` is the full backlash [rad].
 
     Attributes:
-        transition: Torque [N m] at which friction lets the joint go about 70 % of the way to one side.
+        transition: Torque [N m] at which friction lets the joint move about 70 % of the way to one side.
     """
 
     effect: ClassVar[str] = "load_backlash"
@@ -110,7 +110,7 @@ class LoadBacklash(DriveEffect, SizedByLoad):
 
     @classmethod
     def typical_fields(cls, site: Site) -> dict[str, Any]:
-        """Return a play of 0.2 mrad, taken up by a fiftieth of the largest moment."""
+        """Return a backlash of 0.2 mrad, closed by a fiftieth of the rated moment."""
         return {"size": 2e-4, "transition": 0.02 * site.moment}
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
@@ -122,10 +122,10 @@ class LoadBacklash(DriveEffect, SizedByLoad):
 class Hysteresis(DriveEffect, SizedByLoad):
     """Drive that stops wound up against Coulomb friction; ``size`` is the wind-up per moment on the axis [rad/(N m)].
 
-    The joint lags behind its last motion. Where the approach was not recorded, that is from the pose before.
+    The joint lags behind its last motion, which is taken from the previous pose if the approach was not recorded.
 
     Attributes:
-        preload: Moment by which friction is larger than that of the load alone [N m].
+        preload: Moment added to the load's in the friction [N m].
     """
 
     effect: ClassVar[str] = "hysteresis"
@@ -136,7 +136,7 @@ class Hysteresis(DriveEffect, SizedByLoad):
 
     @classmethod
     def typical_fields(cls, site: Site) -> dict[str, Any]:
-        """Return 0.2 mrad at the largest moment, a fifth of it of the preload."""
+        """Return 0.2 mrad at the rated moment, a fifth of it due to the preload."""
         return {"size": 1.6e-4 / site.moment, "preload": 0.25 * site.moment}
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
@@ -149,12 +149,12 @@ class Hysteresis(DriveEffect, SizedByLoad):
 
 @dataclass(frozen=True, kw_only=True)
 class ServoDroop(ReadBackEffect, SizedByLoad):
-    """Position loop without an integrator: the joint droops under its load; ``size`` is by how much [rad/(N m)].
+    """Position loop without integral action: the joint droops under load; ``size`` is its compliance [rad/(N m)].
 
-    The joints of the table are as commanded.
+    The joint positions of the table are the commanded ones.
 
     Attributes:
-        stiction: Standard deviation of where friction stops the loop short of that [rad].
+        stiction: Standard deviation of the position at which friction stops the loop [rad].
     """
 
     effect: ClassVar[str] = "servo_droop"
@@ -170,13 +170,13 @@ class ServoDroop(ReadBackEffect, SizedByLoad):
 class GravityCompensator(DriveEffect, SizedByLoad):
     """Spring between two adjacent links; ``size`` is its rate [N/m].
 
-    The drive no longer winds up under the torque that the spring takes: joint angle += compliance * torque of the spring.
+    The spring relieves the drive: joint angle += compliance * torque of the spring.
 
     Attributes:
         compliance: Compliance of the joint's drive [rad/(N m)].
-        anchor: Where the spring is fixed to the previous link, in the frame before q [m].
-        lever: Where it is fixed to the turning link, in the frame after q [m].
-        free_length: Length of the spring without force [m].
+        anchor: Attachment of the spring to the previous link, in the frame before q [m].
+        lever: Attachment to the moving link, in the frame after q [m].
+        free_length: Free length of the spring [m].
     """
 
     effect: ClassVar[str] = "gravity_compensator"
@@ -193,7 +193,7 @@ class GravityCompensator(DriveEffect, SizedByLoad):
 
     @classmethod
     def typical_fields(cls, site: Site) -> dict[str, Any]:
-        """Return a spring in proportion to the arm that takes about a third of the largest moment."""
+        """Return a spring in proportion to the arm that balances about a third of the rated moment."""
         scale = site.arm.reach / _COMPENSATOR_REACH
         lever = 0.3 * scale
         return {
@@ -233,7 +233,7 @@ class LinkBending(DeformingEffect, SizedByLoad):
 
     @classmethod
     def typical_fields(cls, site: Site) -> dict[str, Any]:
-        """Return a bending of a fifth of a drive's wind-up."""
+        """Return a flexibility that bends the link by a fifth of a drive's wind-up."""
         length = max(float(site.arm.lengths[site.joint]), 1e-3)
         return {"size": 0.2 * WINDUP / (length * site.moment)}
 
@@ -272,10 +272,10 @@ class BaseElasticity(DeformingEffect, SizedByLoad):
 
 @dataclass(frozen=True, kw_only=True)
 class ThermalExpansion(DeformingEffect):
-    """Links that grow with temperature; ``size`` is the coefficient of expansion [1/K].
+    """Links that expand with temperature; ``size`` is the coefficient of expansion [1/K].
 
     Attributes:
-        joint: Only the link that this joint moves grows; None for all links, base and tool flange included.
+        joint: Joint that moves the only link that expands; None for all links, base and flange included.
     """
 
     effect: ClassVar[str] = "thermal_expansion"
@@ -290,11 +290,11 @@ class ThermalExpansion(DeformingEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class ThermalGrowth(DeformingEffect):
-    """Links that grow as the arm warms up by itself; ``size`` is their relative growth in the end [-].
+    """Links that expand as the arm warms up by itself; ``size`` is their final relative expansion [-].
 
     Attributes:
-        joint: Only the link that this joint moves grows; None for all links, base and tool flange included.
-        time_constant: Time after which 63 % of it are over [s].
+        joint: Joint that moves the only link that expands; None for all links, base and flange included.
+        time_constant: Time after which 63 % of the expansion is reached [s].
     """
 
     effect: ClassVar[str] = "thermal_growth"
@@ -319,11 +319,11 @@ def _grow(arm: Arm, deformation: Deformation, joint: str | None, growth: np.ndar
 
 @dataclass(frozen=True, kw_only=True)
 class BaseDrift(DeformingEffect):
-    """Base, or instrument, that creeps with time; ``size`` is the speed [m/s].
+    """Base, or instrument, that drifts with time; ``size`` is the speed [m/s].
 
     Attributes:
-        direction: Direction of the creep in the base frame, shape (3,), of length 1.
-        rotation: Rate of turn about the base axes [rad/s] per m/s of ``size``, shape (3,).
+        direction: Unit direction of the drift in the base frame, shape (3,).
+        rotation: Angular velocity about the base axes [rad/s] per m/s of ``size``, shape (3,).
     """
 
     effect: ClassVar[str] = "base_drift"
@@ -342,9 +342,9 @@ class BaseDrift(DeformingEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class PayloadError(HiddenEffect, SizedByLoad):
-    """Payload that differs from the table; ``size`` is the mass that the table lacks [kg].
+    """Payload that differs from the table; ``size`` is true minus declared mass [kg].
 
-    It counts where the table declares a payload, and everywhere if it declares none at all.
+    It acts in rows with a declared payload, or in all rows if none is declared at all.
 
     Attributes:
         com_shift: True minus declared centre of mass of the payload in the tip frame [m], shape (3,).

@@ -1,4 +1,4 @@
-"""What the inertia of moving bodies exerts on the arm, by the recursion of Newton and Euler over its links."""
+"""Inertial forces and moments on the arm, by the Newton-Euler recursion over its links."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from pincal.simulate.arm import Arm, frames_in_base
 
 
 class LinkMotion(NamedTuple):
-    """How a link moves in N poses, in the axes of the base, each of shape (N, 3).
+    """Motion of a link in N poses, in base axes, shape (N, 3) each.
 
     Attributes:
-        rotation: From its working frame to the base, shape (N, 3, 3).
-        origin: Of its working frame [m].
+        rotation: Rotation from its working frame to the base, shape (N, 3, 3).
+        origin: Origin of its working frame [m].
         rate: Angular velocity [rad/s].
         turning: Angular acceleration [rad/s^2].
-        acceleration: Of its origin [m/s^2].
+        acceleration: Acceleration of its origin [m/s^2].
     """
 
     rotation: np.ndarray
@@ -35,7 +35,7 @@ class LinkMotion(NamedTuple):
 
 
 def link_motions(arm: Arm, q: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> Iterator[LinkMotion]:
-    """Yield the motion of each link of an arm or tree without load, in the order of its joints, and last that of the tip.
+    """Yield the motion of each link of an undeformed arm or tree, in the order of its joints, and finally of the tip.
 
     Joint positions, velocities and accelerations are of shape (N, n) [rad or m, per s, per s^2].
     """
@@ -60,10 +60,10 @@ def link_motions(arm: Arm, q: np.ndarray, velocity: np.ndarray, acceleration: np
 
 @dataclass(frozen=True)
 class Inertia:
-    """Forces and couples by which moving bodies load the arm, in the axes of the base.
+    """Inertial forces and couples on the arm, in base axes.
 
     Attributes:
-        forces: At the centre of mass of each link and last of the payload [N], shape (N, n + 1, 3).
+        forces: At the centre of mass of each link, and last of the payload [N], shape (N, n + 1, 3).
         couples: Likewise [N m].
     """
 
@@ -72,7 +72,7 @@ class Inertia:
 
     @classmethod
     def of(cls, arm: Arm, motion: tuple[np.ndarray, ...], payload: np.ndarray, payload_com: np.ndarray) -> Inertia | None:
-        """Return what the bodies of an arm exert that moves as if it did not deform; None if nothing moves.
+        """Return the inertial loads of an arm that moves as if it did not deform; None if nothing moves.
 
         Args:
             arm: The true arm.

@@ -1,4 +1,4 @@
-"""An instrument beside the robot, such as a laser tracker or a camera: it reads where targets on the tool are."""
+"""An instrument next to the robot, such as a laser tracker or a camera, that measures targets on the tool."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from pincal.simulate.state import Poses
 from pincal.simulate.tracker import as_read
 
 KINDS = ("position", "pose", "distance")
-"""What an instrument beside the robot can measure."""
+"""Quantities that an instrument next to the robot can measure."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Instrument(SensorSetup):
-    """An instrument beside the robot.
+    """An instrument next to the robot.
 
     Attributes:
         reads: One of ``KINDS``.
         pose: Transform from the robot's base frame to the instrument's frame, shape (4, 4).
         targets: Target in the tip frame: a position [m], shape (3,), or a transform, shape (4, 4); or a mapping
-            from name to one of these. Several targets give one row each for every pose.
+            from name to one of these. Each target gives a row for every pose.
         sigma_angle: Standard deviation of the orientation about each axis [rad].
-        anchors: Distances are measured from each of these points in the robot's base frame [m], shape (3,), by
-            name; without any, from the instrument's origin.
+        anchors: Points in the robot's base frame [m], shape (3,), by name, from which distances are measured; default:
+            the instrument's origin.
 
     Raises:
         BadInputError: If an attribute has a wrong shape or the kind is unknown.
@@ -61,7 +61,7 @@ class Instrument(SensorSetup):
     anchors: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse an unknown kind of measurement; keep targets as transforms by name."""
+        """Validate the kind of measurement; store targets as transforms by name."""
         if self.reads not in KINDS:
             raise BadInputError(f"kind {self.reads!r}; expected one of {', '.join(KINDS)}")
         if self.anchors and self.reads != "distance":
@@ -95,7 +95,7 @@ class Instrument(SensorSetup):
         return Reading(poses, rows, columns | self._readings(machine, seen, rng))
 
     def _readings(self, machine: Machine, seen: np.ndarray, rng: np.random.Generator | None) -> Table:
-        """Return what is read of transforms from target to instrument or anchor, shape (M, 4, 4)."""
+        """Return the readings of transforms from target to instrument or anchor, shape (M, 4, 4)."""
         position = as_read(machine.effects, seen[:, :3, 3])
         if self.reads == "distance":
             distance = np.linalg.norm(position, axis=1)
@@ -105,7 +105,7 @@ class Instrument(SensorSetup):
         return columns | _quaternion(seen[:, :3, :3], self.sigma_angle, rng) if self.reads == "pose" else columns
 
     def line_of_sight(self, tip: np.ndarray) -> np.ndarray:
-        """Return the first target in the frame of the instrument, or from the first anchor."""
+        """Return the first target in the frame of the instrument, or relative to the first anchor."""
         seen: np.ndarray = (self.pose @ tip @ next(iter(self.targets.values())))[:, :3, 3]
         return np.asarray(seen - next(iter(self.points.values()), np.zeros(3)))
 
@@ -120,10 +120,10 @@ class Instrument(SensorSetup):
 
 @dataclass(frozen=True, kw_only=True)
 class CellCamera(Instrument):
-    """A camera that stands before the robot and sees targets on the tool; its frame has z along the view.
+    """A camera in front of the robot that sees targets on the tool; its frame has z along the optical axis.
 
     Attributes:
-        lens: The camera; what is not in its image is not measured.
+        lens: The camera; points outside its image are not measured.
     """
 
     lens: Lens
@@ -140,7 +140,7 @@ class CellCamera(Instrument):
         inside = self.lens.sees(seen)
         if not inside.any():
             raise BadInputError(
-                "the camera sees the target in no pose; take poses before it, or a lens of shorter focal length"
+                "the camera sees the target in no pose; use poses in front of it, or a lens of shorter focal length"
             )
         image = self.lens.project(seen[inside])
         image = image + draw_noise(image.shape, self.sigma, rng)

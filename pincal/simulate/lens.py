@@ -1,4 +1,4 @@
-"""The true camera: a pinhole whose lens bends the image radially and tangentially."""
+"""The true camera: a pinhole with radial and tangential distortion."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-# A real camera differs from its data sheet: focal length and principal point relative to their size, and distortion.
+# Deviations of a real camera from its data sheet: relative ones of focal length and principal point; distortion.
 _FOCAL, _SKEWED, _CENTRE = 0.02, 5e-4, 0.01
 _K1, _K2, _TANGENTIAL = (-0.16, -0.08), (0.03, 0.09), 5e-4
 
@@ -50,7 +50,7 @@ class Lens:
 
     @property
     def intrinsics(self) -> dict[str, float | int]:
-        """What another program needs of the camera, by name."""
+        """The camera's parameters by name, for other programs."""
         names = ("fx", "fy", "u0", "v0", "k1", "k2", "p1", "p2", "k3", "width", "height")
         values = (*self.focals, *self.centre, self.k1, self.k2, self.p1, self.p2, self.k3, *self.size)
         return dict(zip(names, values, strict=True))
@@ -67,7 +67,7 @@ class Lens:
     def sees(self, seen: np.ndarray, *, margin: float = 0.0) -> np.ndarray:
         """Return which points of the camera's frame [m], shape (N, 3), lie in the image, shape (N,).
 
-        ``margin`` is the width of a border that does not count, relative to the image.
+        ``margin`` is the width of an excluded border, relative to the image.
         """
         ahead = seen[:, 2] > 0.0
         safe = np.where(ahead[:, None], seen, [0.0, 0.0, 1.0])
@@ -79,16 +79,16 @@ class Lens:
 
     @property
     def _fold(self) -> float:
-        """Squared slope beyond which the polynomial folds the image back on itself: there it describes no lens."""
+        """Squared slope beyond which the polynomial folds the image back on itself, as no lens does."""
         roots = np.roots([7.0 * self.k3, 5.0 * self.k2, 3.0 * self.k1, 1.0])
         real = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0)]
         return float(real.min(initial=np.inf))
 
 
 def draw_lens(rng: np.random.Generator, **given: Any) -> Lens:
-    """Return a camera with the errors of a good machine-vision lens, about 1 % of barrel at the corners.
+    """Return a camera with a good machine-vision lens, about 1 % of barrel distortion at the corners.
 
-    ``given`` are values that are not drawn, by the keys of :attr:`Lens.intrinsics`.
+    ``given`` are fixed values by the keys of :attr:`Lens.intrinsics`.
     """
     width, height = given.get("width", 2048), given.get("height", 1536)
     fx = given.get("fx", 2000.0 * (1.0 + _FOCAL * rng.uniform(-1.0, 1.0)))

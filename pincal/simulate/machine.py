@@ -1,7 +1,7 @@
-"""The true machine: a robot with errors that the fit does not know.
+"""The true machine: a robot with errors unknown to the fit.
 
-Kinematics are Pinocchio's, loads are sums over bodies at their deformed places and every error is a placement. Nothing here
-is shared with the model that pincal fits, so that the two can be held against each other.
+Kinematics are Pinocchio's, loads are sums over bodies in their deformed poses and every error is a placement. Nothing is
+shared with the model that pincal fits, so that the two can be compared.
 """
 
 from __future__ import annotations
@@ -37,27 +37,27 @@ from pincal.simulate.urdf_arm import read_arm
 
 # Acceleration of gravity in the base frame of an upright robot [m/s^2].
 _GRAVITY = (0.0, 0.0, -9.81)
-# Change of the deformation in one round below which the arm is at rest [rad and m]; far below any measurement.
+# Change of the deformation in one round below which the arm is in equilibrium [rad and m]; far below any measurement.
 _AT_REST = 1e-12
-# Each round gains about three digits on an industrial arm; if many more than five are needed, the arm collapses.
+# Each round gains about three digits on an industrial arm; if far more than five are needed, the arm collapses.
 _ROUNDS = 100
 
 
 @dataclass(frozen=True)
 class TrueMachine:
-    """A robot as it really is.
+    """A robot with its true errors.
 
     Attributes:
         nominal: The arm of the URDF.
         placement_errors: Error of each joint's placement and last of the tip's: translation [m] and rotation vector [rad] in
             the URDF joint frame, shape (n + 1, 6).
         joint_offsets: Added to the recorded joint positions [rad or m], shape (n,).
-        mass_factors: True over nominal mass of what moves with each joint [-], shape (n,).
+        mass_factors: Ratio of true to nominal mass of each link [-], shape (n,).
         com_errors: True minus nominal centre of mass in the joint's working frame [m], shape (n, 3).
         compliance: (c_x, c_y, c_z) of each joint [rad/(N m)], z the joint axis, shape (n, 3).
-        moment_frame: Where c_x and c_y live: ``paper``, ``before`` or ``after`` q.
+        moment_frame: Frame of c_x and c_y: ``paper``, ``before`` or ``after`` q.
         gravity: Acceleration in the base frame [m/s^2], shape (3,).
-        reference_temperature: Temperature at which the lengths are right [deg C].
+        reference_temperature: Temperature at which the lengths are nominal [deg C].
         effects: Hidden effects.
 
     Example:
@@ -97,8 +97,8 @@ class TrueMachine:
             tip: Frame at the end of the arm.
             base: Link on which the arm stands; default: the root of the URDF.
             start: Link in whose frame positions are given; default: the base.
-            joints: Names of the joints that move, each behind the one that carries it; default: those from base to tip.
-            passive: Of these the joints that follow from the others as loops have it; default: no loops.
+            joints: Names of the moving joints, each after the one that carries it; default: those from base to tip.
+            passive: Those of them whose positions follow from loops; default: no loops.
             **errors: Any attribute but ``nominal``.
 
         Raises:
@@ -132,7 +132,7 @@ class TrueMachine:
 
     @cached_property
     def arm(self) -> Arm:
-        """The true arm at rest without load."""
+        """The true arm without deformation."""
         from scipy.spatial.transform import Rotation
 
         errors = np.tile(np.eye(4), (len(self.names) + 1, 1, 1))
@@ -170,10 +170,10 @@ class TrueMachine:
     def draw_errors(
         self, rng: np.random.Generator, *, sigma_length: float, sigma_angle: float, sigma_offset: float = 0.0
     ) -> TrueMachine:
-        """Return the machine with random errors of geometry.
+        """Return the machine with random geometric errors.
 
-        The standard deviations are those of the displacements of joints and tip, each axis [m], of their tilts, each axis
-        [rad], and of the joint zeros [rad or m].
+        The standard deviations are of displacements of joints and tip along each axis [m], of their rotations about each
+        axis [rad], and of joint offsets [rad or m].
         """
         n = len(self.names)
         errors = rng.standard_normal((n + 1, 6)) * np.repeat([sigma_length, sigma_angle], 3)
@@ -182,8 +182,8 @@ class TrueMachine:
     def draw_masses(self, rng: np.random.Generator, *, sigma: float = 0.03) -> TrueMachine:
         """Return the machine with random errors of mass and centre of mass.
 
-        ``sigma`` is the standard deviation of the masses relative to their nominal values, and of each component of the
-        centres of mass relative to their distance from the joint's origin [-].
+        ``sigma`` is the standard deviation of masses relative to nominal, and of each component of a centre of mass relative
+        to its distance from the joint's origin [-].
         """
         distance = np.linalg.norm(self.nominal.centres, axis=1, keepdims=True)
         factors = 1.0 + sigma * rng.standard_normal(len(self.names))
@@ -195,9 +195,9 @@ class TrueMachine:
         return poses_of(self.nominal, q, reference_temperature=self.reference_temperature, **conditions)
 
     def equilibrium(self, poses: Poses) -> Equilibrium:
-        """Let the arm come to rest, or to a steady deformation while it moves, under the loads that it has when deformed.
+        """Return the equilibrium of the arm, at rest or in motion, under the loads of the deformed arm.
 
-        Inertia is that of the motion without deformation, whose own accelerations are a thousandth of it.
+        Inertia is taken of the rigid motion; the accelerations of the deformation are a thousandth of it.
 
         Raises:
             BadInputError: If the arm is too soft to carry itself.
@@ -225,7 +225,7 @@ class TrueMachine:
         raise BadInputError(f"the arm does not come to rest in {_ROUNDS} rounds; use a smaller compliance")
 
     def _closed(self, q: np.ndarray, places: np.ndarray, deformation: Deformation) -> tuple[np.ndarray, np.ndarray]:
-        """Return joint positions at which the loops of the arm close as it is placed, and its places there."""
+        """Return joint positions at which the loops of the deformed arm close, and its places there."""
         q = q.copy()
         for _ in range(_ROUNDS):
             axes, links = joints_and_links(places)
@@ -243,8 +243,8 @@ class TrueMachine:
         return deformation
 
     def tip(self, q: np.ndarray, **conditions: Any) -> np.ndarray:
-        """Return where the tip really is, shape (N, 4, 4), at recorded joint positions q [rad or m], shape (N, n).
+        """Return the true tip in the base frame, shape (N, 4, 4), at recorded joint positions q [rad or m], shape (N, n).
 
-        These are transforms from the tip to the base frame [m]; the conditions are those of :meth:`poses`.
+        The conditions are those of :meth:`poses`.
         """
         return self.equilibrium(self.poses(q, **conditions)).tip

@@ -13,19 +13,19 @@ from pincal.simulate.machine import TrueMachine
 from pincal.simulate.planning import is_clear
 from pincal.simulate.state import Deformation, build_chain, configurations
 
-# Waves of each joint, and the range of their frequencies [Hz].
+# Number of waves of each joint, and the range of their frequencies [Hz].
 _WAVES, _SLOWEST, _FASTEST = 8, 0.03, 0.6
-# Part of the joint range that is used; paths that are drawn, and how much smaller each next try is.
+# Fraction of the joint range that is used; number of paths drawn, and the factor by which each next one is smaller.
 _SPAN, _TRIES, _SMALLER = 0.95, 60, 0.97
-# Step by which deformations are differentiated [s], and speed at which a joint has a direction of approach [rad/s or m/s].
+# Step of finite differences of deformations [s], and speed at which a joint has a direction of approach [rad/s or m/s].
 _STEP, _SLOW = 5e-4, 0.01
-# Moments worked on at once.
+# Instants processed at once.
 _PIECE = 5_000
 
 
 @dataclass(frozen=True)
 class FourierPath:
-    """Joint positions as sums of waves (Swevers et al. 1997), with all their derivatives.
+    """Joint positions as Fourier sums (Swevers et al. 1997), with all their derivatives.
 
     Attributes:
         centre: Mean positions [rad or m], shape (n,).
@@ -40,7 +40,7 @@ class FourierPath:
     cosines: np.ndarray
 
     def at(self, time: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return positions, or derivatives of them, at some times [s], shape (N, n)."""
+        """Return positions, or their derivatives of an order, at times [s], shape (N, n)."""
         found = np.empty((len(time), len(self.centre)))
         for start in range(0, len(time), _PIECE):
             phase = np.asarray(time, float)[start : start + _PIECE, None, None] * self.rates + 0.5 * np.pi * order
@@ -49,17 +49,17 @@ class FourierPath:
         return found + self.centre if order == 0 else found
 
     def scaled(self, factor: np.ndarray | float) -> FourierPath:
-        """Return the path with waves by some factor, shape (n,) or a number, about the same centre."""
+        """Return the path with its waves scaled by a factor, shape (n,) or a number, about the same centre."""
         grown = np.broadcast_to(factor, self.centre.shape)[:, None]
         return FourierPath(self.centre, self.rates, self.sines * grown, self.cosines * grown)
 
 
 @dataclass(frozen=True)
 class ViaPath:
-    """Joint positions that go from pose to pose and stop at each, by polynomials of degree 5 (of least jerk).
+    """Joint positions that move from pose to pose and stop at each, by polynomials of degree 5 (minimum jerk).
 
     Attributes:
-        time: When each pose is reached, shape (V,), increasing from 0 [s].
+        time: Times at which the poses are reached, shape (V,), increasing from 0 [s].
         q: The poses [rad or m], shape (V, n).
     """
 
@@ -67,7 +67,7 @@ class ViaPath:
     q: np.ndarray
 
     def at(self, time: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return positions, or derivatives of them, at some times [s], shape (N, n); at rest before and after."""
+        """Return positions, or their derivatives of an order, at times [s], shape (N, n); at rest before and after."""
         move = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 2)
         seconds = np.diff(self.time)[move]
         part = np.clip((np.asarray(time, float) - self.time[move]) / seconds, 0.0, 1.0)
@@ -77,9 +77,9 @@ class ViaPath:
 
     @classmethod
     def through(cls, q: np.ndarray, duration: float, *, speed: float = 1.0, acceleration: float = 3.0) -> ViaPath:
-        """Return a path through poses, shape (V, n), the next one always the nearest, that lasts a duration [s] at least.
+        """Return a path through poses, shape (V, n), always to the nearest next, that lasts at least a duration [s].
 
-        Joints are as fast as :func:`draw_path` has those that turn, or slower where there are not enough poses.
+        Speeds and accelerations are limited as those of revolute joints in :func:`draw_path`.
         """
         left, order = set(range(1, len(q))), [0]
         while left:
@@ -92,7 +92,7 @@ class ViaPath:
 
 
 Motion = FourierPath | ViaPath
-"""What the joints of an arm do."""
+"""A motion of an arm's joints."""
 
 
 def draw_path(
@@ -108,14 +108,14 @@ def draw_path(
 
     Args:
         arm: Nominal arm.
-        duration: How long it has to be clear of the floor [s].
+        duration: Time during which the arm has to stay above the floor [s].
         rng: Source of randomness.
-        speed: Largest speed of a joint [rad/s]; of one that slides half as much [m/s].
+        speed: Largest speed of a joint [rad/s]; half of it for a prismatic one [m/s].
         acceleration: Likewise [rad/s^2].
         min_height: Height of the floor [m], as in :func:`pincal.simulate.planning.is_clear`; None for no floor.
 
     Raises:
-        BadInputError: If the arm hits the floor whatever it does.
+        BadInputError: If the arm hits the floor on every path tried.
     """
     n, time = len(arm.names), np.arange(0.0, duration, 0.1)
     middle, half = 0.5 * (arm.upper + arm.lower), 0.5 * _SPAN * (arm.upper - arm.lower)
@@ -127,19 +127,19 @@ def draw_path(
         shape = FourierPath(np.zeros(n), rates, *amplitudes)
         largest = [np.abs(shape.at(time, order)).max(axis=0) for order in range(3)]
         factor = np.minimum(half / largest[0], least * np.minimum(speed / largest[1], acceleration / largest[2]))
-        # Centres lie amid what the waves leave of the joints' ranges.
+        # Centres lie in the middle half of the joint range that the waves leave.
         centre = middle + (half - size * factor * largest[0]) * rng.uniform(-0.5, 0.5, n)
         path = _following(arm, shape.scaled(size * factor), centre)
         if is_clear(arm, path.at(time), min_height).all():
             return path
         size *= _SMALLER
     raise BadInputError(
-        f"{_TRIES} paths, and the arm goes below {min_height} m on each; give a lower --floor, or --no-floor"
+        f"the arm goes below {min_height} m on each of {_TRIES} random paths; give a lower --floor, or --no-floor"
     )
 
 
 def _following(arm: Arm, path: FourierPath, centre: np.ndarray) -> FourierPath:
-    """Return the path with the joints that follow another where that takes them."""
+    """Return the path with the mimic joints following their sources."""
     sources = np.arange(len(centre))
     factors = np.ones(len(centre))
     for joint, source, multiplier, _ in arm.mimics:
@@ -154,7 +154,7 @@ def _following(arm: Arm, path: FourierPath, centre: np.ndarray) -> FourierPath:
 
 
 class TipMotion(NamedTuple):
-    """How the tip moves at N moments, in its own axes but for its place.
+    """Motion of the tip at N instants, in its own axes.
 
     Attributes:
         T: Transform to the base frame, shape (N, 4, 4).
@@ -170,22 +170,17 @@ class TipMotion(NamedTuple):
 
 
 def conditions_along(path: Motion, time: np.ndarray, **others: Any) -> dict[str, Any]:
-    """Return the conditions of the poses of a path at some times [s], shape (N,): time, motion, direction of approach."""
+    """Return the conditions of a path's poses at times [s], shape (N,): time, motion, direction of approach."""
     velocity = path.at(time, 1)
     moved = {"velocity": velocity, "acceleration": path.at(time, 2), "approach": np.tanh(velocity / _SLOW)}
     return {"time": np.asarray(time, float)} | moved | others
 
 
 def tip_motion(machine: TrueMachine, path: Motion, time: np.ndarray, **others: Any) -> TipMotion:
-    """Return how the tip of a machine moves along a path.
+    """Return the tip's motion along a path of the recorded joints, at times of shape (N,) [s].
 
-    Rigid motion has its exact derivatives; those of deformations, a thousandth of it, are differences.
-
-    Args:
-        machine: The true machine.
-        path: What its joints' readings do.
-        time: Shape (N,) [s].
-        **others: Further conditions, such as the payload.
+    Rigid motion is differentiated exactly, deformations, a thousandth of it, by differences. ``others`` are further
+    conditions, such as the payload.
     """
     parts = [_tip_motion(machine, path, time[k : k + _PIECE], others) for k in range(0, len(time), _PIECE)]
     return TipMotion(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))

@@ -1,8 +1,8 @@
-"""The true KUKA KR 125/2 of the paper's case study, evaluated to the letter of its model DH,s,e.
+"""The true KUKA KR 125/2 of the paper's case study, evaluated exactly by its model DH,s,e.
 
-Plain products of 4x4 matrices in NumPy, for all poses at once. Source of every number but the masses, the
-place of the payload and the elastic constants: Table I of Radkhah, Hemker, Friedmann, von Stryk, "Towards the
-deployment of industrial robots as measurement instruments". Equation numbers are the paper's.
+Plain products of 4x4 matrices in NumPy, for all poses at once. Source of all numbers except the masses, the centre of mass
+of the payload and the elastic constants: Table I of Radkhah, Hemker, Friedmann, von Stryk, "Towards the deployment of
+industrial robots as measurement instruments". Equation numbers are the paper's.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ ELASTICITY: dict[str, tuple[float, ...]] = {
 }
 """Elastic constants [rad/(N m)] of joints 1 to 3, as in the paper's case study, which does not print their values.
 
-With the geometry of Table I and 125 kg these make an initial deviation of 6 mm in the mean and 15 mm at worst over the
-workspace; the paper reports 7 to 20 mm.
+With the geometry of Table I and 125 kg the initial deviation over the workspace is 6 mm on average and 15 mm at most; the
+paper reports 7 to 20 mm.
 """
 
 GRAVITY = 9.81
@@ -69,10 +69,10 @@ Geometry = Mapping[str, Sequence[float]]
 
 @dataclass(frozen=True, kw_only=True)
 class PaperMachine:
-    """The paper's robot as a machine that a campaign can measure, with hidden effects of its joints in addition.
+    """The paper's robot as a machine that a campaign can measure, with additional hidden effects of its joints.
 
     Attributes:
-        effects: Effects that follow from joint positions alone.
+        effects: Effects that depend on joint positions alone.
         payload_com: Centre of mass of the payload in the flange frame [m].
     """
 
@@ -89,7 +89,7 @@ class PaperMachine:
         return poses_of(self.nominal, q, scatter=scatter, **conditions)
 
     def equilibrium(self, poses: Poses) -> Equilibrium:
-        """Return the flange of the model DH,s,e at joint positions that the effects have changed."""
+        """Return the flange of the model DH,s,e at the joint positions changed by the effects."""
         deformation, loads = Deformation.zero(*poses.q.shape), Loads.zero(*poses.q.shape)
         for effect in self.effects:
             if isinstance(effect, DeformingEffect):
@@ -127,7 +127,7 @@ def paper_transform(
     geometry: Geometry = REAL,
     elasticity: Geometry = ELASTICITY,
 ) -> np.ndarray:
-    """Return true flange poses of the paper's robot, or of another of its make.
+    """Return true flange poses of the paper's robot, or of one with other parameters.
 
     Args:
         q: Joint positions [rad], shape (N, 6).
@@ -135,7 +135,7 @@ def paper_transform(
         payload_mass: Mass at the flange [kg], one number or shape (N,).
         payload_com: Its centre of mass in the flange frame [m], shape (3,).
         geometry: Values of the parameters of ``REAL`` [rad, m].
-        elasticity: Values of those of ``ELASTICITY`` [rad/(N m)].
+        elasticity: Values of the parameters of ``ELASTICITY`` [rad/(N m)].
 
     Returns:
         Transforms from the flange frame S_6 to the base frame S_0 [m], shape (N, 4, 4).
@@ -196,7 +196,7 @@ def link_frames(q: np.ndarray, geometry: Geometry, *, gamma: np.ndarray | None =
 def _link_bodies() -> tuple[np.ndarray, np.ndarray]:
     """Return masses [kg], shape (6,), of links 1 to 6 of the built-in URDF, and their centres in S_k [m], shape (6, 3).
 
-    Link k of the URDF is drawn in S_(k-1) turned by q_k; its centre of mass moves to S_k at the nominal geometry.
+    The URDF defines link k in S_(k-1) rotated by q_k; its centre of mass is transformed to S_k by the nominal geometry.
     """
     arm, centres = PaperMachine().nominal, np.empty((6, 3))
     for k in range(6):

@@ -1,4 +1,4 @@
-"""Joint positions to measure in: random in the joint range, or such that the tool reaches a goal."""
+"""Measurement poses: random in the joint range, or such that the tool reaches a goal."""
 
 from __future__ import annotations
 
@@ -11,23 +11,22 @@ from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm, frames, frames_in_base
 from pincal.simulate.rods import driving, following
 
-# Rounds of draws after which limits on the poses count as impossible.
+# Rounds of draws after which limits on the poses count as infeasible.
 _ROUNDS = 2000
-# Largest joint step of the inverse kinematics [rad or m] and its damping, relative to a reach of about a
-# metre.
+# Largest joint step of the inverse kinematics [rad or m] and its damping, for a reach of about a metre.
 _STEP, _DAMPING = 0.3, 1e-4
-# What counts as reached on the nominal arm [m or rad], and the steps after which a goal is given up: most take ten.
+# Tolerance of a goal on the nominal arm [m or rad], and the largest number of steps: most goals take ten.
 _REACHED, _REACHING = 1e-9, 60
-# Part of the joint range that is used: the true arm needs a little more or less than the nominal one.
+# Fraction of the joint range that is used: the true arm needs slightly different positions than the nominal one.
 _SPAN = 0.95
-# Poses whose frames are held at once.
+# Poses processed at once.
 _PIECE = 5_000
 
 
 def plan_poses(
     arm: Arm, n: int, rng: np.random.Generator, *, min_height: float | None = 0.1, max_radius: float | None = None
 ) -> np.ndarray:
-    """Draw random joint positions within the limits, with the arm off the floor.
+    """Draw random joint positions within the limits, with the arm above the floor.
 
     Args:
         arm: Nominal arm, ``machine.nominal``.
@@ -58,10 +57,10 @@ def plan_poses(
 
 
 def collect_poses(draw: Callable[[], np.ndarray], n: int, *, rounds: int, shortage: str) -> np.ndarray:
-    """Draw poses, some acceptable ones in each round, until there are n.
+    """Call ``draw`` for acceptable poses until there are n.
 
     Raises:
-        BadInputError: If all rounds together give too few; ``shortage`` ends the message with what to do then.
+        BadInputError: If all rounds together give too few; ``shortage`` completes the message.
     """
     found: list[np.ndarray] = []
     for _ in range(rounds):
@@ -72,10 +71,10 @@ def collect_poses(draw: Callable[[], np.ndarray], n: int, *, rounds: int, shorta
 
 
 def is_clear(arm: Arm, q: np.ndarray, min_height: float | None) -> np.ndarray:
-    """Return in which poses q, shape (N, n), the arm keeps off the floor, shape (N,).
+    """Return whether the arm is above the floor, shape (N,), in poses q, shape (N, n).
 
-    The tip and the origins of the third joint and all after it have to be above ``min_height`` in the base frame [m]; None
-    for no floor.
+    The tip and the origins of the third and all later joints have to be above ``min_height`` in the base frame [m]; None for
+    no floor.
     """
     if min_height is None:
         return np.ones(len(q), bool)
@@ -119,7 +118,7 @@ def reach(
         q[left] += newton_step(moves, jacobian, missing) * (error[left] >= _REACHED)[:, None]
         if arm.pins:
             q[left] = following(arm, q[left])
-    # A turn more or less changes nothing but the limits.
+    # Whole turns matter to the joint limits only.
     turns = np.where(arm.prismatic, 0.0, 2.0 * np.pi * np.round((q - 0.5 * (arm.lower + arm.upper)) / (2.0 * np.pi)))
     q = following(arm, np.where((q >= arm.lower) & (q <= arm.upper), q, q - turns))
     middle, half = 0.5 * (arm.lower + arm.upper), 0.5 * _SPAN * (arm.upper - arm.lower)
@@ -127,9 +126,9 @@ def reach(
 
 
 def newton_step(moves: np.ndarray, jacobian: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Return the damped joint step, of bounded length, that makes up for what is missing, shape (N, n).
+    """Return the damped joint step of bounded length towards the goal, shape (N, n).
 
-    ``moves`` is how all joints move with those that drive themselves, see :func:`pincal.simulate.rods.driving`.
+    ``moves`` are the derivatives of all joints by the driven ones, see :func:`pincal.simulate.rods.driving`.
     """
     jacobian = jacobian @ moves
     transposed = np.swapaxes(jacobian, 1, 2)

@@ -1,4 +1,4 @@
-"""What a user may ask of a simulation, and the machine, set-up and conditions that are drawn for it."""
+"""The user's request for a simulation, and the machine, set-up and conditions drawn for it."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SetupOptions:
-    """What may be chosen of a measuring set-up; the rest is drawn.
+    """Options of a measuring set-up; the rest is drawn.
 
     Attributes:
         sigma: Noise of a coordinate or distance [m], of image coordinates [px].
         noise_angle: Noise of an orientation about each axis [rad].
         targets: Number of targets on the tool.
         tool: Target, tool point or camera in the tip frame [m]; drawn if None.
-        at_base: Whether positions are given in the robot's base frame instead of an instrument's drawn one.
+        at_base: Whether positions are given in the robot's base frame instead of a random instrument's.
         sockets: Number of sockets.
-        socket_spacing: Distance of the two sockets of a pair [m].
+        socket_spacing: Distance between the two sockets of a pair [m].
         anchors: Number of points from which distances are measured; 0: from the instrument's origin.
         ball_bar: Length of a bar between anchor and tool point [m]; None without one.
-        object: What a camera looks at, a key of :data:`pincal.simulate.camera.OBJECTS`.
+        object: Calibration object of a camera, a key of :data:`pincal.simulate.camera.OBJECTS`.
         lens: Given intrinsics of the camera, see :attr:`pincal.simulate.lens.Lens.intrinsics`.
         min_height: Height of the floor in the base frame [m]; None for no floor.
     """
@@ -61,7 +61,7 @@ def draw_setup(kind: str, arm: Arm, *, rng: np.random.Generator, options: SetupO
     """Set up a sensor, a key of ``SENSORS``, around a nominal arm.
 
     Raises:
-        BadInputError: If there is no such sensor, or no place for it.
+        BadInputError: If there is no such sensor, or no suitable position.
     """
     if kind not in SENSORS:
         raise BadInputError(f"sensor {kind!r}; expected one of {', '.join(SENSORS)}")
@@ -128,11 +128,11 @@ SENSORS: dict[str, Callable[[str, Arm, np.random.Generator, SetupOptions], Senso
     "camera_pixel": _eye_in_hand,
     "fixed_camera_pixel": _cell_camera,
 }
-"""How each kind of measurement is set up, by the names of :attr:`pincal.measure.measurements.Measurements.kind`."""
+"""Factories of set-ups by :attr:`pincal.measure.measurements.Measurements.kind`."""
 
 
 def _instrument_and_targets(arm: Arm, rng: np.random.Generator, options: SetupOptions) -> tuple[np.ndarray, dict[str, Any]]:
-    """Return where the instrument stands and the targets are, the chosen one at its place."""
+    """Return the instrument's pose and the targets, the first at ``options.tool`` if given."""
     instrument, targets = contact.draw_instrument(arm, rng), contact.draw_targets(arm, options.targets, rng)
     if options.tool is not None:
         if len(targets) > 1:
@@ -141,25 +141,25 @@ def _instrument_and_targets(arm: Arm, rng: np.random.Generator, options: SetupOp
     return np.eye(4) if options.at_base else instrument, targets
 
 
-# Columns that a campaign may record of its conditions.
+# Conditions that a campaign may record.
 _RECORDED = ("temperature", "time", "approach")
-# Mass of an arm of 1 m [kg], and the power of its reach with which it grows.
+# Mass of an arm of 1 m reach [kg], and the exponent of its growth with reach.
 _MASS, _GROWTH = 45.0, 2.4
-# How far masses are from these rules: least and largest factor.
+# Least and largest factor of deviation from these rules.
 _OF_ARM, _OF_LINK = (0.7, 1.3), (0.6, 1.5)
-# Weight of a joint's drive over that of as much link as the arm is long.
+# Mass of a joint's drive relative to a link as long as the arm.
 _DRIVE = 0.3
-# Where a link has its centre: least and largest part of the way to the next joint, and off that way.
+# Centre of mass of a link: least and largest fraction of the vector to the next joint, and the lateral offset.
 _ALONG, _BESIDE = (0.2, 0.6), 0.1
 
 
 class Stream(IntEnum):
-    """Parts of a simulation, each with random numbers of its own: a change to one leaves the others as they were."""
+    """Parts of a simulation with independent random streams: a change to one does not affect the others."""
 
     ERRORS, ELASTICITY, MASSES, EFFECTS, LAYOUT, POSES, CONDITIONS, NOISE, WEIGHTS = range(9)
 
     def generator(self, seed: int) -> np.random.Generator:
-        """Return the source of randomness of this part for the seed of the whole simulation, which is 0 or more."""
+        """Return the random generator of this part for the seed of the whole simulation, 0 or more."""
         if seed < 0:
             raise BadInputError(f"seed {seed}; expected 0 or more")
         return np.random.default_rng([seed, int(self)])
@@ -184,7 +184,7 @@ def draw_machine(
         elastic: Compliance of drives and bearings relative to a typical one.
         masses_off: Standard deviation of masses and centres of mass [%].
         effects: Hidden effects: name and given fields of each.
-        unweighed: Names of the joints whose links have no mass that is known: plausible ones are drawn.
+        unweighed: Names of the joints whose links have no known mass, for which plausible masses are drawn.
 
     Raises:
         BadInputError: If an effect is unknown.
@@ -199,14 +199,9 @@ def draw_machine(
 
 
 def _draw_weights(machine: TrueMachine, joints: Sequence[str], rng: np.random.Generator) -> TrueMachine:
-    """Return the machine whose links behind some joints have masses and centres drawn at random.
+    """Return the machine with random masses and centres of mass of the links of some joints.
 
-    Links and drives get lighter towards the tip, as they carry less; where other links have masses, these are the measure.
-
-    Args:
-        machine: The machine; its errors of mass are relative to what is drawn.
-        joints: Names of the joints whose links have no mass.
-        rng: Source of randomness.
+    Links and drives get lighter towards the tip, as they carry less; known masses of other links set the scale.
     """
     arm, n = machine.nominal, len(machine.names)
     drawn = np.isin(machine.names, joints)
@@ -225,11 +220,11 @@ def _draw_weights(machine: TrueMachine, joints: Sequence[str], rng: np.random.Ge
 
 @dataclass(frozen=True, kw_only=True)
 class Repetition:
-    """How poses are measured again, and with which payloads.
+    """Repetition of poses, and their payloads.
 
     Attributes:
-        cycles: Number of times that every pose is measured, one round after the other.
-        recorded: Of temperature, time and approach, columns to record whether an effect needs them or not.
+        cycles: Number of times that all poses are measured.
+        recorded: Those of temperature, time and approach to record even if no effect needs them.
         payload: Payloads [kg]; None for no payload column.
         payload_order: As in :func:`pincal.simulate.setup.spread_payloads`.
         payload_com: Centre of mass of the payload in the tip frame [m].
@@ -248,10 +243,10 @@ def repeat_poses(
     """Return the poses of all cycles, shape (cycles N, n), and the conditions under which they are measured.
 
     Args:
-        machine: The machine, whose effects decide which conditions matter.
+        machine: The machine, whose effects determine which conditions matter.
         q: Joint positions of one cycle [rad or m], shape (N, n).
-        wanted: How they are repeated.
-        given: Conditions of these poses that are not to be drawn, shape (N, ...).
+        wanted: Their repetition.
+        given: Fixed conditions of these poses, shape (N, ...); others are drawn.
         seed: Seed of poses, conditions and noise.
     """
     needed = {effect.column for effect in machine.effects} | set(wanted.recorded)
@@ -262,7 +257,7 @@ def repeat_poses(
     if wanted.payload is not None:
         fixed["payload"] = spread_payloads(wanted.payload, poses, order=wanted.payload_order)
     if "approach" in drawn:
-        # Every cycle comes to a pose from the same side, as ISO 9283 has it.
+        # Every cycle approaches a pose from the same side, as in ISO 9283.
         fixed = {"approach": drawn["approach"][:poses]} | fixed
     repeated = {name: np.tile(value, (wanted.cycles, *[1] * (value.ndim - 1))) for name, value in fixed.items()}
     conditions: Any = drawn | repeated | {"payload_com": wanted.payload_com}
@@ -270,9 +265,9 @@ def repeat_poses(
 
 
 def poses_of_table(rows: Measurements) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return the poses of a table [rad or m], shape (N, n), to measure them again, and the conditions that it records.
+    """Return the distinct poses of a table [rad or m], shape (N, n), and their recorded conditions.
 
-    Several targets or points may be seen in one pose; each pose is returned once.
+    Rows of several targets or points measured in one pose count as one pose.
     """
     labels = rows.target if rows.point is None else rows.point
     begins, seen = np.ones(len(rows), bool), set[str]()

@@ -1,7 +1,7 @@
-"""Loops of the true machine: where the joints stand that their pins move.
+"""Loops of the true machine: positions of the passive joints, which their pins move.
 
-Passive joints stand where the two halves of each pin meet as closely as they can (least squares): balls or hinges with the
-play that they need where errors of geometry leave none.
+Passive joints are where the two halves of each pin meet as closely as possible (least squares): as balls or hinges with the
+play that geometric errors require.
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ from pincal.simulate.arm import Arm, frames
 
 # Weight of a tilt of a hinge against a gap [m].
 _TILT = 0.1
-# A part of the largest motion below which joints can't close a gap.
+# Fraction of the largest motion below which joints can't close a gap.
 _USELESS = 1e-4
-# Steps that close a loop, the change after which it is closed [rad or m], and what may be left of a gap [m].
+# Steps to close a loop, the change at which it is closed [rad or m], and the largest remaining gap [m].
 _STEPS, _CLOSED, _GAP = 20, 1e-13, 0.02
-# Longest way that drives are led at once [rad or m].
+# Largest continuation step of the drives [rad or m].
 _LED = 0.2
 
 
 def following(arm: Arm, q: np.ndarray) -> np.ndarray:
-    """Return joint positions, shape (N, n), with those that follow where others take them; NaN where loops stay open."""
+    """Return joint positions, shape (N, n), with mimic and passive joints set; NaN where loops stay open."""
     out = arm.mimicking(q)
     return closed(arm, out) if arm.pins else out
 
 
 def driving(arm: Arm, joint_frames: np.ndarray) -> np.ndarray:
-    """Return how all joints move with those that drive themselves, shape (n, m) or (N, n, m), at frames of the arm."""
+    """Return the derivatives of all joints by the driven ones, shape (n, m) or (N, n, m), at frames of the arm."""
     if not arm.pins:
         return arm.mimicry
     moves = np.tile(arm.mimicry, (len(joint_frames), 1, 1))
@@ -37,9 +37,9 @@ def driving(arm: Arm, joint_frames: np.ndarray) -> np.ndarray:
 
 
 def closed(arm: Arm, q: np.ndarray) -> np.ndarray:
-    """Return joint positions, shape (N, n), with passive joints where the loops of an arm without load close.
+    """Return joint positions, shape (N, n), with the passive joints where the loops of an undeformed arm close.
 
-    They are led there from position 0 of all drives, so that the loops stay as they are assembled there.
+    They are continued from position 0 of all drives, so that the loops keep their assembly mode.
     """
     found = np.zeros_like(q)
     drives = [i for i in range(len(arm.names)) if i not in arm.passive]
@@ -57,12 +57,10 @@ def closed(arm: Arm, q: np.ndarray) -> np.ndarray:
 
 
 def closing_step(arm: Arm, axes: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far passive joints have to move to close the loops, shape (N, p), and the largest gap, shape (N,) [m].
+    """Return the step of the passive joints that closes the loops, shape (N, p), and the largest gap, shape (N,) [m].
 
-    Args:
-        arm: The arm.
-        axes: Frames whose z are the joint axes, shape (N, n, 4, 4).
-        links: Frames of the base and of the links that move with each joint, shape (N, n + 1, 4, 4).
+    ``axes`` are frames with z along the joint axes, shape (N, n, 4, 4), ``links`` the frames of base and links, shape
+    (N, n + 1, 4, 4).
     """
     missing, J = _gaps(arm, axes, links)
     step = -(np.linalg.pinv(J[..., arm.passive], rcond=_USELESS) @ missing[..., None])[..., 0]
@@ -70,7 +68,7 @@ def closing_step(arm: Arm, axes: np.ndarray, links: np.ndarray) -> tuple[np.ndar
 
 
 def rates(arm: Arm, axes: np.ndarray, links: np.ndarray) -> np.ndarray:
-    """Return how passive joints follow all joints, shape (N, p, n), themselves not; frames as above."""
+    """Return derivatives of the passive joints by all others, shape (N, p, n); frames as in :func:`closing_step`."""
     _, J = _gaps(arm, axes, links)
     followed = -np.linalg.pinv(J[..., arm.passive], rcond=_USELESS) @ J
     followed[..., arm.passive] = 0.0

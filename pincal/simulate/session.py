@@ -1,4 +1,4 @@
-"""Sessions in motion: what joints, IMU and instrument log while the arm drives a path, each by a clock of its own."""
+"""Sessions in motion: logs of joints, IMU and instrument, each with its own clock, while the arm follows a path."""
 
 from __future__ import annotations
 
@@ -16,31 +16,25 @@ from pincal.simulate.machine import TrueMachine
 from pincal.simulate.moving import Motion, ViaPath, conditions_along, draw_path, tip_motion
 from pincal.simulate.setup import SensorSetup, Table
 
-# What clocks are off by: offset [s] and drift [1] at most, as they are drawn.
+# Largest random offset [s] and drift [1] of a clock.
 _OFFSET, _DRIFT = 2.0, 1e-4
-# What low-cost IMUs are off by, standard deviations: scale and misalignment [1], biases [m/s^2, rad/s], delay [s].
+# Standard deviations of low-cost IMUs' errors: scale and misalignment [1], biases [m/s^2, rad/s], delay [s].
 _SCALE, _BIAS, _RATE_BIAS, _DELAY = 5e-3, 0.2, 5e-3, 3e-3
-# Noise densities: 1 mg and 0.01 deg/s in a hertz.
+# Noise densities: 1 mg/sqrt(Hz) and 0.01 deg/s/sqrt(Hz).
 _ACC_DENSITY, _GYRO_DENSITY = 9.80665e-3, 1.7453e-4
-# Where an IMU sits beside the tip [m].
+# Distance of an IMU from the tip along each axis, at most [m].
 _LEVER = 0.06
-# Modes of a vibrating arm [Hz], how fast they die away, and how far from the IMU they seem to turn about [m].
+# Vibration modes of an arm [Hz], their damping ratio, and the distance of their centre of rotation from the IMU [m].
 _MODES, _DAMPING, _FULCRUM = (11.0, 19.0, 31.0), 0.03, 0.5
-# Time in which a camera goes from one view of its object to the next, or less [s].
+# Time for a camera to move from one view of its object to the next [s].
 _VIEW = 3.0
-# Rows that a logger loses at once, in the mean.
+# Rows that a logger loses at once.
 _BURST = 4
 
 
 @dataclass(frozen=True)
 class Clock:
-    """A clock: its time t is the joints' time t + offset + drift (t - middle).
-
-    Attributes:
-        offset: [s].
-        drift: [1].
-        middle: Time of this clock at which the offset holds [s].
-    """
+    """A clock: its time t is the joints' time t + offset + drift (t - middle), in s."""
 
     offset: float = 0.0
     drift: float = 0.0
@@ -48,26 +42,26 @@ class Clock:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, *, middle: float, drift: float | None = None) -> Clock:
-        """Draw a clock that was started by hand; its drift is drawn, too, unless it is given."""
+        """Draw a clock that was started by hand; its drift is drawn unless given."""
         drawn = float(rng.uniform(-_DRIFT, _DRIFT))
         return cls(float(rng.uniform(-_OFFSET, _OFFSET)), drawn if drift is None else drift, middle)
 
     def to_joints(self, time: np.ndarray) -> np.ndarray:
-        """Return times of this clock as times of the joints' [s]."""
+        """Return times of this clock as times of the joints' clock [s]."""
         return np.asarray(time + self.offset + self.drift * (time - self.middle))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImuSetup:
-    """An IMU on the tool: a_read = acc_matrix f + acc_bias, and likewise for the rate, which comes later by a delay.
+    """An IMU on the tool: a_read = acc_matrix f + acc_bias, and likewise for the angular rate.
 
     Attributes:
         mount: Transform from the IMU's frame to the tip, shape (4, 4).
         acc_matrix, gyro_matrix: Scale, misalignment and cross-coupling, shape (3, 3).
         acc_bias, gyro_bias: [m/s^2, rad/s], shape (3,).
-        delay: Time by which the rate's stamps are earlier than what they are of [s].
+        delay: Time by which the time stamps of the rate are too early [s].
         acc_density, gyro_density: Noise [m/s^2/sqrt(Hz), rad/s/sqrt(Hz)].
-        vibration: Of the arm at full speed, rms along each axis [m/s^2].
+        vibration: Vibration of the arm at full speed, rms along each axis [m/s^2].
     """
 
     mount: np.ndarray = field(default_factory=lambda: np.eye(4))
@@ -82,10 +76,10 @@ class ImuSetup:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, **given: Any) -> ImuSetup:
-        """Draw an IMU as they are sold, mounted anyhow."""
+        """Draw a typical IMU in a random pose on the tool."""
         from scipy.spatial.transform import Rotation
 
-        # An accelerometer's rotation is that of the mount.
+        # A rotation of the accelerometer is part of the mount, so its matrix is triangular.
         lower = np.tril(_SCALE * rng.standard_normal((3, 3)))
         return cls(
             mount=transform(Rotation.random(rng=rng).as_matrix(), _LEVER * rng.uniform(-1.0, 1.0, 3)),
@@ -107,7 +101,7 @@ class ImuSetup:
         rng: np.random.Generator,
         conditions: Mapping[str, Any],
     ) -> Table:
-        """Return what the IMU reads at some times of the joints' clock [s], shape (N,), of so many samples a second."""
+        """Return the IMU's readings at times of the joints' clock [s], shape (N,), at a sampling rate [Hz]."""
         motion = tip_motion(machine, path, time, **conditions)
         R, lever = self.mount[:3, :3], self.mount[:3, 3]
         gravity = np.einsum("nba,b->na", motion.T[:, :3, :3], np.asarray(machine.gravity, float))
@@ -121,14 +115,14 @@ class ImuSetup:
         return dict(zip(("ax", "ay", "az", "wx", "wy", "wz"), np.hstack((force, turning)).T, strict=True))
 
     def _shaken(self, path: Motion, time: np.ndarray, rate: float, rng: np.random.Generator) -> np.ndarray:
-        """Return vibrations: accelerations [m/s^2] and rates [rad/s], shape (2, N, 3), more where the arm is faster."""
+        """Return vibrations that grow with speed: accelerations [m/s^2] and angular rates [rad/s], shape (2, N, 3)."""
         from scipy.signal import lfilter
 
         speed = np.linalg.norm(path.at(time, 1), axis=1)
         envelope = (0.1 + speed / max(float(speed.max(initial=0.0)), 1e-12))[:, None]
         found = np.zeros((2, len(time), 3))
         for mode in _MODES if self.vibration else ():
-            # Beyond half the rate it would be read as another frequency; that is where decimated logs have it.
+            # Modes above half the sampling rate alias, as in decimated logs.
             angle = 2.0 * np.pi * mode / rate
             radius = np.exp(-_DAMPING * angle)
             for k, size in enumerate((1.0, 1.0 / (_FULCRUM * 2.0 * np.pi * mode))):
@@ -138,24 +132,24 @@ class ImuSetup:
         return np.asarray(found * envelope)
 
     def truth(self) -> dict[str, Any]:
-        """Return all of it, as for JSON."""
+        """Return its fields, for JSON."""
         return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
 
 
 @dataclass(frozen=True, kw_only=True)
 class SessionOptions:
-    """What may be chosen of a session; the rest is drawn.
+    """Options of a session; the rest is drawn.
 
     Attributes:
-        duration: Of the path [s].
+        duration: Duration of the path [s].
         imu: Whether there is an IMU.
         imu_noise: Densities of accelerometer and gyroscope [m/s^2/sqrt(Hz), rad/s/sqrt(Hz)].
-        vibration: Of the arm at full speed, rms along each axis [m/s^2].
+        vibration: Vibration of the arm at full speed, rms along each axis [m/s^2].
         resolution: Step to which joint positions are rounded [rad or m].
-        rates: Samples a second of joints, IMU and tracker; default: 150, 100, 250, and 30 of a camera.
-        drift: Of the clocks of IMU and tracker [1]; drawn if None.
-        dropped: Part of the rows that loggers lose.
-        payload: At the tip [kg].
+        rates: Sampling rates of joints, IMU and tracker [Hz]; default: 150, 100, 250, or 30 for a camera.
+        drift: Drift of the clocks of IMU and tracker [1]; drawn if None.
+        dropped: Fraction of the rows that loggers lose.
+        payload: Payload at the tip [kg].
         payload_com: Its centre of mass in the tip frame [m].
         min_height: Height of the floor [m]; None for no floor.
     """
@@ -181,10 +175,10 @@ def draw_session(
     path: np.random.Generator | ViaPath,
     setup: np.random.Generator,
 ) -> MovingSession:
-    """Draw a path of a nominal arm, unless it is given, and IMU and clocks that log it, from sources of randomness.
+    """Draw IMU, clocks and, unless given, a path of the nominal arm.
 
     Raises:
-        BadInputError: If the arm has no path that is clear of the floor.
+        BadInputError: If the arm has no path above the floor.
     """
     acc, gyro = options.imu_noise
     imu = ImuSetup.draw(setup, acc_density=acc, gyro_density=gyro, vibration=options.vibration)
@@ -210,17 +204,17 @@ def draw_session(
 
 @dataclass(frozen=True, kw_only=True)
 class MovingSession:
-    """A path that is driven once, and who logs it.
+    """A path that is driven once, and its loggers.
 
     Attributes:
-        path: What the joints do, by their own clock.
-        duration: [s].
-        tracker: Instrument beside the robot; None without one.
-        imu: None without one.
-        rates: Samples a second of "joints", "imu" and "tracker".
-        clocks: Those of "imu" and "tracker"; default: that of the joints.
+        path: Motion of the joints by their own clock.
+        duration: Duration of the session [s].
+        tracker: Instrument next to the robot; None without one.
+        imu: The IMU; None without one.
+        rates: Sampling rates of "joints", "imu" and "tracker" [Hz].
+        clocks: Clocks of "imu" and "tracker"; default: the joints' clock.
         resolution: Step to which joint positions are rounded [rad or m].
-        dropped: Part of the rows that loggers lose, in bursts.
+        dropped: Fraction of the rows that loggers lose, in bursts.
         conditions: Further conditions, such as the payload.
     """
 
@@ -235,14 +229,14 @@ class MovingSession:
     conditions: Mapping[str, Any] = field(default_factory=dict)
 
     def measure(self, machine: TrueMachine, rng: np.random.Generator) -> dict[str, Table]:
-        """Return the tables of "joints", and of "imu" and "tracker" as far as they are there.
+        """Return the tables of "joints" and, if present, of "imu" and "tracker".
 
         Raises:
-            BadInputError: If an effect of the machine follows from the poses before, which motion does not tell.
+            BadInputError: If an effect of the machine depends on preceding poses, which do not exist in motion.
         """
         for effect in machine.effects:
             if effect.needs_order and effect.column != "approach":
-                raise BadInputError(f"{effect.effect}: is of poses that were held; leave it out, or --path")
+                raise BadInputError(f"{effect.effect}: depends on a sequence of held poses; leave it out, or --path")
         noises = dict(zip(("joints", "imu", "tracker", "lost"), rng.spawn(4), strict=True))
         time = self._stamps("joints")
         q = self.path.at(time)
@@ -270,7 +264,7 @@ class MovingSession:
         return self.clocks.get(name, Clock())
 
     def _stamps(self, name: str) -> np.ndarray:
-        """Return the times of a stream by its own clock [s]: as long as the joints are logged, started by hand."""
+        """Return the time stamps of a stream by its own clock [s], which was started by hand."""
         return np.round(np.arange(0.0, self.duration, 1.0 / self.rates[name]), 6)
 
     def _logged(self, table: Table, rng: np.random.Generator) -> Table:
@@ -282,7 +276,7 @@ class MovingSession:
         return {name: column[~lost] for name, column in table.items()}
 
     def truth(self, arm: Arm) -> dict[str, Any]:
-        """Return path, clocks, IMU and instrument, as for JSON."""
+        """Return path, clocks, IMU and instrument, for JSON."""
         path, logged = vars(self.path), [name for name in ("imu", "tracker") if getattr(self, name) is not None]
         found: dict[str, Any] = {
             "path": {"joints": list(arm.names), "duration_s": self.duration, **{k: v.tolist() for k, v in path.items()}},

@@ -1,6 +1,6 @@
-"""A sensor set-up: what measures the robot, where it stands, which poses suit it and what its table holds.
+"""Sensor set-ups: the sensor, its pose, suitable robot poses and the table of readings.
 
-A campaign is a set-up with the poses that it measures in, and the conditions under which it does.
+A campaign is a set-up with the poses and conditions of its measurements.
 """
 
 from __future__ import annotations
@@ -22,13 +22,12 @@ from pincal.simulate.tracker import ReadingEffect, as_read
 Table = dict[str, np.ndarray]
 """Columns of a table of measurements, by name."""
 
-
-# Poses in which an arm comes to rest at once; each takes about 10 kB.
+# Poses whose equilibria are computed at once; each takes about 10 kB.
 _PIECE = 5_000
 
 
 class Machine(Protocol):
-    """What a set-up needs of the machine that it measures."""
+    """The interface of a machine that a set-up can measure."""
 
     @property
     def nominal(self) -> Arm:
@@ -36,7 +35,7 @@ class Machine(Protocol):
 
     @property
     def effects(self) -> tuple[HiddenEffect, ...]:
-        """Hidden effects, those of the instrument among them."""
+        """Hidden effects, including the instrument's."""
 
     def poses(self, q: np.ndarray, *, scatter: np.ndarray | None = None, **conditions: Unpack[Conditions]) -> Poses:
         """Return recorded poses with their conditions."""
@@ -46,7 +45,7 @@ class Machine(Protocol):
 
 
 def tips_of(machine: Machine, poses: Poses) -> np.ndarray:
-    """Return the tips of the arm at rest, shape (N, 4, 4), worked out piece by piece as far as poses don't hang together."""
+    """Return the tips of the arm at rest, shape (N, 4, 4), computed in pieces unless effects depend on preceding poses."""
     if not len(poses.q) or needs_order(machine.effects, poses):
         return machine.equilibrium(poses).tip
     tips, start = np.empty((len(poses.q), 4, 4)), 0
@@ -57,7 +56,7 @@ def tips_of(machine: Machine, poses: Poses) -> np.ndarray:
 
 
 class Reading(NamedTuple):
-    """What a set-up reads in N poses: the pose of each of M rows, shape (M,), and the columns that the sensor adds."""
+    """Readings in N poses: the index of the pose of each of M rows, shape (M,), and the sensor's columns."""
 
     poses: Poses
     rows: np.ndarray
@@ -66,7 +65,7 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SensorSetup(ABC):
-    """What measures the robot, and where it stands.
+    """A sensor and its pose relative to the robot.
 
     Attributes:
         sigma: Standard deviation of a coordinate or distance [m], of image coordinates [px].
@@ -77,18 +76,18 @@ class SensorSetup(ABC):
     @property
     @abstractmethod
     def kind(self) -> str:
-        """What is measured, as :class:`pincal.measure.measurements.Measurements` names it."""
+        """The kind of measurement, by :class:`pincal.measure.measurements.Measurements`."""
 
     @property
     @abstractmethod
     def points(self) -> dict[str, np.ndarray]:
-        """Named points as the user knows them [m], shape (3,): in the instrument's frame or the object's own."""
+        """Named points known to the user [m], shape (3,), in the instrument's frame or the object's own."""
 
     @abstractmethod
     def plan(self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1) -> np.ndarray:
-        """Draw poses of the nominal arm that suit the set-up and keep off the floor at ``min_height`` [m] (None: no floor).
+        """Draw suitable poses of the nominal arm, above a floor at ``min_height`` [m] (None: no floor).
 
-        These are joint positions [rad or m], shape (n, number of joints); BadInputError if hardly any pose is suitable.
+        They are joint positions [rad or m], shape (n, number of joints); BadInputError if hardly any pose is suitable.
         """
 
     def measure(
@@ -102,18 +101,18 @@ class SensorSetup(ABC):
     ) -> Table:
         """Measure the true machine.
 
-        The same ``rng`` gives the same rows whatever effects the machine has. Without noise and ``rng`` they are the truth.
+        The random numbers of the same ``rng`` do not depend on the machine's effects. Without noise the rows are the truth.
 
         Args:
             machine: The true machine.
             q: Recorded joint positions [rad or m], shape (N, n); with contact, positions near the recorded ones.
             rng: Source of noise and scatter; needed if there is noise.
-            hide: Columns that are left out of the table; ``approach`` and ``read`` stand for those of all joints.
-            **conditions: The conditions under which the poses are taken.
+            hide: Columns to leave out of the table; ``approach`` and ``read`` stand for those of all joints.
+            **conditions: The conditions of the poses.
 
         Returns:
             Columns of the table by name: joints, those of ``payload``, ``temperature``, ``time`` and
-            ``approach_<joint>`` that are given, and what the sensor reads.
+            ``approach_<joint>`` that are given, and the sensor's readings.
 
         Raises:
             BadInputError: If an argument has a wrong shape, or the set-up can't measure this machine.
@@ -128,24 +127,24 @@ class SensorSetup(ABC):
 
     @abstractmethod
     def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:
-        """Return what the sensor reads of a machine in its poses."""
+        """Return the sensor's readings of a machine in its poses."""
 
     @abstractmethod
     def line_of_sight(self, tip: np.ndarray) -> np.ndarray:
-        """Return what is looked at in the frame of what looks [m], shape (N, 3), for tips in the base, (N, 4, 4)."""
+        """Return the observed point in the sensor's frame [m], shape (N, 3), for tips in the base frame, (N, 4, 4)."""
 
     @abstractmethod
     def truth(self) -> dict[str, Any]:
-        """Return where everything stands, as it is written to a JSON file."""
+        """Return the poses of all parts, for JSON."""
 
 
 def draw_scatter(machine: Machine, q: np.ndarray, rng: np.random.Generator | None) -> np.ndarray | None:
-    """Return scatter for poses q, drawn from a child of the generator, so that the noise does not depend on it."""
+    """Return scatter for poses q, from a child of the generator, so that the noise does not depend on it."""
     return None if rng is None else rng.spawn(1)[0].standard_normal((len(q), len(machine.nominal.names)))
 
 
 def draw_noise(shape: tuple[int, ...], sigma: float, rng: np.random.Generator | None) -> np.ndarray:
-    """Return normal noise of a shape, or zeros if sigma is 0; BadInputError if there is noise and no source of it."""
+    """Return normal noise of a shape, or zeros if sigma is 0; BadInputError if noise is requested without ``rng``."""
     if sigma == 0.0:
         return np.zeros(shape)
     if rng is None:
@@ -154,7 +153,7 @@ def draw_noise(shape: tuple[int, ...], sigma: float, rng: np.random.Generator | 
 
 
 def refuse_scale(machine: Machine, why: str) -> None:
-    """Raise BadInputError for a machine with errors of an instrument's lengths; ``why`` states what is read instead."""
+    """Raise BadInputError for a machine with errors of an instrument's lengths; ``why`` completes the message."""
     for effect in machine.effects:
         if isinstance(effect, ReadingEffect):
             raise BadInputError(f"{effect.effect}: an error of an instrument that reads lengths, and {why}; leave it out")
@@ -171,7 +170,7 @@ def as_lists(points: Mapping[str, np.ndarray]) -> dict[str, list[float]]:
 
 
 def _read_back(machine: Machine, poses: Poses) -> Table:
-    """Return where encoders see joints that do not stand as commanded."""
+    """Return the encoder readings of joints that deviate from their command."""
     seen = [effect for effect in machine.effects if isinstance(effect, ReadBackEffect)]
     if not seen:
         return {}
@@ -180,7 +179,7 @@ def _read_back(machine: Machine, poses: Poses) -> Table:
 
 
 def _pose_columns(arm: Arm, poses: Poses, conditions: Mapping[str, object]) -> Table:
-    """Return the part of a table that doesn't depend on the sensor: joints, and the conditions that are declared."""
+    """Return the columns that do not depend on the sensor: joints and declared conditions."""
     table = {name: poses.q[:, arm.names.index(name)] for name in arm.recorded}
     for name in ("payload", "temperature", "time"):
         if conditions.get(name) is not None:
@@ -192,19 +191,19 @@ def _pose_columns(arm: Arm, poses: Poses, conditions: Mapping[str, object]) -> T
 
 # Time from one pose to the next: drive, settle, measure [s].
 _INTERVAL = 40.0
-# A machine that warms up: first temperature, rise, and standard deviation of draughts [deg C].
+# Warming up of a machine: initial temperature, rise, and standard deviation of draughts [deg C].
 _COLD, _WARMING, _DRAUGHT = 20.0, 10.0, 0.7
 
 
 @dataclass(frozen=True, kw_only=True)
 class Campaign:
-    """Poses, conditions and set-up; everything but the machine that is measured.
+    """Poses, conditions and set-up: everything but the machine that is measured.
 
     Attributes:
-        q: Joint positions to measure in [rad or m], shape (N, n); where contact decides, near which.
-        conditions: The conditions that apply.
-        setup: What measures.
-        hidden: Of the conditions, those that have their effect but are not recorded.
+        q: Joint positions of the measurements [rad or m], shape (N, n); with contact, positions near them.
+        conditions: The conditions.
+        setup: The sensor set-up.
+        hidden: Conditions that act but are not recorded.
     """
 
     q: np.ndarray
@@ -213,10 +212,10 @@ class Campaign:
     hidden: tuple[str, ...] = ()
 
     def measure(self, machine: Machine, rng: np.random.Generator) -> Table:
-        """Return the table that the campaign gives of a machine; ``rng`` is the source of noise and scatter.
+        """Return the campaign's table for a machine; ``rng`` is the source of noise and scatter.
 
         Raises:
-            BadInputError: If the set-up can't measure it, or its errors and effects are too large for any arm.
+            BadInputError: If the set-up can't measure it, or its errors and effects are unrealistically large.
         """
         table = self.setup.measure(machine, self.q, rng=rng, hide=self.hidden, **self.conditions)
         for name, column in table.items():
@@ -225,19 +224,19 @@ class Campaign:
         return table
 
     def shift(self, machine: TrueMachine, effect: HiddenEffect) -> float:
-        """Return how far one of the machine's effects moves what is looked at, rms over the poses [m]."""
+        """Return the displacement of the observed point by one of the machine's effects, rms over the poses [m]."""
         without = replace(machine, effects=tuple(e for e in machine.effects if e is not effect))
         moved = self._line_of_sight(machine) - self._line_of_sight(without)
         return float(np.sqrt((moved**2).sum(axis=1).mean()))
 
     def _line_of_sight(self, machine: TrueMachine) -> np.ndarray:
-        """Return what the set-up looks at as it reads it without noise [m], shape (N, 3)."""
+        """Return the noise-free reading of the observed point [m], shape (N, 3)."""
         scatter = draw_scatter(machine, self.q, np.random.default_rng(0))
         tip = tips_of(machine, machine.poses(self.q, scatter=scatter, **self.conditions))
         return as_read(machine.effects, self.setup.line_of_sight(tip))
 
     def truth(self, machine: TrueMachine, *, tip: str) -> dict[str, Any]:
-        """Return errors and effects of the machine, noise and set-up, as for JSON; ``tip`` names the last frame."""
+        """Return errors and effects of the machine, noise and set-up, for JSON; ``tip`` names the last frame."""
         names = machine.names
         found = {
             "poses": len(self.q),
@@ -264,17 +263,16 @@ class Campaign:
         return found | self.setup.truth()
 
     def _entry(self, machine: TrueMachine, effect: HiddenEffect) -> dict[str, Any]:
-        """Return an effect with its unit and by how far it moves what is looked at."""
+        """Return an effect with its unit and the displacement of the observed point."""
         values = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(effect).items()}
         shift = 1e3 * self.shift(machine, effect)
         return {"effect": effect.effect} | values | {"unit": effect.unit, "moves_target_rms_mm": shift}
 
 
 def draw_conditions(names: Sequence[str], poses: int, *, joints: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Return what N poses of n joints go through: a machine that warms up, minutes that pass, joints from both sides.
+    """Return random conditions of N poses of n joints by name, whose values do not depend on the names requested.
 
-    The names wanted are of ``temperature`` [deg C] and ``time`` [s], shape (N,), and ``approach`` (-1 or 1), shape (N, n);
-    their values do not depend on which are wanted.
+    They are ``temperature`` [deg C], warming up, and ``time`` [s], shape (N,), and ``approach`` (-1 or 1), shape (N, n).
     """
     time = _INTERVAL * np.arange(poses)
     warming = _COLD + _WARMING * (1.0 - np.exp(-3.0 * np.arange(poses) / poses))
@@ -287,7 +285,7 @@ def draw_conditions(names: Sequence[str], poses: int, *, joints: int, rng: np.ra
 
 
 def spread_payloads(values: Sequence[float], poses: int, *, order: str = "blocks") -> np.ndarray:
-    """Return the payload of each of N poses [kg], shape (N,), by one of the orders ``blocks`` and ``alternating``.
+    """Return the payload of each of N poses [kg], shape (N,), in the order ``blocks`` or ``alternating``.
 
     Raises:
         BadInputError: If there is no such order.

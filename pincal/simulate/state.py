@@ -1,8 +1,7 @@
-"""What an effect of the true machine sees and what it changes: poses and their conditions, loads, deformation.
+"""State of the true machine: poses and their conditions, loads, and the deformation that effects cause.
 
-The deformable arm is a Pinocchio model. Before and behind every joint stands a free joint that carries the deformation
-there, one more at the base and one at the tip. All angles of all effects are thus placed by Pinocchio, and loads are plain
-sums of cross products over the bodies where they really are.
+The deformable arm is a Pinocchio model with a free joint for the deformation before and after every joint, at the base and
+at the tip. Pinocchio thus places all deformations, and loads are plain sums of cross products over the displaced bodies.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ class Poses:
     acceleration: np.ndarray
 
     def pieces(self, size: int) -> Iterator[Poses]:
-        """Yield the poses piece by piece, at most ``size`` at a time."""
+        """Yield the poses in pieces of at most ``size``."""
         columns = {field.name: getattr(self, field.name) for field in fields(self)}
         for start in range(0, len(self.q), size):
             part: dict[str, Any] = {name: None if of is None else of[start : start + size] for name, of in columns.items()}
@@ -54,7 +53,7 @@ class Poses:
 
 
 class Conditions(TypedDict, total=False):
-    """Conditions of N poses; a number stands for all of them, and what is None or missing is not declared.
+    """Conditions of N poses; a number applies to all of them, and None or a missing entry means not declared.
 
     Attributes:
         payload: Declared mass at the tip [kg], shape (N,); default: 0.
@@ -83,12 +82,12 @@ def poses_of(
     scatter: np.ndarray | None = None,
     **conditions: Unpack[Conditions],
 ) -> Poses:
-    """Put together joint positions of an arm [rad or m], shape (N, n), and the conditions of these poses.
+    """Return poses from joint positions and conditions.
 
     Args:
-        arm: The arm whose joints they are.
-        q: Recorded joint positions.
-        reference_temperature: Temperature at which nothing has grown [deg C].
+        arm: The arm.
+        q: Recorded joint positions [rad or m], shape (N, n).
+        reference_temperature: Temperature without expansion [deg C].
         scatter: Standard normal draws for unrepeatable effects, shape (N, n); default: 0.
         **conditions: Conditions of the poses.
 
@@ -122,7 +121,7 @@ def poses_of(
 
 
 def broadcast_copy(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a copy of a number or array in a shape; BadInputError, which calls it ``name``, if it does not broadcast."""
+    """Return a copy of a number or array in a shape; BadInputError, with its ``name``, if it does not broadcast."""
     try:
         return np.array(np.broadcast_to(np.asarray(value, float), shape))
     except ValueError:
@@ -131,16 +130,15 @@ def broadcast_copy(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Loads:
-    """Gravity loads of all bodies beyond a joint, at their deformed places.
+    """Loads of all bodies beyond each joint, in the deformed configuration.
 
     Attributes:
         before: Moment about the joint's origin, in the working frame before q [N m], shape (N, n, 3).
         after: The same moment in the working frame after q [N m], shape (N, n, 3).
-        drive: Load along the joint's own freedom: moment about the axis [N m], or force along it if the joint slides [N],
-            shape (N, n).
-        end_moment: Moment of what is beyond link i about its far end, in the frame after q [N m], shape (N, n, 3).
-        end_force: Weight of what is beyond link i, in the same frame [N], shape (N, n, 3).
-        base: Moment of everything that moves about the origin of the base frame, in that frame [N m], shape (N, 3).
+        drive: Moment about the joint axis [N m], or force along it for a prismatic joint [N], shape (N, n).
+        end_moment: Moment of the bodies beyond link i about its far end, in the frame after q [N m], shape (N, n, 3).
+        end_force: Weight of the bodies beyond link i, in the same frame [N], shape (N, n, 3).
+        base: Moment of all moving bodies about the origin of the base frame, in that frame [N m], shape (N, 3).
     """
 
     before: np.ndarray
@@ -159,9 +157,9 @@ class Loads:
 
 @dataclass(frozen=True)
 class Deformation:
-    """What the effects add up to. Effects write into the arrays.
+    """Sum of all effects, which add to the arrays in place.
 
-    A twist holds a displacement [m] and angles [rad] about x, y and z, carried out as Rz Ry Rx.
+    A twist contains a displacement [m] and angles [rad] about x, y and z, applied as Rz Ry Rx.
 
     Attributes:
         joint: Added to the joint position [rad or m], shape (N, n).
@@ -184,9 +182,9 @@ class Deformation:
         return cls(np.zeros((poses, joints)), before, after, np.zeros((poses, 6)), np.zeros((poses, 6)))
 
     def add_at_end_of_link(self, arm: Arm, joint: int, twist: np.ndarray) -> None:
-        """Add a twist, shape (N, 6), at the far end of the link that a joint moves: at the next joint, or at the tip.
+        """Add a twist, shape (N, 6), at the far end of a joint's link: at the next joint, or at the tip.
 
-        The twist is in the frame after q of the joint, which is given by its index.
+        The twist is in the frame after q of the joint, given by its index.
         """
         rotation = arm.ends[joint][:3, :3]
         at_end = np.hstack((twist[:, :3] @ rotation, twist[:, 3:] @ rotation))
@@ -203,12 +201,12 @@ class Deformation:
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """The arm at rest under gravity.
+    """The arm in equilibrium.
 
     Attributes:
         tip: Transform from the tip to the start link, by default the undeformed base, shape (N, 4, 4).
         deformation: Sum of all effects.
-        loads: Gravity loads on the deformed arm.
+        loads: Loads on the deformed arm.
     """
 
     tip: np.ndarray
@@ -216,21 +214,18 @@ class Equilibrium:
     loads: Loads
 
 
-# Joint number in the Pinocchio model of the base, and of what stands before, at and behind arm joint 0; the
-# next arm joint is 3 further.
+# Indices in the Pinocchio model of the base's joint, and of those before, at and after arm joint 0; the next arm joint is 3
+# further.
 _BASE, _BEFORE, _JOINT, _AFTER = 1, 2, 3, 4
 
 
 def build_chain(arm: Arm) -> Any:
-    """Return the ``pinocchio.Model`` of an arm with a free joint at every place that can deform.
-
-    Its configurations are laid out as :func:`configurations` fills them.
-    """
+    """Return the ``pinocchio.Model`` of an arm with free joints for deformations; see :func:`configurations`."""
     import pinocchio as pin
 
     model = pin.Model()
     identity = pin.SE3.Identity()
-    # What stands behind each joint, and last the base.
+    # Last joint of each link, and finally of the base.
     behind = [0] * len(arm.names) + [model.addJoint(0, pin.JointModelFreeFlyer(), identity, "base")]
     for i, name in enumerate(arm.names):
         drive = pin.JointModelPZ() if arm.prismatic[i] else pin.JointModelRZ()
@@ -261,10 +256,10 @@ def _free(twist: np.ndarray) -> np.ndarray:
 
 
 def place(model: Any, data: Any, q: np.ndarray) -> np.ndarray:
-    """Return where Pinocchio places each joint of :func:`build_chain`, and last the tip, in configurations q, shape (N, nq).
+    """Return the poses of the joints of :func:`build_chain`, last the tip, in configurations q, shape (N, nq).
 
-    ``data`` is the model's ``pinocchio.Data``: making one takes longer than a thousand poses. The transforms are those to
-    the undeformed base frame, shape (N, number of joints, 4, 4).
+    They are transforms to the undeformed base frame, shape (N, number of joints, 4, 4). ``data`` is the model's
+    ``pinocchio.Data``, whose creation takes longer than a thousand poses.
     """
     import pinocchio as pin
 
@@ -292,7 +287,7 @@ def gravity_loads(
     gravity: np.ndarray,
     inertia: Inertia | None = None,
 ) -> Loads:
-    """Return the loads on every joint of the arm as it is placed.
+    """Return the loads on every joint of the deformed arm.
 
     Args:
         arm: The true arm.
@@ -300,7 +295,7 @@ def gravity_loads(
         payload: Mass at the tip [kg], shape (N,).
         payload_com: Its centre of mass in the tip frame [m], shape (N, 3).
         gravity: Acceleration in the undeformed base frame [m/s^2], shape (3,).
-        inertia: What the bodies' inertia exerts in addition; default: they are at rest.
+        inertia: Inertial loads; default: none, at rest.
     """
     last = places.shape[1] - 1
     before, joint, after = (places[:, first:last:3] for first in (_BEFORE, _JOINT, _AFTER))
@@ -321,7 +316,7 @@ def gravity_loads(
     base = _moments(centres, weights, couples, places[:, _BASE : _BASE + 1, :3, 3], np.ones((1, n + 1), bool))
     drive = np.where(arm.prismatic, _turned(joint, _sums(weights, arm.carried))[..., 2], _turned(after, moments)[..., 2])
     if arm.pins:
-        # What hangs on joints that only follow is borne by those that move them (virtual work).
+        # Loads on passive joints are supported by the joints that move them (virtual work).
         drive += np.einsum("np,npk->nk", drive[:, arm.passive], rates(arm, *joints_and_links(places)))
         drive[:, arm.passive] = 0.0
     return Loads(
@@ -337,7 +332,7 @@ def gravity_loads(
 def _moments(
     centres: np.ndarray, weights: np.ndarray, couples: np.ndarray, origins: np.ndarray, carried: np.ndarray
 ) -> np.ndarray:
-    """Return for origin k the sum over the bodies of mask k of (centre - origin) x weight + couple, shape (N, k, 3)."""
+    """Return the sum of (centre - origin k) x weight + couple over the bodies of mask k, shape (N, k, 3)."""
     pairs = zip(np.moveaxis(origins, 1, 0), carried, strict=True)
     moments = [np.cross(centres[:, b] - o[:, None], weights[:, b]) + couples[:, b] for o, b in pairs]
     return np.stack([each.sum(axis=1) for each in moments], axis=1)

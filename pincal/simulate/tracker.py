@@ -1,8 +1,8 @@
-"""Errors of a laser tracker, as its parts make them: its reading of a target follows from how its parts really are.
+"""Errors of a laser tracker, derived from the true geometry of its parts.
 
-A tracker turns its head until its beam meets the target, and reads its circles and its distance meter there. An effect takes
-true positions in the frame of a perfect tracker (its origin where the axes meet, z the standing axis) and returns those that
-the readings of the imperfect one come to.
+A tracker turns its head until its beam meets the target, and reads its angle encoders and distance meter there. An effect
+maps true positions in the frame of a perfect tracker (origin at the intersection of the axes, z the standing axis) to the
+positions read by the imperfect one.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ import numpy as np
 
 from pincal.simulate.effect import HiddenEffect, Scope
 
-# Rounds in which the head finds the target, each a thousandth of the one before.
+# Iterations of the head's pointing, each a thousandth of the one before.
 _ROUNDS = 6
 
 
 class ReadingEffect(HiddenEffect):
-    """An error of what an instrument reads."""
+    """An error of an instrument's readings."""
 
     scope: ClassVar[Scope] = Scope.ARM
 
     @abstractmethod
     def as_read(self, position: np.ndarray) -> np.ndarray:
-        """Return what is read for true positions in the instrument's frame [m], shape (N, 3)."""
+        """Return the positions read for true ones in the instrument's frame [m], shape (N, 3)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class MeasurementScale(ReadingEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class _Circle(ReadingEffect):
-    """A graduated circle that does not turn about its centre, or is not round.
+    """An angle encoder whose graduated circle is eccentric or oval.
 
     Attributes:
         order: 1 for a circle off centre by ``size`` radii, 2 for an oval one.
@@ -55,13 +55,13 @@ class _Circle(ReadingEffect):
     phase: float = 0.6
 
     def _read(self, angle: np.ndarray) -> np.ndarray:
-        """Return what one reading head sees at true angles [rad]."""
+        """Return the angles read by one reading head at true angles [rad]."""
         return np.asarray(angle + np.arcsin(self.size * np.sin(self.order * angle - self.phase)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentAzimuth(_Circle):
-    """Azimuth circle of a tracker off centre or oval; ``size`` is the amplitude of its error [rad]."""
+    """Azimuth encoder of a tracker, eccentric or oval; ``size`` is the amplitude of its error [rad]."""
 
     effect: ClassVar[str] = "instrument_azimuth"
 
@@ -72,7 +72,7 @@ class InstrumentAzimuth(_Circle):
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentElevation(_Circle):
-    """Elevation circle of a tracker off centre or oval; ``size`` is the amplitude of its error [rad]."""
+    """Elevation encoder of a tracker, eccentric or oval; ``size`` is the amplitude of its error [rad]."""
 
     effect: ClassVar[str] = "instrument_elevation"
 
@@ -83,15 +83,15 @@ class InstrumentElevation(_Circle):
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentTilt(ReadingEffect):
-    """Axes of a tracker that are not square; ``size`` scales the fields, which are in radians and metres.
+    """Axes of a tracker that are not perpendicular; ``size`` scales the fields, which are in radians and metres.
 
     Attributes:
-        transit: Turn of the transit axis about the line of sight at the horizon, out of the square to the standing axis.
-        beam: Turn of the beam to the right, out of the square to the transit axis.
-        index: Elevation that is read where the beam is level.
-        behind: Transit axis behind the standing axis, seen from the target.
-        right: Beam to the right of where the axes meet.
-        below: Beam below it.
+        transit: Tilt of the transit axis about the horizontal line of sight, from perpendicular to the standing axis.
+        beam: Rotation of the beam to the right, from perpendicular to the transit axis.
+        index: Elevation read with a level beam.
+        behind: Offset of the transit axis behind the standing axis, seen from the target.
+        right: Offset of the beam to the right of the intersection of the axes.
+        below: Offset of the beam below it.
     """
 
     effect: ClassVar[str] = "instrument_tilt"
@@ -111,7 +111,7 @@ class InstrumentTilt(ReadingEffect):
         return read
 
     def _met(self, azimuth: np.ndarray, elevation: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        """Return where the beam ends when head and circles stand so, shape (N, 3) [m]."""
+        """Return the end of the beam at encoder angles and range, shape (N, 3) [m]."""
         along = np.multiply.outer(distance, np.array([1.0, 0.0, 0.0]))
         beam = _turned("z", -self.size * self.beam, along) - self.size * np.array([0.0, self.right, self.below])
         risen = _turned("y", self.size * self.index - elevation, beam)
@@ -120,7 +120,7 @@ class InstrumentTilt(ReadingEffect):
 
 
 def _turned(axis: str, angle: float | np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return points, shape (N, 3), turned about an axis by one angle or one each [rad]."""
+    """Return points, shape (N, 3), rotated about an axis by one angle, or one each [rad]."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_euler(axis, np.reshape(angle, (-1, 1))).apply(points))
@@ -128,7 +128,7 @@ def _turned(axis: str, angle: float | np.ndarray, points: np.ndarray) -> np.ndar
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentRange(ReadingEffect):
-    """Distance meter of a tracker that reads every range too long; ``size`` is by how much [m]."""
+    """Distance meter of a tracker with a zero offset; ``size`` is the offset [m]."""
 
     effect: ClassVar[str] = "instrument_range"
     unit: ClassVar[str] = "m"
@@ -141,7 +141,7 @@ class InstrumentRange(ReadingEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentStretch(ReadingEffect):
-    """Instrument whose coordinates are stretched along one direction; ``size`` is by what part [-].
+    """Instrument whose coordinates are stretched along one direction; ``size`` is the strain [-].
 
     Attributes:
         towards: The direction, of any length.
@@ -164,14 +164,14 @@ def spherical(position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def cartesian(azimuth: np.ndarray, elevation: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Return the positions of these, shape (N, 3) [m]."""
+    """Return positions, shape (N, 3) [m], from spherical coordinates."""
     level = np.cos(elevation)
     way = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
     return np.asarray(distance[:, None] * way)
 
 
 def as_read(effects: tuple[HiddenEffect, ...], position: np.ndarray) -> np.ndarray:
-    """Return what an instrument with its errors among the effects reads for true positions [m], shape (N, 3)."""
+    """Return the readings of true positions [m], shape (N, 3), by an instrument with its errors among the effects."""
     for effect in effects:
         if isinstance(effect, ReadingEffect):
             position = effect.as_read(position)

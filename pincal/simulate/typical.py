@@ -1,4 +1,4 @@
-"""Hidden effects by name, and true machines and effects of a size that is typical of their arm."""
+"""Hidden effects by name, and true machines and effects of sizes typical of the arm."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ _LENGTH, _ANGLE, _OFFSET = 2e-4, 1e-3, 2e-3
 _BEARING = 0.15
 # Typical payload relative to the mass of the arm.
 _LOAD = 0.1
-# Every joint is made for at least this part of the largest moment.
+# Least rated moment of a joint, as a fraction of the largest.
 _LEAST_MOMENT = 0.02
 # Number of random poses in which moments are computed.
 _PROBES = 100
 
 
 def typical_moments(machine: TrueMachine) -> np.ndarray:
-    """Return the moment for which each joint is made: the largest in random poses with a tenth of the arm's mass as load.
+    """Return the rated moment of each joint: the largest in random poses with a tenth of the arm's mass as payload.
 
-    The moments [N m], shape (n,), none below a fiftieth of the largest, depend on the nominal arm and gravity alone.
+    The moments [N m], shape (n,), at least a fiftieth of the largest, depend on the nominal arm and gravity alone.
 
     Raises:
         BadInputError: If the arm has no mass.
@@ -59,9 +59,9 @@ def typical_moments(machine: TrueMachine) -> np.ndarray:
     arm = machine.nominal
     load = _LOAD * float(arm.masses.sum())
     if load <= 0.0:
-        raise BadInputError("the arm has no mass, so that nothing bends it; expected inertial data in the URDF")
+        raise BadInputError("the arm has no mass, so nothing deflects it; expected inertial data in the URDF")
     nominal = TrueMachine.of_arm(arm)
-    # A robot without weight, in orbit say, is made for the moments of its accelerations; those on earth stand for them.
+    # A robot in weightlessness is designed for moments of its accelerations, for which those on earth are substituted.
     nominal = replace(nominal, gravity=machine.gravity) if any(machine.gravity) else nominal
     q = plan_poses(arm, _PROBES, np.random.default_rng(0), min_height=None)
     loads = nominal.equilibrium(nominal.poses(q, payload=load, payload_com=(0.0, 0.0, 0.1 * arm.reach))).loads
@@ -77,7 +77,7 @@ def draw_typical_errors(machine: TrueMachine, rng: np.random.Generator, *, scale
 
 
 def draw_typical_elasticity(machine: TrueMachine, rng: np.random.Generator, *, scale: float = 1.0) -> TrueMachine:
-    """Return the machine with compliant bearings, and drives that wind up by about 1 mrad under their largest moment.
+    """Return the machine with compliant bearings, and drives that wind up by about 1 mrad under their rated moment.
 
     ``scale`` is the compliance relative to a typical one.
 
@@ -86,7 +86,7 @@ def draw_typical_elasticity(machine: TrueMachine, rng: np.random.Generator, *, s
     """
     n = len(machine.names)
     drive = scale * WINDUP / typical_moments(machine) * rng.uniform(0.7, 1.3, n)
-    # Equal compliance about all axes across the bearing's own: how the URDF turns the joint frame then doesn't matter.
+    # Equal compliance about all transverse axes, so that the orientation of the URDF's joint frame does not matter.
     bearing = _BEARING * drive * rng.uniform(0.5, 1.5, n)
     return replace(machine, compliance=np.column_stack((bearing, bearing, drive)))
 
@@ -107,7 +107,7 @@ def typical_effect(machine: TrueMachine, name: str, rng: np.random.Generator, **
         return hidden_effect(name)
     kind = HIDDEN_EFFECTS[name]
     given = _with_joints(machine, kind, rng, given=given)
-    # The fields are checked before typical values, which may fail for other reasons, are computed for them.
+    # Check the fields before computing typical values, which may fail for other reasons.
     hidden_effect(name, **given)
     if not issubclass(kind, SizedByLoad):
         return hidden_effect(name, **({"size": kind.typical_size} | given))
@@ -120,7 +120,7 @@ def typical_effect(machine: TrueMachine, name: str, rng: np.random.Generator, **
 def _with_joints(
     machine: TrueMachine, kind: type[HiddenEffect], rng: np.random.Generator, *, given: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return the fields with a joint, where the effect acts on one, and the source of a coupling; both checked."""
+    """Return the fields with a joint, if the effect acts on one, and with the source of a coupling, both checked."""
     joint = given.get("joint")
     if kind.scope is Scope.ARM:
         if joint is not None:
@@ -137,11 +137,11 @@ def _with_joints(
 
 
 def _with_source(names: tuple[str, ...], rng: np.random.Generator, given: dict[str, Any]) -> dict[str, Any]:
-    """Add what is missing of a coupling: the joint, and the one before it (after the first) as its source."""
+    """Add the missing fields of a coupling: the joint, and as its source the joint before it (after the first)."""
     if len(names) < 2:
         raise BadInputError("joint_coupling: the arm has one joint only; it needs two")
     joint = given.get("joint") or str(rng.choice([n for n in names if n != given.get("source")]))
     source = given.get("source") or names[names.index(joint) - 1 if joint != names[0] else 1]
     if joint == source:
-        raise BadInputError(f"joint_coupling: joint {joint!r} can't be its own source; name another one")
+        raise BadInputError(f"joint_coupling: joint {joint!r} can't be its own source; give another joint")
     return given | {"joint": joint, "source": source}

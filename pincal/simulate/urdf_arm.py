@@ -1,4 +1,4 @@
-"""The arm of the true machine as Pinocchio reads it from a URDF: placements, joint axes, bodies, limits, pins of loops."""
+"""Reading the arm of the true machine from a URDF with Pinocchio: placements, axes, bodies, limits, pins of loops."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import numpy as np
 from pincal.errors import RobotFileError
 from pincal.simulate.arm import Arm, Pin, frames, transform
 
-# The axis of a joint that names none.
+# The default axis of a joint.
 _X = "1 0 0"
-# A joint axis closer than this to the x axis of its frame leaves no direction to project (sine of the angle between them).
+# Sine of the angle between a joint axis and the x axis of its frame below which x has no projection.
 _PARALLEL = 1e-6
 
 
@@ -30,15 +30,15 @@ def read_arm(
 ) -> Arm:
     """Read the arm between two frames of a URDF with Pinocchio.
 
-    Joints that are not between base and tip are locked at 0; their bodies stay on the links that carry them.
+    Joints that are not between base and tip are locked at 0, with their bodies fixed to the links that carry them.
 
     Args:
         urdf: Path of a URDF file, or its XML text.
         tip: Name of the link at the end of the arm.
         base: Name of the link on which the arm stands; default: the root of the URDF.
         start: Name of the link in whose frame positions are given; default: the base.
-        joints: Names of the joints that move, each behind the one that carries it; default: those between base and tip.
-        passive: Of them those that follow from the others as the loops of the URDF have it; without any loops stay open.
+        joints: Names of the moving joints, each after the one that carries it; default: those between base and tip.
+        passive: Those of them whose positions follow from the URDF's loops; without any, loops stay open.
 
     Raises:
         RobotFileError: If the URDF can't be read, a frame is missing or no joint lies between base and tip.
@@ -57,7 +57,7 @@ def read_arm(
 
 
 class Half(NamedTuple):
-    """What a URDF says of one half of a pin: link, frame there (none: as the other half's at zero) and axis in it."""
+    """One half of a pin in a URDF: link, frame on it (None: the other half's at zero) and axis in the frame."""
 
     link: str
     place: np.ndarray | None
@@ -65,7 +65,7 @@ class Half(NamedTuple):
 
 
 def take_pins(root: ElementTree.Element) -> list[tuple[str, bool, Half, Half]]:
-    """Return name, whether it is a hinge, and halves of each pin of a URDF; second joints of a link are taken out of it."""
+    """Return name, whether it is a hinge, and halves of each pin of a URDF; remove second joints of a link from it."""
     found = []
 
     def add(element: ElementTree.Element, one: Half, other: Half) -> None:
@@ -158,7 +158,7 @@ def _is_text(urdf: str | Path) -> bool:
 
 
 def _mimics(root: ElementTree.Element, names: tuple[str, ...]) -> tuple[tuple[int, int, float, float], ...]:
-    """Return which joints of the arm follow another joint of the arm, and how."""
+    """Return the mimic joints of the arm: joint, source, multiplier and offset."""
     found = []
     for joint in root.iterfind("joint"):
         mimic = joint.find("mimic")
@@ -236,7 +236,7 @@ def _twist(model: Any, data: Any, joint: int) -> np.ndarray:
 
 
 def _limits(model: Any, prismatic: np.ndarray, joints: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return limits; default: half a turn, or half a metre, to both sides."""
+    """Return limits; default: half a turn, or half a metre, to either side."""
     lower, upper = [], []
     for slides, joint in zip(prismatic, [model.joints[i] for i in joints], strict=True):
         low, high = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
