@@ -307,7 +307,6 @@ def _conditions(model: CalibratedModel, q: np.ndarray, request: CheckRequest, *,
 
 
 def _rig_of(rig: SensorSetup, model: CalibratedModel) -> SensorSetup:
-    """Return a rig with the calibration's target, unless the rig specifies one."""
     names = [f"{model.model.chain.targets[0]}.{symbol}" for symbol in FRAME_SYMBOLS[:3]]
     if rig.tool is not None or not set(names) <= set(model.estimate.names):
         return rig

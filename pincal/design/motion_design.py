@@ -268,7 +268,6 @@ class _Worth:
 
 
 def _worth(robot: Robot, moves: _Moves, options: Options, design: DesignModel, cared: Conditions) -> _Worth:
-    """Return the information of moves for a fit."""
     ends = np.cumsum(moves.seconds)
     table = ideal_imu_table(MovingArm(robot, moves.path()))
     # The noise in the options is another instrument's, not the IMU's.

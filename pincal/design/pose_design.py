@@ -263,7 +263,6 @@ def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
 
 
 def _check_count(study: Study, n: int) -> None:
-    """Warn of too few poses for the parameters."""
     size, rank, count = study.A.shape[1], study.rank(n), n + study.n_measured
     if size * count < rank:
         fewest, good = -(-rank // size), int(np.ceil(_COMFORTABLE * rank / size))

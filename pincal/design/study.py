@@ -264,7 +264,6 @@ def find_rival(text: str, chain: Chain, conditions: Conditions) -> Effect:
 
 
 def _rivals(reach: Reach, options: Options, request: DesignRequest, *, candidates: Conditions) -> list[Effect]:
-    """Return the effects to be distinguished."""
     chain = Chain.of(reach.robot, moment_frame=options.first_frame, gravity=options.gravity)
     rivals = [find_rival(text, chain, candidates) for text in request.tell_apart or ()]
     if rivals and rivals[0] == rivals[1]:

@@ -55,7 +55,6 @@ def _knots(lower: float, upper: float, size: int) -> np.ndarray:
 
 @lru_cache(maxsize=32)
 def _splines(lower: float, upper: float, size: int) -> tuple[Cubic, ...]:
-    """Return the splines as piecewise cubics."""
     from scipy.interpolate import BSpline, PPoly
 
     knots = _knots(lower, upper, size)

@@ -1,7 +1,7 @@
-"""Parts of the compiled loops: frames that walk along the arms of a group of poses, and the masses that they pass.
+"""Parts of the compiled loops: forward kinematics and carried masses of a group of poses.
 
-Poses are worked on in groups of LANES: the last axis of every working array runs over the poses of a group, so that each
-inner loop is one that the compiler turns into vector instructions (measured: 5 times faster than pose by pose).
+Poses are processed in groups of LANES: the last axis of every working array runs over the poses of a group, so that the
+compiler vectorises each inner loop (measured: 5 times faster than pose by pose).
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-# Poses worked on together: fewer cost more in calls, more outgrow a second-level cache of 512 KiB (6R arm).
+# Poses processed together: fewer cost more in calls, more exceed a second-level cache of 512 KiB (6R arm).
 LANES = 64
 
 COMPILE = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
-# What C, or Python, never calls needs nothing to be called by.
+# Functions that are never called from C, or from Python, need no wrappers.
 WHOLE = COMPILE | {"no_cfunc_wrapper": True}
 INNER = WHOLE | {"no_cpython_wrapper": True}
-# What is called once, or is short, is cheaper to compile as a part of what calls it: no function of its own is optimised.
+# Functions called once, and short ones, compile faster inlined, without optimisation of their own.
 PART = INNER | {"inline": "always"}
 
 
 class Arms(NamedTuple):
-    """Room for the arms of a group of poses.
+    """Working arrays for the arms of a group of poses.
 
     Attributes:
         x, c, s: shape (K, lanes), coordinates, their cosines and sines.
-        R, p: shape (3, 3, lanes), (3, lanes), the frames that walk.
+        R, p: shape (3, 3, lanes), (3, lanes), the current frames.
         W, O: shape (K, 3, lanes), axis and origin of each coordinate.
     """
 
@@ -42,12 +42,12 @@ class Arms(NamedTuple):
 
 
 class Loads(NamedTuple):
-    """Room for what arms carry.
+    """Working arrays for the loads of a group of poses.
 
     Attributes:
         M: shape (n, lanes), the mass beyond each joint.
-        B: shape (n, 3, lanes), the sum of mass times centre there.
-        F: shape (4 n, 3, lanes), the link frames, the three rows of the rotation and then the origin; or nothing.
+        B: shape (n, 3, lanes), its sum of mass times centre.
+        F: shape (4 n, 3, lanes), the link frames: the three rows of the rotation, then the origin; or empty.
         A, H: shape (3 n, 3, lanes), axis w_l of moment l and h_l = w_l x D_l.
         mass: shape (lanes,), of one body.
     """
@@ -62,13 +62,13 @@ class Loads(NamedTuple):
 
 @njit(**INNER)
 def room(a, b):
-    """Return room for a x b rows of lanes. Each number of axes that is allocated takes half a second to compile."""
+    """Allocate a x b rows of lanes. Each number of axes that is allocated takes half a second to compile."""
     return np.empty((a, b, LANES))
 
 
 @njit(**INNER)
 def room_for_arms(K):
-    """Return room for arms of K coordinates."""
+    """Allocate the arrays for arms of K coordinates."""
     coordinates = np.zeros((3, K, LANES))
     return Arms(coordinates[0], coordinates[1], coordinates[2], room(3, 3), room(1, 3)[0], room(K, 3), room(K, 3))
 
@@ -82,7 +82,7 @@ def fill(out, value):
 
 @njit(**INNER)
 def copy_lanes(values, out):
-    """Out = values, each of one axis. An assignment would bring its check of shapes, which takes seconds to compile."""
+    """Out = values, each of one axis. An assignment would check shapes, which takes seconds to compile."""
     for i in range(LANES):
         out[i] = values[i]
 
@@ -103,9 +103,9 @@ def add_lanes(values, out):
 
 @njit(**INNER)
 def load_coordinates(kind, values, walked, span, whole, arms):
-    """Put walked coordinates of a span of poses, start and number, into x, their cosines and sines into c and s.
+    """Load coordinates of a span of poses (start, number) into x, their cosines and sines into c and s.
 
-    Constant coordinates are the same in every group and are loaded only if ``whole``.
+    Constant coordinates, the same in every group, are loaded only if ``whole``.
     """
     (start, m), x, c, s = span, arms.x, arms.c, arms.s
     for k in walked:
@@ -145,7 +145,7 @@ def _apply(R, p, F):
 
 @njit(**INNER)
 def _turn(rotations, index, span, R):
-    """Turn each frame by the reference orientation that holds at its pose."""
+    """Rotate each frame by the reference orientation of its pose."""
     start, m = span
     if len(rotations) == 1:
         A = rotations[0]
@@ -166,9 +166,9 @@ def _turn(rotations, index, span, R):
 
 @njit(**INNER)
 def _walk(layout, route, first, last, arms):
-    """Move the frames (R, p) over the steps first .. last - 1 of a route; note each coordinate's axis and origin in W, O.
+    """Move the frames (R, p) over the steps first .. last - 1 of a route; store each coordinate's axis and origin in W, O.
 
-    The axis of a coordinate that is passed backwards is noted the other way round.
+    The axis of a coordinate traversed backwards is stored reversed.
     """
     x, c, s, R, p, W, O = arms
     for t in range(first, last):
@@ -197,10 +197,10 @@ def _walk(layout, route, first, last, arms):
 
 @njit(**PART)
 def walk_arms(layout, places, span, arms):
-    """Walk the path from instrument to target; reference orientations stand before the angles of base and tool."""
+    """Walk the path from instrument to target, with reference orientations before the angles of base and tool."""
     S = len(layout.path.coordinate)
     _identity(arms.R, arms.p)
-    # One call of _walk, with one type of bounds: each is compiled into what calls it.
+    # A single call of _walk, with one type of bounds, as each call is inlined.
     for part in range(3):
         first = 3 * part if part < 2 else S - 3
         last = S - 3 if part == 1 else first + 3
@@ -213,7 +213,7 @@ def walk_arms(layout, places, span, arms):
 
 @njit(**INNER)
 def _add_body(R, p, mass, centre, B):
-    """Add mass times the place of its centre to B."""
+    """Add mass times the position of its centre to B."""
     for r in range(3):
         for i in range(LANES):
             place = p[r, i] + R[r, 0, i] * centre[0] + R[r, 1, i] * centre[1] + R[r, 2, i] * centre[2]
@@ -222,7 +222,7 @@ def _add_body(R, p, mass, centre, B):
 
 @njit(**INNER)
 def is_branched(layout):
-    """Return whether some joint does not carry the next, or the tip is not on the last one."""
+    """Return whether some joint does not carry the next, or the last one not the tip."""
     n = len(layout.parents)
     for j in range(n):
         if layout.parents[j] != j - 1:
@@ -243,7 +243,7 @@ def _return_to(F, j, R, p):
 
 @njit(**PART)
 def walk_bodies(layout, acting, payload, span, arms, loads):
-    """Walk the tree from its base and weigh what each joint carries: M, B and, where there is room for them, F."""
+    """Walk the tree from its base and sum the masses that each joint carries: M, B and, unless empty, F."""
     start, m = span
     R, p, M, B, F, mass = arms.R, arms.p, loads.M, loads.B, loads.F, loads.mass
     here = -2
@@ -290,7 +290,7 @@ def cross(a, b, out):
 
 @njit(**INNER)
 def lever(B, M, o, D):
-    """D = B - M o: first moment of mass of what is beyond, about the point o."""
+    """D = B - M o: first moment of the mass beyond, about the point o."""
     for r in range(3):
         for i in range(LANES):
             D[r, i] = B[r, i] - M[i] * o[r, i]
@@ -298,13 +298,13 @@ def lever(B, M, o, D):
 
 @njit(**PART)
 def moment_point(layout, j, O):
-    """Return the point that the moments of joint j are taken about, shape (3, lanes)."""
+    """Return the point about which the moments of joint j are taken, shape (3, lanes)."""
     return O[max(layout.moment_y[j], layout.moment_z[j])]
 
 
 @njit(**PART)
 def moment_levers(layout, bears, arms, loads, D):
-    """Set A[l], H[l] of joints that bear: axis w_l of moment l and h_l = w_l x D_l; the moment itself is h_l . g."""
+    """Set A[l], H[l] of bearing joints: axis w_l of moment l and h_l = w_l x D_l; the moment itself is h_l . g."""
     W, A, H = arms.W, loads.A, loads.H
     for j in np.flatnonzero(bears):
         lever(loads.B[j], loads.M[j], moment_point(layout, j, arms.O), D)

@@ -10,9 +10,9 @@ h_l = w_l x D_l and g the gravity, n_l = h_l . g (paper, Eq. (3)). With u_k = g 
                   = h_k . u_l           k a rotation after it
                   = 0, M_k w_k . u_l    k a translation before, after it.
 
-The Jacobian needs only sum_l a_l d n_l / d x_k, so two sums for each joint serve all its k: of a_l h_l over the moments of
-what it carries and of a_l u_l over those of what carries it. A moment of another branch does not depend on k. Checked
-against finite differences and Pinocchio in ``tests/test_model.py``.
+The Jacobian needs only sum_l a_l d n_l / d x_k, so two sums per joint suffice for all its k: of a_l h_l over the moments of
+the joints that it carries, and of a_l u_l over those of the joints that carry it. A moment of another branch does not depend
+on k. Checked against finite differences and Pinocchio in ``tests/test_model.py``.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ announce(__name__)
 
 
 class _Motions(NamedTuple):
-    """Room for how the tip moves, in R rows.
+    """Working arrays for derivatives of the tip, in R rows.
 
     Attributes:
-        J, V: shape (R, K, lanes), by coordinates; and by what these do to the moments.
-        a0, a: shape (R, 3 n, lanes), by one unit of each moment, on the undeformed arm and on the deformed one.
+        J, V: shape (R, K, lanes), by coordinates, directly and through the moments.
+        a0, a: shape (R, 3 n, lanes), by each moment, on the undeformed and on the deformed arm.
         ahead, behind: shape (R, 3 n, lanes), the sums of the module's docstring, for each joint.
-        h, u: shape (3, lanes), vectors to work with.
-        U, S: shape (3 n, lanes), (n, lanes), sums over what carries each joint.
+        h, u: shape (3, lanes), temporary vectors.
+        U, S: shape (3 n, lanes), (n, lanes), sums over the joints that carry each joint.
     """
 
     J: np.ndarray
@@ -91,7 +91,7 @@ def _add_scaled(a, v, out):
 
 @njit(**INNER)
 def _take_back(less, k, of_coordinates):
-    """Take what coordinate k does off what the one does that it takes back, in an array of all coordinates."""
+    """Subtract coordinate k from the coordinate that it takes back, in an array over all coordinates."""
     earlier = less[k]
     if earlier >= 0:
         for i in range(of_coordinates.shape[1]):
@@ -100,7 +100,7 @@ def _take_back(less, k, of_coordinates):
 
 @njit(**INNER)
 def _asked(layout, wanted):
-    """Return the coordinates whose action through the moments is part of a column, shape (K,)."""
+    """Return which coordinates contribute to a column through the moments, shape (K,)."""
     asked = np.full(len(layout.kind), wanted.sweeps > 0)
     for e in range(len(wanted.terms.coordinate)):
         if not wanted.terms.elastic[e]:
@@ -113,10 +113,7 @@ def _asked(layout, wanted):
 
 @njit(**PART)
 def _through_moments(layout, acting, bears, asked, arms, loads, motions):
-    """V[r, k] = sum over l of a[r, l] d n_l / d x_k, by two sums for each joint (module docstring).
-
-    Moments of joints that do not bear have a[r, l] = 0.
-    """
+    """V[r, k] = sum over l of a[r, l] d n_l / d x_k, by two sums per joint (module docstring); a is 0 unless bearing."""
     W, O, M, B, H, A = arms.W, arms.O, loads.M, loads.B, loads.H, loads.A
     a, aheads, behinds, h, u, V = motions.a, motions.ahead, motions.behind, motions.h, motions.u, motions.V
     rows, parents = len(a), layout.parents
@@ -170,7 +167,7 @@ def _through_moments(layout, acting, bears, asked, arms, loads, motions):
 
 @njit(**PART)
 def _pull_back(compliances, span, J, a):
-    """a[r, l] += sum over the coordinates k that follow moment l of J[r, k] d x_k / d n_l."""
+    """a[r, l] += sum over the coordinates k that depend on moment l of J[r, k] d x_k / d n_l."""
     (start, m), constant = span, compliances.rate.shape[1] == 1
     for e in range(len(compliances.coordinate)):
         k, l = compliances.coordinate[e], compliances.moment[e]
@@ -185,7 +182,7 @@ def _pull_back(compliances, span, J, a):
 
 @njit(**PART)
 def _follow_moments(layout, acting, bears, asked, wanted, span, arms, loads, motions):
-    """V[:, k]: how the tip moves by what coordinate k does to the moments; a[r, l]: by one unit of moment l."""
+    """Set derivatives of the tip: V[:, k] by coordinate k through the moments, a[r, l] by moment l."""
     a0, a = motions.a0, motions.a
     for r in range(len(a)):
         for l in range(a.shape[1]):
@@ -204,7 +201,7 @@ def _follow_moments(layout, acting, bears, asked, wanted, span, arms, loads, mot
 
 @njit(**PART)
 def _kinematic_columns(layout, arms, J):
-    """J[:, k]: the motion of the tip (and its turning, where J has six rows) by coordinate k of the path; others none."""
+    """Set J[:, k], translation (and rotation, with six rows) of the tip by coordinate k of the path."""
     W, O, p, rows = arms.W, arms.O, arms.p, len(J)
     for k in layout.path.coordinate:
         if layout.kind[k] >= 3:
@@ -248,10 +245,10 @@ def _parameter_columns(wanted, span, motions, out):
 
 @njit(**PART)
 def _mass_columns(layout, acting, bears, masses, span, arms, loads, motions, out):
-    """Set the columns of what masses depend on: they act through the moments alone.
+    """Set the columns of mass parameters, which act through the moments alone.
 
-    A body of mass M and first moment H beyond joint j adds (M (p_j - o_l) + R_j H) . (g x w_l) to the moment n_l of joint j
-    and of each that carries it; weighed with a_l these are sums over l of g x w_l, in U, and of o_l . (g x w_l), in S.
+    A body of mass M and first moment H beyond joint j adds (M (p_j - o_l) + R_j H) . (g x w_l) to the moments n_l of joint j
+    and of the joints that carry it; weighted with a_l these are sums over l of g x w_l, in U, and of o_l . (g x w_l), in S.
     """
     (start, m), F, a, u = span, loads.F, motions.a, motions.u
     for r in range(len(a)):
@@ -286,7 +283,7 @@ def _mass_columns(layout, acting, bears, masses, span, arms, loads, motions, out
 
 @njit(**PART)
 def _note_poses(R, p, span, out):
-    """Put the frames of a span of poses into out, shape (3, 4, N)."""
+    """Store the frames of a span of poses in out, shape (3, 4, N)."""
     start, m = span
     for r in range(3):
         for i in range(m):
@@ -296,7 +293,7 @@ def _note_poses(R, p, span, out):
 
 @njit(**PART)
 def _note_moments(g, H, span, out):
-    """Put the moments of a span of poses into out, shape (3 n, N)."""
+    """Store the moments of a span of poses in out, shape (3 n, N)."""
     start, m = span
     for l in range(len(out)):
         for i in range(m):
@@ -305,24 +302,24 @@ def _note_moments(g, H, span, out):
 
 @compiled(**WHOLE)
 def evaluate(layout, values, rigid, places, payload, wanted):
-    """Return poses, static moments and columns, as far as they are asked for: one loop, as each takes seconds to compile.
+    """Return poses, static moments and columns as requested, in one loop, as each takes seconds to compile.
 
     Args:
         layout: the chain.
         values: coordinates of the deformed arm.
-        rigid: coordinates that the moments are computed on.
-        places: which reference orientations hold; without any no poses are computed.
-        payload: mass beyond the tip; without any no moments are computed.
+        rigid: coordinates for the moments.
+        places: reference orientations; if empty, no poses are computed.
+        payload: mass beyond the tip; if empty, no moments are computed.
         wanted: the columns.
 
     Returns:
-        Poses, shape (3, 4, N), moments, shape (3 n, N), and columns, shape (P, rows, N); what is not asked for is empty.
+        Poses, shape (3, 4, N), moments, shape (3 n, N), and columns, shape (P, rows, N); empty if not requested.
     """
     N, K, n, rows = values.varying.shape[1], len(values.constant), len(layout.masses), wanted.rows
     through, weighs = len(wanted.compliances.coordinate) > 0, len(wanted.masses.joint) > 0
     posed, laden = len(places.tool) > 0, len(payload.mass) > 0 and (through or rows == 0)
     acting, bears, tree = layout.acting, layout.bears, np.empty(K, np.int64)
-    if wanted.sweeps > 0:  # On the deformed arm all moments bend the path, by what they do to each other.
+    if wanted.sweeps > 0:  # On the deformed arm all moments deflect the path, as they affect each other.
         acting, bears = np.arange(n), np.ones(n, np.bool_)
     asked, walked = _asked(layout, wanted), 0
     for j in acting:
@@ -376,7 +373,7 @@ NOTHING = Wanted(
 def static_moments(layout: Layout, values: Values, payload: Payload, *, bending: bool = False) -> np.ndarray:
     """Return the static moments, shape (3 n, N), components x, y, z of each joint [N m].
 
-    ``bending`` leaves those right that bend the path, for speed.
+    For speed, with ``bending`` only the moments that deflect the path are valid.
     """
     if not bending:
         layout = layout._replace(acting=np.arange(len(layout.masses)), bears=np.ones(len(layout.masses), bool))

@@ -374,7 +374,6 @@ def _sighted(model: Model, values: np.ndarray, conditions: Conditions) -> Condit
 
 
 def _plain(model: Model, conditions: Conditions) -> Plain:
-    """Return the contributions of the effects that do not use moments."""
     pairs = [(of.start, e) for of, e in zip(model.spans, model.effects, strict=True) if not e.uses_moments]
     return plain_terms([effect for _, effect in pairs], [start for start, _ in pairs], model.chain, conditions)
 

@@ -76,8 +76,7 @@ class Symbol:
     def __add__(self, other: Any) -> Any:
         return _with(other, lambda b: add(self, b))
 
-    def __radd__(self, other: Any) -> Any:
-        return _with(other, lambda a: add(a, self))
+    __radd__ = __add__
 
     def __sub__(self, other: Any) -> Any:
         return _with(other, lambda b: add(self, multiply(-1.0, b)))
@@ -88,8 +87,7 @@ class Symbol:
     def __mul__(self, other: Any) -> Any:
         return _with(other, lambda b: multiply(self, b))
 
-    def __rmul__(self, other: Any) -> Any:
-        return _with(other, lambda a: multiply(a, self))
+    __rmul__ = __mul__
 
     def __truediv__(self, other: Any) -> Any:
         return _with(other, lambda b: divide(self, b))
@@ -269,7 +267,6 @@ def either_way(code: Callable[[], dict[int, Any]]) -> dict[int, Any]:
 
 
 def _with_outcome(code: Callable[[], dict[int, Any]], comparison: Symbol, answer: bool) -> dict[int, Any]:
-    """Run code with one more comparison settled."""
     token = _SETTLED.set((*_SETTLED.get(), (comparison, answer)))
     try:
         return either_way(code)

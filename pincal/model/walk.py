@@ -63,7 +63,6 @@ def _walk(layout: Layout, x: Sequence[Expression], frame: _Frame, *, first: int,
 
 
 def _step(layout: Layout, x: Sequence[Expression], k: int) -> Expression:
-    """Return the angle or length of the transform of a coordinate."""
     return x[k] - x[layout.less[k]] if layout.less[k] >= 0 else x[k]
 
 

@@ -123,7 +123,6 @@ def _moving_joints(
 
 
 def _is_above(tree: UrdfTree, base: str, joint: UrdfJoint) -> bool:
-    """Return whether a link carries a joint."""
     return base == tree.root or any(above.parent == base for above in tree.above(joint.child))
 
 
@@ -142,7 +141,6 @@ def _in_preorder(tree: UrdfTree, joints: Sequence[UrdfJoint]) -> tuple[UrdfJoint
 
 
 def _parents(tree: UrdfTree, joints: Sequence[UrdfJoint]) -> tuple[int, ...]:
-    """Return the index of the joint that carries each, -1 for none of them."""
     return tuple(tree.carrier(joints, joint.parent) for joint in joints)
 
 

@@ -109,7 +109,6 @@ def _names(root: Any, *tags: str) -> set[str]:
 
 
 def _prefix(root: Any, prefix: str, names: set[str]) -> None:
-    """Prefix some names wherever they are used."""
     for element in root.iter(etree.Element):
         for key in _NAMING:
             if element.get(key) in names:
@@ -120,7 +119,6 @@ def _prefix(root: Any, prefix: str, names: set[str]) -> None:
 
 
 def _root_of(its: Any, tree: UrdfTree) -> str:
-    """Return the root link's current name."""
     return str(its.findall("link")[tree.links.index(tree.root)].get("name"))
 
 

@@ -227,8 +227,8 @@ class UrdfTree:
             if total.source not in by_name or total.source in seen:
                 ends = f"between {path[0].parent!r} and {path[-1].child!r}"
                 raise RobotFileError(
-                    f"{self.source}: joint {name!r} {ends} mimics {total.source!r}, which is not an independent joint between base "
-                    "and tip: choose another base or tip, or let it mimic a joint of the arm"
+                    f"{self.source}: joint {name!r} {ends} mimics {total.source!r}, which is not an independent joint "
+                    "between base and tip: choose another base or tip, or let it mimic a joint of the arm"
                 )
             found.append(total)
         return tuple(found)
@@ -257,7 +257,6 @@ class UrdfTree:
         return found
 
     def _own(self, chain: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the joints of a chain that mimic none."""
         driven = {joint.name for joint in self.joints if joint.mimic is not None}
         return tuple(name for name in chain if name not in driven)
 

@@ -264,7 +264,6 @@ class EyeInHand(SensorSetup):
         )
 
     def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:
-        """Return a row for every pose and every visible point."""
         if not self.in_metres:
             refuse_scale(machine, "an image has none")
         camera = tips_of(machine, poses) @ self.camera_pose

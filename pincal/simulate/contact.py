@@ -254,7 +254,7 @@ class Contact(SensorSetup):
             q, is_held = can_hold(arm, seed, goals=goals, tool=self.tool, min_height=min_height)
             return np.asarray(q[is_held])
 
-        shortage = "hold the tool point there; choose a point within the arm's reach"
+        shortage = "hold the tool point there, as it is out of reach; choose a point within the arm's reach"
         return collect_poses(draw, n, rounds=_ROUNDS, shortage=shortage)
 
     def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:

@@ -78,7 +78,6 @@ def _beside(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions
 
 
 def _contact(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
-    """Return sockets, or the anchors of a ball bar."""
     instrument, targets = _instrument_and_targets(arm, rng, replace(options, targets=1))
     x, y, z = (float(value) for value in next(iter(targets.values()))[:3, 3])
     spacing: float | None = options.socket_spacing

@@ -268,7 +268,6 @@ class MovingSession:
         return np.round(np.arange(0.0, self.duration, 1.0 / self.rates[name]), 6)
 
     def _logged(self, table: Table, rng: np.random.Generator) -> Table:
-        """Return the rows of a table that were not lost."""
         n = len(table["time"])
         begins = rng.random(n) < self.dropped / _BURST
         lost = np.convolve(begins, np.ones(_BURST), "full")[:n] > 0.0

@@ -170,7 +170,6 @@ def as_lists(points: Mapping[str, np.ndarray]) -> dict[str, list[float]]:
 
 
 def _read_back(machine: Machine, poses: Poses) -> Table:
-    """Return the encoder readings of joints that deviate from their command."""
     seen = [effect for effect in machine.effects if isinstance(effect, ReadBackEffect)]
     if not seen:
         return {}

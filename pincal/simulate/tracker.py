@@ -51,12 +51,16 @@ class _Circle(ReadingEffect):
     """
 
     typical_size: ClassVar[float] = 2e-5
+    _coordinate: ClassVar[int]
     order: int = 1
     phase: float = 0.6
 
-    def _read(self, angle: np.ndarray) -> np.ndarray:
-        """Return the angles read by one reading head at true angles [rad]."""
-        return np.asarray(angle + np.arcsin(self.size * np.sin(self.order * angle - self.phase)))
+    def as_read(self, position: np.ndarray) -> np.ndarray:
+        """Return positions at the angles read by one reading head."""
+        read = list(spherical(position))
+        angle = read[self._coordinate]
+        read[self._coordinate] = angle + np.arcsin(self.size * np.sin(self.order * angle - self.phase))
+        return cartesian(*read)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,10 +68,7 @@ class InstrumentAzimuth(_Circle):
     """Azimuth encoder of a tracker, eccentric or oval; ``size`` is the amplitude of its error [rad]."""
 
     effect: ClassVar[str] = "instrument_azimuth"
-
-    def as_read(self, position: np.ndarray) -> np.ndarray:
-        azimuth, elevation, distance = spherical(position)
-        return cartesian(self._read(azimuth), elevation, distance)
+    _coordinate: ClassVar[int] = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,10 +76,7 @@ class InstrumentElevation(_Circle):
     """Elevation encoder of a tracker, eccentric or oval; ``size`` is the amplitude of its error [rad]."""
 
     effect: ClassVar[str] = "instrument_elevation"
-
-    def as_read(self, position: np.ndarray) -> np.ndarray:
-        azimuth, elevation, distance = spherical(position)
-        return cartesian(azimuth, self._read(elevation), distance)
+    _coordinate: ClassVar[int] = 1
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -179,7 +179,6 @@ def _frame_id(model: Any, name: str) -> int:
 
 
 def _path(model: Any, tip: str, base: str | None) -> list[int]:
-    """Return the indices of the joints that move the tip and not the base."""
     tip_joint, base_joint = (model.frames[_frame_id(model, end)].parentJoint if end else 0 for end in (tip, base))
     path = [index for index in model.supports[tip_joint] if index and index not in model.supports[base_joint]]
     if not path:
