@@ -138,15 +138,9 @@ def choose_greedily(
 ) -> tuple[list[int], list[float]]:
     """Add, one after the other, the candidate that decreases the criterion most.
 
-    Args:
-        A: shape (M, m, F), candidates in units of noise and priors.
-        W: shape (F, F), or None for the determinant.
-        H: shape (F, F), prior information.
-        n: number of candidates, at most M.
-        start: initial candidates.
-
-    Returns:
-        The n candidates, and the criterion after each addition.
+    ``A``, shape (M, m, F), are the candidates in units of noise and priors, ``W``, shape (F, F), the weights or None for the
+    determinant, and ``H``, shape (F, F), the prior information. Returns n candidates, with ``start`` first, and the
+    criterion after each addition.
     """
     chosen, course = list(start), []
     state, left = DesignState.of(A, W, H + information(A, chosen)), 1.0

@@ -192,16 +192,12 @@ class Chain:
         """Nominal coordinates, shape (K,): the robot's Denavit-Hartenberg parameters and bearings, zero elsewhere."""
         known = self.kept.about("nominal", self.robot, self.bearing_heights)
         if self.moment_frame not in known:
-            known[self.moment_frame] = self._nominal()
+            known[self.moment_frame] = values = np.zeros(self.size)
+            for i, row in enumerate(self.robot.frames.parameters):
+                for symbol, column in _DH_COLUMN.items():
+                    values[self.joint(i, symbol)] = row[column]
+                values[self.joint(i, "h")] = self.bearing_heights[i]
         return np.asarray(known[self.moment_frame])
-
-    def _nominal(self) -> np.ndarray:
-        values = np.zeros(self.size)
-        for i, row in enumerate(self.robot.frames.parameters):
-            for symbol, column in _DH_COLUMN.items():
-                values[self.joint(i, symbol)] = row[column]
-            values[self.joint(i, "h")] = self.bearing_heights[i]
-        return values
 
     @cached_property
     def drives(self) -> np.ndarray:

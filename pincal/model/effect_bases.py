@@ -86,14 +86,8 @@ def tilt_terms(
 ) -> tuple[Term, ...]:
     """Return the terms of tilts of a revolute joint's axis about its bearing.
 
-    A bearing off the origin of its frame tilts where its compliance acts; one at the origin tilts by s_x and s_y.
-
-    Args:
-        chain: the chain.
-        conditions: the N poses.
-        joint: the joint.
-        seen_from: the side in whose axes the tilts are given: "before" or "after" q.
-        tilts: parameter, axis (0 for x, 1 for y) and basis, shape (N,), of each.
+    A bearing off the origin of its frame tilts where its compliance acts; one at the origin tilts by s_x and s_y. Each tilt
+    is a parameter, an axis (0 for x, 1 for y) and a basis, shape (N,), in the axes "before" or "after" q (``seen_from``).
     """
     i = joint_index(chain, joint)
     side, symbol = (chain.moment_frame, "gamma") if chain.bearing_heights[i] else ("before", "s")

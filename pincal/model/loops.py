@@ -220,14 +220,14 @@ class Loops:
             place, turn, v, w = force[:3], force[3:], J[:, :3], J[:, 3:]
             v_k, w_k = v[at[k]], w[at[k]]
             # The earlier of two coordinates turns the motion of the later one.
-            behind = (v * _cross(place, w_k)).sum(axis=1)
-            before = (w * _cross(v_k, place)).sum(axis=1)
+            behind = (v * np.cross(place, w_k, axis=0)).sum(axis=1)
+            before = (w * np.cross(v_k, place, axis=0)).sum(axis=1)
             if walk.closure.kind == "axis":
                 z = T[:, :, 2].T
-                behind += (w * _cross(z, _cross(turn, w_k))).sum(axis=1)
-                before += (w * _cross(_cross(w_k, z), turn)).sum(axis=1)
+                behind += (w * np.cross(z, np.cross(turn, w_k, axis=0), axis=0)).sum(axis=1)
+                before += (w * np.cross(np.cross(w_k, z, axis=0), turn, axis=0)).sum(axis=1)
             elif walk.closure.kind == "pose":
-                half = 0.5 * (w * _cross(turn, w_k)).sum(axis=1)
+                half = 0.5 * (w * np.cross(turn, w_k, axis=0)).sum(axis=1)
                 behind, before = behind + half, before - half
             for other, m in at.items():
                 if other in walk.order:
@@ -297,11 +297,6 @@ def inert_coordinates(chain: Chain) -> frozenset[int]:
         known[chain.moment_frame] = frozenset([*still, *loops.follow.tolist(), *own])
     found: frozenset[int] = known[chain.moment_frame]
     return found
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the cross product of vectors in columns, shape (3, N)."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _with_terms(terms: Terms, more: list[tuple[int, int, bool, np.ndarray]]) -> Terms:

@@ -71,11 +71,8 @@ def tip_pose(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the target's pose in the instrument's frame, shape (3, 4), and its velocities by the joints, shape (6, n).
 
-    Args:
-        layout: the chain.
-        x: its K coordinates.
-        tool_rotation: shape (3, 3), the reference orientation of the target.
-        drives: the coordinates to which the joint positions are added.
+    ``x`` are the chain's K coordinates, ``drives`` those to which the joint positions are added, and ``tool_rotation``,
+    shape (3, 3), is the reference orientation of the target.
     """
     S, frame = len(layout.path.coordinate), _Frame()
     _walk(layout, x, frame, first=0, last=3)
@@ -98,13 +95,8 @@ def symbolic_moments(layout: Layout, x: Sequence[Expression], payload: Expressio
     """Return the static moments, components x, y, z of each joint in turn [N m].
 
     Gravity is propagated outwards from frame to frame, mass and first moment of mass inwards, each in the axes and about the
-    origin of the current frame.
-
-    Args:
-        layout: the chain.
-        x: its K coordinates.
-        payload: mass beyond the last link [kg].
-        payload_centre: shape (3,), its centre of mass in the tip frame [m].
+    origin of the current frame. ``x`` are the chain's K coordinates; the payload [kg] has its centre of mass, shape (3,), in
+    the tip frame [m].
     """
     n, gravity, route = len(layout.masses), {}, layout.tree
     behind = {-1: layout.gravity.astype(object)}

@@ -258,11 +258,9 @@ class Robot:
         return self.following(q)
 
     def gathered(self, J: np.ndarray, q: np.ndarray | None = None) -> np.ndarray:
-        """Return derivatives by the independent joints, shape (..., m).
+        """Return derivatives by the independent joints, shape (..., m), from those by all joints, shape (..., n).
 
-        Args:
-            J: derivatives by all joints, shape (..., n); with loops shape (N, ..., n).
-            q: joint positions, shape (N, n); None if J already includes the motion of the passive joints of loops.
+        Joint positions q, shape (N, n), are needed for J of shape (N, ..., n) without the motion of passive joints of loops.
         """
         if not self.dependent:
             return J

@@ -136,8 +136,7 @@ class Arm:
     @cached_property
     def lengths(self) -> np.ndarray:
         """Distance from each joint to the next, last to the tip [m], shape (n,)."""
-        lengths: np.ndarray = np.linalg.norm(self.ends[:, :3, 3], axis=1)
-        return lengths
+        return np.asarray(np.linalg.norm(self.ends[:, :3, 3], axis=1))
 
     @property
     def reach(self) -> float:

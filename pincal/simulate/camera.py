@@ -164,8 +164,7 @@ class View:
         direction = rng.uniform(-np.pi, np.pi, count)
         angle = self.tilt * np.sqrt(rng.uniform(0.0, 1.0, (count, 1)))
         axis = np.stack((np.cos(direction), np.sin(direction), 0.0 * direction), axis=1)
-        rotation: np.ndarray = (onto * Rotation.from_rotvec(angle * axis) * spin).as_matrix()
-        return rotation
+        return np.asarray((onto * Rotation.from_rotvec(angle * axis) * spin).as_matrix())
 
 
 def plan_views(
@@ -301,5 +300,4 @@ class EyeInHand(SensorSetup):
 
 def in_camera(camera: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Return points [m, base frame], shape (K, 3), in the frames of cameras, shape (N, K, 3), given as T_base_camera."""
-    seen: np.ndarray = np.einsum("nab,nka->nkb", camera[:, :3, :3], places - camera[:, None, :3, 3])
-    return seen
+    return np.asarray(np.einsum("nab,nka->nkb", camera[:, :3, :3], places - camera[:, None, :3, 3]))

@@ -136,12 +136,10 @@ class TransmissionError(DriveEffect):
             distance = angle[..., None] - centre
             if self.periodic:
                 distance = 2.0 * np.sin(distance / 2.0)
-            total: np.ndarray = (height * np.exp(-0.5 * (distance / width) ** 2)).sum(-1)
-            return total
+            return np.asarray((height * np.exp(-0.5 * (distance / width) ** 2)).sum(-1))
 
         turn = raw(np.linspace(-half_range, half_range, 1000, endpoint=False))
-        error: np.ndarray = self.size * (raw(np.asarray(q, float)) - turn.mean()) / turn.std()
-        return error
+        return np.asarray(self.size * (raw(np.asarray(q, float)) - turn.mean()) / turn.std())
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         return self.curve(poses.q[:, joint])

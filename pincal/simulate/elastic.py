@@ -212,8 +212,7 @@ class GravityCompensator(DriveEffect, SizedByLoad):
         span = np.asarray(self.anchor) - end
         length = np.linalg.norm(span, axis=-1, keepdims=True)
         force = self.size * (length - self.free_length) * span / length
-        moment: np.ndarray = np.cross(end, force)[..., 2]
-        return moment
+        return np.asarray(np.cross(end, force)[..., 2])
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         return np.asarray(self.compliance * self.torque(poses.q[:, joint]))

@@ -74,11 +74,8 @@ class Inertia:
     def of(cls, arm: Arm, motion: tuple[np.ndarray, ...], payload: np.ndarray, payload_com: np.ndarray) -> Inertia | None:
         """Return the inertial loads of an arm that moves as if it did not deform; None if nothing moves.
 
-        Args:
-            arm: The true arm.
-            motion: Joint positions, velocities and accelerations, shape (N, n) each [rad or m, per s, per s^2].
-            payload: Mass at the tip [kg], shape (N,).
-            payload_com: Its centre of mass in the tip frame [m], shape (N, 3).
+        ``motion`` contains joint positions, velocities and accelerations, shape (N, n) each [rad or m, per s, per s^2]; the
+        payload [kg], shape (N,), has its centre of mass in the tip frame [m], shape (N, 3).
         """
         if not any(part.any() for part in motion[1:]):
             return None

@@ -345,5 +345,4 @@ def _sums(weights: np.ndarray, carried: np.ndarray) -> np.ndarray:
 
 def _turned(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Return vectors of the base frame in the axes of frames, shape (N, k, 3)."""
-    turned: np.ndarray = np.einsum("nkab,nka->nkb", frames[..., :3, :3], vectors)
-    return turned
+    return np.asarray(np.einsum("nkab,nka->nkb", frames[..., :3, :3], vectors))

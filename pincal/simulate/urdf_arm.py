@@ -230,8 +230,7 @@ def _twist(model: Any, data: Any, joint: int) -> np.ndarray:
     if model.joints[joint].nv != 1:
         raise RobotFileError(f"joint {model.names[joint]!r}: has several freedoms; expected revolute or prismatic")
     jacobian = np.reshape(pin.getJointJacobian(model, data, joint, pin.LOCAL), (6, -1))
-    column: np.ndarray = jacobian[:, model.joints[joint].idx_v]
-    return column
+    return np.asarray(jacobian[:, model.joints[joint].idx_v])
 
 
 def _limits(model: Any, prismatic: np.ndarray, joints: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
