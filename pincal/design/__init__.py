@@ -1,1 +1,1 @@
-"""Design of measurements: which poses to measure, how many, and what they will tell before any is measured."""
+"""Design of measurements: which poses to measure, how many, and the accuracy predicted before any is measured."""

@@ -192,13 +192,7 @@ class Reach:
     def draw(self, n: int, rng: np.random.Generator, *, measured: bool = True) -> Draw:
         """Draw random joint positions until ``n`` satisfy all constraints; fewer if hardly any do.
 
-        Args:
-            n: number of poses.
-            rng: source of randomness.
-            measured: whether they also have to be in the box and in sight.
-
-        Raises:
-            BadInputError: for too many poses.
+        With ``measured`` they also have to be in the box and in sight. BadInputError if n is too large.
         """
         if n > _MOST:
             raise BadInputError(f"{n} random poses to choose from; expected at most {_MOST}: ask for fewer")

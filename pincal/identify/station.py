@@ -215,7 +215,7 @@ class Station:
         """Return residuals and Jacobian of a piece of the rows."""
         of_model, own = self.split(values)
         model_free, own_free = self.split(free)
-        model_free = model_free & part.model.is_felt
+        model_free = model_free & part.model.affects_tip
         shared: list[Shared] = []
         if part.conditions.around is None:
             poses, motion, shared = part.model.linearise_shared(

@@ -23,13 +23,8 @@ def augmented_model(chain: Chain, *, payload: float = 0.0, payload_centre: np.nd
     Its frame Jacobian at "tip" is the kinematic Jacobian by coordinates; its generalised gravity is minus the static
     moment about each coordinate; its gravity derivatives are those of the moments.
 
-    Args:
-        chain: the chain.
-        payload: mass at the tip [kg].
-        payload_centre: shape (3,), its centre of mass in the tip frame [m].
-
-    Returns:
-        The model, its gravity that of the chain, with operational frames "start" and "tip" at the ends of the path.
+    It has the chain's gravity, operational frames "start" and "tip" at the ends of the path, and a payload [kg] with its
+    centre of mass, shape (3,), in the tip frame [m].
     """
     import pinocchio as pin
 

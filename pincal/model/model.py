@@ -115,7 +115,7 @@ class Model:
         return np.array([scope == "station" for scope, count in scopes for _ in range(count)], bool)
 
     @cached_property
-    def is_felt(self) -> np.ndarray:
+    def affects_tip(self) -> np.ndarray:
         """Which parameters move the tip not only by moving joints off the path that load the path, shape (P,)."""
         if self.chain.on_path.all():
             return np.ones(self.n_parameters, bool)

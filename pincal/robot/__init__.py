@@ -1,1 +1,1 @@
-"""The arm: read from a URDF, with its Denavit-Hartenberg frames and masses."""
+"""The arm, read from a URDF, with its Denavit-Hartenberg frames and masses."""

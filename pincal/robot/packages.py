@@ -19,7 +19,7 @@ _LARGEST_MESH, _LARGEST_ROBOT = 40_000_000, 200_000_000
 def neighbouring_packages(file: str | os.PathLike[str]) -> dict[str, Path]:
     """Return the folders of the ROS packages around a file, by name; of two with one name, the nearer one.
 
-    Each folder above the file is searched, one level deep, until one contains no more packages.
+    Each folder above the file is searched, two levels deep, until one contains no more packages.
     """
     found: dict[str, Path] = {}
     for home in Path(file).resolve().parents:

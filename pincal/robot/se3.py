@@ -34,11 +34,8 @@ def translation(x: float, y: float, z: float) -> np.ndarray:
 def placed(reference: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
     r"""Return the frame, shape (4, 4), of six coordinates about a reference orientation.
 
-    :math:`Tr(x, y, z)\, R_{ref}\, R(x; r_x)\, R(y; r_y)\, R(z; r_z)`: how base and tool frames are parametrised.
-
-    Args:
-        reference: shape (3, 3), orientation at zero angles.
-        coordinates: shape (6,), position [m] and angles [rad] in the order of ``pincal.parameters.FRAME_SYMBOLS``.
+    :math:`Tr(x, y, z)\, R_{ref}\, R(x; r_x)\, R(y; r_y)\, R(z; r_z)`, the parametrisation of base and tool frames: position
+    [m] and angles [rad] in the order of ``pincal.parameters.FRAME_SYMBOLS``.
     """
     x, y, z, rx, ry, rz = map(float, coordinates)
     turned = transform(reference, np.array([x, y, z]))

@@ -282,9 +282,9 @@ class UrdfTree:
             return chain[: cuts[0]]
         # The joints above each moving joint, without the rods of loops.
         rods = self.looped - set(chain)
-        hangs = [chains.get(joint.parent) for joint in self.joints if joint.kind in MOVING_TYPES and joint.name not in rods]
+        above = [chains.get(joint.parent) for joint in self.joints if joint.kind in MOVING_TYPES and joint.name not in rods]
         for cut in range(max(len(chain) - 2, 1), len(chain)):
-            if hangs.count(chains.get(by_name[chain[cut]].parent, ())) > 1:
+            if above.count(chains.get(by_name[chain[cut]].parent, ())) > 1:
                 return chain[:cut]
         return chain
 

@@ -44,17 +44,10 @@ class Pins:
     def of(
         cls, tree: UrdfTree, closure: UrdfClosure, carriers: tuple[int, int], T_base_link: np.ndarray, lines: np.ndarray
     ) -> Pins:
-        """Return the frames of a closure.
+        """Return the frames of a closure whose links are at T_base_link, shape (2, 4, 4), at zero positions.
 
-        Args:
-            tree: the URDF.
-            closure: the closure.
-            carriers: the joints that carry its links, -1 for the base.
-            T_base_link: shape (2, 4, 4), these links at zero positions.
-            lines: shape (n, 2, 3), a point on the axis of each joint and its direction, likewise.
-
-        Raises:
-            RobotFileError: for an unsupported type of closure.
+        ``lines``, shape (n, 2, 3), are a point on the axis of each joint and its direction. RobotFileError for an
+        unsupported type of closure.
         """
         kind = KINDS.get(closure.kind)
         if kind is None:

@@ -227,7 +227,7 @@ def _find_root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: st
     if len(roots) != 1 or len(in_tree_order(roots[0], joints)) != len(joints):
         raise RobotFileError(
             f"{source}: the links form no single tree (roots: {', '.join(roots) or 'none, the joints run in a circle'});"
-            " expected every link to hang on one root link"
+            " expected all links to descend from one root link"
         )
     return roots[0]
 

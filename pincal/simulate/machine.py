@@ -222,7 +222,7 @@ class TrueMachine:
                     tip = np.linalg.solve(joints_and_links(places)[1][:, k + 1] @ self.arm.start, tip)
                 return Equilibrium(tip=tip, deformation=deformation, loads=loads)
             deformation = settled
-        raise BadInputError(f"the arm does not come to rest in {_ROUNDS} rounds; use a smaller compliance")
+        raise BadInputError(f"the arm reaches no equilibrium in {_ROUNDS} rounds; use a smaller compliance")
 
     def _closed(self, q: np.ndarray, places: np.ndarray, deformation: Deformation) -> tuple[np.ndarray, np.ndarray]:
         """Return joint positions at which the loops of the deformed arm close, and its places there."""

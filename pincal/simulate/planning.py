@@ -26,17 +26,14 @@ _PIECE = 5_000
 def plan_poses(
     arm: Arm, n: int, rng: np.random.Generator, *, min_height: float | None = 0.1, max_radius: float | None = None
 ) -> np.ndarray:
-    """Draw random joint positions within the limits, with the arm above the floor.
+    """Draw n random joint positions within the limits [rad or m], shape (n, number of joints), with the arm above the floor.
 
     Args:
         arm: Nominal arm, ``machine.nominal``.
         n: Number of poses.
-        rng: Source of randomness.
+        rng: Random generator.
         min_height: Height of the floor [m], as in :func:`is_clear`; None for no floor.
         max_radius: Largest distance of the tip from the base's origin [m]; None for no limit.
-
-    Returns:
-        Joint positions [rad or m], shape (n, number of joints).
 
     Raises:
         BadInputError: If hardly any pose of the arm fits the limits.

@@ -289,13 +289,8 @@ def gravity_loads(
 ) -> Loads:
     """Return the loads on every joint of the deformed arm.
 
-    Args:
-        arm: The true arm.
-        places: Transforms of :func:`place`, shape (N, 3 n + 3, 4, 4).
-        payload: Mass at the tip [kg], shape (N,).
-        payload_com: Its centre of mass in the tip frame [m], shape (N, 3).
-        gravity: Acceleration in the undeformed base frame [m/s^2], shape (3,).
-        inertia: Inertial loads; default: none, at rest.
+    ``places`` are transforms of :func:`place`, shape (N, 3 n + 3, 4, 4); the payload [kg], shape (N,), has its centre of
+    mass in the tip frame [m], shape (N, 3); gravity is given in the undeformed base frame [m/s^2], shape (3,).
     """
     last = places.shape[1] - 1
     before, joint, after = (places[:, first:last:3] for first in (_BEFORE, _JOINT, _AFTER))

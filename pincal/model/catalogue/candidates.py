@@ -55,7 +55,7 @@ def testable(situation: PoseSet, acts_on: Collection[str] | None = None) -> tupl
 
 
 def untestable(chain: Chain, conditions: Conditions) -> tuple[tuple[Effect, str], ...]:
-    """Return the other effects, each with the reason in words."""
+    """Return the effects that these poses could not show, each with the reason."""
     return tuple((effect, reason) for effect, reason in _judged(PoseSet(chain, conditions)) if reason)
 
 

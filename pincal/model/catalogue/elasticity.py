@@ -148,7 +148,7 @@ class BaseElasticity(Discoverable):
 class GravityCompensator(DriveWaves):
     r"""Spring between two links that relieves the drive: gamma_z is the drive's compliance times the spring's torque.
 
-    The torque is a smooth function of the joint's angle alone, whatever the payload; its first harmonics are enough:
+    The torque is a smooth function of the joint's angle alone, independent of the payload; its first harmonics suffice:
     :math:`\gamma_z = s_1 \sin q + c_1 \cos q + s_2 \sin 2q + c_2 \cos 2q`. Gear eccentricity of both orders spans the same.
 
     Distinguished by:
