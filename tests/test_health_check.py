@@ -18,7 +18,7 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.cli import main
 from pincal.cli.screen import print_check
-from pincal.design.detection import DetectionDesign, guarded_changes, lineup_over, watch_of
+from pincal.design.detection import DetectionDesign, detectable_changes, detection_design, lineup_over
 from pincal.design.health import CheckRequest, HealthCheck, design_check
 from pincal.design.reach import Limits, Reach, SensorSetup
 from pincal.diagnosis.lineup import ChangeHypotheses
@@ -59,8 +59,8 @@ def watched() -> tuple[ChangeHypotheses, DetectionDesign]:
     model = machine_and_model(2)[1]
     reach = Reach(robot, SensorSetup(tool=TOOL), Limits())
     lineup = lineup_over(model, reach.rig, Conditions.at(reach.draw(40, rng).q))
-    guarded, _ = guarded_changes(lineup, Conditions.at(reach.draw(30, rng).q), 2e-4, rng=rng)
-    return lineup, watch_of(lineup, guarded, alpha=0.01, power=0.95, degrees=200.0)
+    guarded, _ = detectable_changes(lineup, Conditions.at(reach.draw(30, rng).q), 2e-4, rng=rng)
+    return lineup, detection_design(lineup, guarded, alpha=0.01, power=0.95, degrees=200.0)
 
 
 def test_the_design_works_on_the_statistic_of_the_diagnosis(watched: tuple[ChangeHypotheses, DetectionDesign]) -> None:
@@ -71,8 +71,8 @@ def test_the_design_works_on_the_statistic_of_the_diagnosis(watched: tuple[Chang
     evidence = few.weigh(few.start, ())
     found = watch.noncentralities(chosen.tolist())
     rng = np.random.default_rng(0)
-    guarded, _ = guarded_changes(lineup, Conditions.at(lineup.station.conditions.q), 2e-4, rng=rng)
-    again = watch_of(lineup, guarded, alpha=0.01, power=0.95, degrees=200.0).noncentralities(chosen.tolist())
+    guarded, _ = detectable_changes(lineup, Conditions.at(lineup.station.conditions.q), 2e-4, rng=rng)
+    again = detection_design(lineup, guarded, alpha=0.01, power=0.95, degrees=200.0).noncentralities(chosen.tolist())
     expected = [one.step @ evidence.form.H @ one.step for one in guarded]
 
     np.testing.assert_allclose(again, expected, rtol=1e-3, atol=1e-3)

@@ -82,7 +82,7 @@ def lineup_over(model: CalibratedModel, rig: SensorSetup, conditions: Conditions
     return replace(few, station=station.with_model(few.station.model))
 
 
-def guarded_changes(
+def detectable_changes(
     lineup: ChangeHypotheses, places: Conditions, notice: float, *, rng: np.random.Generator
 ) -> tuple[list[DetectableChange], list[PossibleChange]]:
     """Return the changes to be detected, and those that new frames absorb or that never are so large."""
@@ -90,7 +90,7 @@ def guarded_changes(
     poses, motion = model.linearise(model.own(lineup.start), places)
     sizes = np.where(np.isfinite(lineup.sizes), lineup.sizes, 0.0)
     motion = _without_frames(poses, motion) * sizes[: motion.shape[2]]
-    guarded, absorbed = [], []
+    detectable, absorbed = [], []
     for i, (change, at) in enumerate(zip(lineup.changes, lineup.places, strict=True)):
         if isinstance(change.effect, Curve) or change.belief is not None:
             continue
@@ -104,8 +104,8 @@ def guarded_changes(
         for way, far in zip(ways[seen], farthest[seen], strict=True):
             step = np.zeros(len(lineup.start))
             step[at] = sizes[at] * way * notice / far
-            guarded.append(DetectableChange(i, step, rank))
-    return guarded, absorbed
+            detectable.append(DetectableChange(i, step, rank))
+    return detectable, absorbed
 
 
 def _without_frames(poses: np.ndarray, motion: np.ndarray) -> np.ndarray:
@@ -117,8 +117,8 @@ def _without_frames(poses: np.ndarray, motion: np.ndarray) -> np.ndarray:
     return np.asarray(rows - frames @ np.linalg.lstsq(frames, rows, rcond=1e-10)[0]).reshape(motion.shape)
 
 
-def watch_of(
-    lineup: ChangeHypotheses, guarded: list[DetectableChange], *, alpha: float, power: float, degrees: float
+def detection_design(
+    lineup: ChangeHypotheses, detectable: list[DetectableChange], *, alpha: float, power: float, degrees: float
 ) -> DetectionDesign:
     """Return the information of the candidates on the changes to be detected."""
     station = lineup.station
@@ -129,9 +129,9 @@ def watch_of(
     rows = np.vstack([uncertain, own]).T.reshape(len(station), m, -1)
     return DetectionDesign(
         N=rows,
-        G=(np.array([one.step for one in guarded]) @ A).T.reshape(len(station), m, -1),
+        G=(np.array([one.step for one in detectable]) @ A).T.reshape(len(station), m, -1),
         H=np.diag(np.append(np.ones(len(uncertain)), np.full(len(own), _NOTHING))),
-        ranks=np.array([one.rank for one in guarded]),
+        ranks=np.array([one.rank for one in detectable]),
         limit=limit_for(alpha, len(lineup.changes)),
         degrees=degrees - len(own),
         power=power,

@@ -13,7 +13,7 @@ import numpy as np
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.covered import Covered
 from pincal.design.design_model import DesignModel, held_columns
-from pincal.design.detection import DetectableChange, DetectionDesign, guarded_changes, lineup_over, watch_of
+from pincal.design.detection import DetectableChange, DetectionDesign, detectable_changes, detection_design, lineup_over
 from pincal.design.exchange import covariance, order_by_load, total
 from pincal.design.reach import Draw, Limits, Reach, SensorSetup
 from pincal.design.request import pose_columns
@@ -241,16 +241,16 @@ def design_check(
     conditions = _conditions(model, drawn.q, request, rng=rng)
     lineup = lineup_over(model, rig, conditions)
     places = _conditions(model, reach.draw(_PLACES, rng, measured=False).q, request, rng=rng)
-    guarded, absorbed = guarded_changes(lineup, places, request.notice, rng=rng)
+    detectable, absorbed = detectable_changes(lineup, places, request.notice, rng=rng)
     degrees = known_degrees(model, lineup.station)
-    watch = watch_of(lineup, guarded, alpha=request.alpha, power=request.power, degrees=degrees)
+    design = detection_design(lineup, detectable, alpha=request.alpha, power=request.power, degrees=degrees)
     log.info("choosing among %d poses", len(conditions))
     groups = lineup.station.sensor.groups
-    chosen = watch.fewest_of(request.max_poses, np.zeros(len(conditions)) if groups is None else groups)
+    chosen = design.fewest_of(request.max_poses, np.zeros(len(conditions)) if groups is None else groups)
     order, _, _ = order_by_load(drawn.q[chosen], conditions.payload[chosen], reach.range)
     rows = np.array(chosen)[order]
     final = replace(lineup, station=lineup.station.select(rows))
-    changes = _noticed(watch, final, guarded, chosen)
+    changes = _noticed(design, final, detectable, chosen)
     log.info("simulating %d checks", 2 * request.draws)
     rates = [_alarms(final, degrees, request, step=step, rng=rng) for step in (np.zeros(len(final.start)), changes[0].step)]
     return HealthCheck(
@@ -315,15 +315,15 @@ def _rig_of(rig: SensorSetup, model: CalibratedModel) -> SensorSetup:
 
 
 def _noticed(
-    watch: DetectionDesign, final: ChangeHypotheses, guarded: list[DetectableChange], chosen: list[int]
+    design: DetectionDesign, final: ChangeHypotheses, detectable: list[DetectableChange], chosen: list[int]
 ) -> tuple[NoticedChange, ...]:
     """Return the detectability of each change at the chosen poses, in its hardest direction, the hardest change first."""
-    found, needed = watch.noncentralities(chosen), watch.needed(len(chosen))
+    found, needed = design.noncentralities(chosen), design.needed(len(chosen))
     order = np.argsort(found / needed)
     hardest: dict[int, NoticedChange] = {}
     for k in order:
-        i = guarded[k].change
-        hardest.setdefault(i, NoticedChange(final.changes[i], float(found[k]), float(needed[k]), guarded[k].step))
+        i = detectable[k].change
+        hardest.setdefault(i, NoticedChange(final.changes[i], float(found[k]), float(needed[k]), detectable[k].step))
     return tuple(hardest.values())
 
 
