@@ -227,7 +227,7 @@ def test_a_mesh_beyond_what_can_be_worked_on_is_not_read(tmp_path: Path) -> None
         file.truncate(39_000_000)
     found = Meshes(str(tmp_path / "arm.urdf"))
     assert [found.find("arm.stl")[0] is not None for _ in range(7)] == [True] * 5 + [False] * 2
-    assert "robot's meshes have more than 200 MB" in found.find("arm.stl")[1]
+    assert "robot's meshes exceed 200 MB" in found.find("arm.stl")[1]
 
     scene, ball = trimesh.Scene(), trimesh.creation.icosphere(subdivisions=4)
     for k in range(200):
