@@ -1,4 +1,4 @@
-"""Excel workbooks (.xlsx) as sheets: the worksheet that is named, or has columns of joints."""
+"""Excel workbooks (.xlsx) as sheets: the worksheet given by name, or the one with joint columns."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
     import polars as pl
 
 ENDINGS = (".xlsx", ".xlsm")
-# Lines of a worksheet in Excel.
+# Most rows of an Excel worksheet.
 _MOST_LINES = 1_048_576
-# Size of a cell in memory at least, a reference [bytes], and cells from one look at that to the next.
+# Least size of a cell in memory, a reference [bytes], and number of cells between two checks of the total.
 _BYTES, _CELLS = 8, 100_000
-# Lines that a note names, and lines among which the header is looked for.
+# Lines that a note lists, and lines searched for the header.
 _LISTED, _LOOKED_AT = 3, 200
 _ROW = re.compile(rb"<(?:\w+:)?row\b([^>]*)>")
 _HIDDEN = re.compile(rb"\bhidden\s*=\s*[\"'](?:1|true)[\"']")
 _NUMBER = re.compile(rb"\br\s*=\s*[\"'](\d+)[\"']")
-# What stands in the cell of a formula that failed.
+# Results of formulas that failed.
 _FAILED = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
 
 
 def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] = ()) -> Sheet:
-    """Read a worksheet: the one that is named, else the first with columns of joints, else the first with cells.
+    """Read a worksheet: the one given by name, else the first with joint columns, else the first with any cells.
 
-    Visible worksheets go before hidden ones. Worksheets and lines above the table that are left out, and rows that are
-    hidden, cause a `PincalWarning`.
+    Visible worksheets precede hidden ones. Worksheets and lines above the table that are left out, and hidden rows, cause a
+    `PincalWarning`.
 
     Args:
         path: the workbook.
@@ -56,7 +56,7 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
     found = find_heading([["" if cell is None else str(cell) for cell in cells] for _, cells in lines[:_LOOKED_AT]], joints)
     found = found or TableHead(0, 1, tuple("" if cell is None else str(cell).strip() for cell in lines[0][1]))
     if found.body > 1:
-        warn(f"{path.name}: {found.told([row for row, _ in lines])}")
+        warn(f"{path.name}: {found.described([row for row, _ in lines])}")
     body, count, top = lines[found.body :], len(found.labels), lines[found.header][0]
     for row, cells in body:
         if len(cells) > count:
@@ -70,7 +70,7 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
 
 
 def _lines(path: Path, named: str | None, joints: Collection[str]) -> tuple[str, list[tuple[int, tuple[Any, ...]]]]:
-    """Return a worksheet's name, and number and cells of each line that has some; report what else the workbook has."""
+    """Return the name of the worksheet, and number and cells of its non-blank lines; warn of what is left out."""
     install = "'pincal[excel]', or save the table as CSV"
     with needed("openpyxl", f"{path.name}: Excel files", install=install, error=MeasurementError):
         import openpyxl
@@ -94,7 +94,7 @@ def _lines(path: Path, named: str | None, joints: Collection[str]) -> tuple[str,
                         break
             if first is None:
                 return "", []
-            _tell_hidden(first[0], {row for row, _ in first[1]}, path.name, is_wanted=named is not None)
+            _warn_of_hidden(first[0], {row for row, _ in first[1]}, path.name, is_wanted=named is not None)
             others.remove(first[0])
             if named is None and others:
                 listed = ", ".join(sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in others)
@@ -105,17 +105,13 @@ def _lines(path: Path, named: str | None, joints: Collection[str]) -> tuple[str,
             return first[0].title, first[1]
     except (OSError, MeasurementError):
         raise
-    except Exception as error:  # Whatever a broken archive does to the libraries below.
+    except Exception as error:  # Broken archives raise all kinds of errors in these libraries.
         raise MeasurementError(f"{path.name}: can't be read ({error}); expected an Excel workbook") from error
 
 
 def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
-    """Yield number and cells of each line that has some.
-
-    Raises:
-        MeasurementError: for more lines than Excel has, or blank cells beyond measure.
-    """
-    # The size that a file states may be wrong, and rows beyond it would be lost.
+    """Yield number and cells of each non-blank line; refuse more lines than Excel has, or far too many blank cells."""
+    # The stated size of the worksheet may be wrong, and rows beyond it would be lost.
     sheet.reset_dimensions()
     name, cells = path.name, 0
     for row, values in enumerate(sheet.iter_rows(values_only=True), start=1):
@@ -130,11 +126,11 @@ def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
         yield row, tuple(values[:count])
 
 
-def _tell_hidden(sheet: Any, rows: set[int], name: str, *, is_wanted: bool) -> None:
-    """Warn of a worksheet that is hidden, unless it was asked for, and of those of its rows that are."""
+def _warn_of_hidden(sheet: Any, rows: set[int], name: str, *, is_wanted: bool) -> None:
+    """Warn if the worksheet is hidden, unless it was asked for, and if some of its rows are."""
     if sheet.sheet_state != "visible" and not is_wanted:
         warn(f"{name}: no visible worksheet has columns of joints; the hidden one {sheet.title} is read")
-    # In this mode openpyxl keeps none of the attributes of rows.
+    # In read-only mode openpyxl drops the attributes of rows.
     with sheet._get_source() as source:
         text = source.read()
     hidden = []

@@ -16,9 +16,9 @@ NUMBERED = re.compile(
     r"[ _.-]?(\d{1,2})",
     re.IGNORECASE,
 )
-"""What programs call the joints of an arm when they number them, blanks and signs before the number left out."""
+"""How programs name numbered joints, without the blank or sign before the number."""
 
-# Units as people write them out.
+# Spellings of units.
 _WRITTEN = {"°": ("degree", "degrees", "º"), "mm": ("millimeter", "millimeters", "millimetre", "millimetres")}
 _WRITTEN |= {
     "m": ("meter", "meters", "metre", "metres"),
@@ -35,7 +35,7 @@ _WRITTEN |= {
     for short, long in (("ms", "milli"), ("us", "micro"), ("ns", "nano"))
 }
 _SPELLED = {word: unit for unit, words in _WRITTEN.items() for word in (unit, *words)} | {"deg": "deg"}
-# What stands below a name that has no unit of its own, or one that no column needs.
+# Cells of a row of units below columns without a unit, or with a unit that no known column has.
 _NO_UNITS = (
     "",
     "-",
@@ -57,12 +57,12 @@ _NO_UNITS = (
 )
 # Names by which the row of names is recognised, in addition to those of joints.
 _KNOWN = ("x", "y", "z", "qx", "qy", "qz", "qw", "distance", "socket", "point", "u", "v", "cx", "cy", "cz", "plane", "gauge")
-# A row with less of its cells filled is a title, not a header.
+# A row with a smaller share of its cells filled is a title, not a header.
 _FILLED = 0.6
 
 
 def normal_unit(text: str) -> str:
-    """Return a unit as units are listed, with one micro sign, written out or not.
+    """Return the listed symbol of a unit, whichever way it is spelled.
 
     Example:
         >>> normal_unit("Degrees"), normal_unit("MM"), normal_unit("kg")
@@ -77,10 +77,10 @@ class TableHead:
     """Where the names of the columns stand.
 
     Attributes:
-        header: row of the names, the first being 0.
-        body: first row below all that belongs to the header.
+        header: index of the row of names.
+        body: index of the first row below the header.
         labels: names, with the units of a row below them.
-        units: row of the units, if there is one.
+        units: index of the row of units, if there is one.
     """
 
     header: int
@@ -88,12 +88,12 @@ class TableHead:
     labels: tuple[str, ...]
     units: int | None = None
 
-    def told(self, lines: Sequence[int]) -> str:
-        """Return what is taken for what, in words; ``lines`` are the numbers of the rows in the file."""
-        left = [lines[i] for i in range(self.body) if i not in (self.header, self.units)]
+    def described(self, lines: Sequence[int]) -> str:
+        """Return how the rows are interpreted, in words; ``lines`` are their numbers in the file."""
+        others = self.body - len({self.header, self.units} - {None})
         texts = [f"the names of the columns are taken from line {lines[self.header]}"]
         texts += [f"units from line {lines[self.units]}"] if self.units is not None else []
-        texts += [f"{len(left)} other lines above the numbers are left out"] if left else []
+        texts += [f"{others} other lines above the numbers are left out"] if others else []
         return ", ".join(texts)
 
 
@@ -103,11 +103,11 @@ def is_number(cell: str) -> bool:
 
 
 def find_heading(rows: Sequence[Sequence[str]], joints: Collection[str] = ()) -> TableHead | None:
-    """Return where the names of a table's columns stand, among its first rows; None where no row looks like names.
+    """Return where the column names are among the first rows of a table; None where no row looks like names.
 
     Args:
         rows: cells.
-        joints: names of joints, which distinguish the row of names from others.
+        joints: names of joints, by which the row of names is recognised.
 
     Example:
         >>> rows = [["KR 16, cell 3"], ["A1", "A2", "x", "y"], ["deg", "deg", "mm", "mm"], ["1", "2", "3", "4"]]
@@ -145,7 +145,7 @@ def find_heading(rows: Sequence[Sequence[str]], joints: Collection[str] = ()) ->
 
 
 def is_unit_row(row: Sequence[str], usual: int) -> bool:
-    """Return whether a row holds units alone, two or more of a usual width of the table."""
+    """Return whether a row contains only units, at least two, given the usual number of cells."""
     cells = [normal_unit(cell.strip().strip("[]()")) for cell in row]
     return (
         usual - 1 <= len(row)
@@ -156,18 +156,21 @@ def is_unit_row(row: Sequence[str], usual: int) -> bool:
 
 def names_joints(cells: Sequence[str], joints: Collection[str]) -> bool:
     """Return whether a row names joints: one by its name, or three by numbers."""
-    bare = [re.split(r"\s*[\[(]", cell)[0].strip().casefold() for cell in cells]
+    bare = _bare(cells)
     return bool({*bare} & {joint.casefold() for joint in joints}) or sum(bool(NUMBERED.match(cell)) for cell in bare) > 2
 
 
+def _bare(row: Sequence[str]) -> list[str]:
+    return [re.split(r"\s*[\[(]", cell)[0].strip().casefold() for cell in row]
+
+
 def _known(row: Sequence[str], joints: Collection[str]) -> int:
-    bare = [re.split(r"\s*[\[(]", cell)[0].strip().casefold() for cell in row]
     known = {*_KNOWN, *(joint.casefold() for joint in joints)}
-    return sum(cell in known or bool(NUMBERED.fullmatch(cell)) for cell in bare)
+    return sum(cell in known or bool(NUMBERED.fullmatch(cell)) for cell in _bare(row))
 
 
 def _distinct(labels: list[str], above: Sequence[str]) -> list[str]:
-    """Return the labels, those that stand twice with the group that the row above names."""
+    """Return the labels, repeated ones prefixed with the group name in the row above."""
     twice = {label for label, count in Counter(labels).items() if label and count > 1}
     group, found = "", list[str]()
     for label, over in zip(labels, [*above, *[""] * len(labels)], strict=False):

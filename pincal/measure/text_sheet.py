@@ -40,7 +40,7 @@ class TextSheet(Sheet):
     Attributes:
         separator: comma, semicolon or tab.
         header_line: line of the header.
-        content: the whole text in UTF-8 with these separators, where that is not what the file holds.
+        content: the whole text in UTF-8 with these separators, where the file differs from it.
     """
 
     separator: str
@@ -67,11 +67,11 @@ class TextSheet(Sheet):
 
 
 def open_text(path: Path, joints: Collection[str] = ()) -> Sheet:
-    """Read the header of a text file; lines that are none of the table's are left out with a `PincalWarning`.
+    """Read the header of a text file; lines outside the table are left out with a `PincalWarning`.
 
     Args:
         path: the file.
-        joints: names of joints, which distinguish the row of names from others.
+        joints: names of joints, by which the row of column names is recognised.
 
     Raises:
         MeasurementError: for a binary or an empty file, or one without names of columns.
@@ -91,15 +91,15 @@ def open_text(path: Path, joints: Collection[str] = ()) -> Sheet:
     raise MeasurementError(f"{path.name}: is empty; expected a header line and one line a pose")
 
 
-# Lines among which the header is looked for.
+# Lines searched for the header.
 _LOOKED_AT = 200
 
 
 def _heading(head: bytes, joints: Collection[str]) -> tuple[TableHead, list[int]] | None:
-    """Return the heading of a text whose first line is not all of it, and the numbers of the lines with cells."""
+    """Return a heading that is more than the first line, and the numbers of the non-blank lines."""
     numbers, texts = list[int](), list[str]()
     for number, line in enumerate(head.splitlines()[:_LOOKED_AT], start=1):
-        # The names may stand in the last comment before the numbers.
+        # The last comment before the numbers may contain the names.
         are_comments = len(texts) <= 1 and all(text.startswith("#") for text in texts)
         if _has_cells(line) or (are_comments and line.startswith(b"#")):
             start = 0 if line.startswith(b"#") else len(texts)
@@ -110,7 +110,7 @@ def _heading(head: bytes, joints: Collection[str]) -> tuple[TableHead, list[int]
         except csv.Error:
             continue
         if texts and texts[0].startswith("#"):
-            # A first column may be called #, too.
+            # The first column itself may be named #.
             is_name = len(rows) > 1 and len(rows[0]) == len(rows[1]) and rows[0][0].strip() == "#"
             named = [cell.strip() for cell in [rows[0][0].lstrip("# "), *rows[0][1:]] if cell.strip(" #")]
             named = ["#", *named] if is_name else named
@@ -126,29 +126,25 @@ def _heading(head: bytes, joints: Collection[str]) -> tuple[TableHead, list[int]
 
 
 def _below(path: Path, content: bytes | None, found: TableHead, numbers: Sequence[int]) -> TextSheet:
-    """Return the table below what stands above it; lines left out become comments, so that all keep their numbers."""
+    """Return the table below its preamble, whose lines become comments so that line numbers are preserved."""
     lines = _utf8(path.read_bytes().removeprefix(codecs.BOM_UTF8) if content is None else content, path).splitlines()
     header = numbers[found.header]
     for number in numbers[: found.body]:
         if number != header:
             lines[number - 1] = b"#"
     lines[header - 1] = lines[header - 1].lstrip(b"# ")
-    warn(f"{path.name}: {found.told(numbers)}")
+    warn(f"{path.name}: {found.described(numbers)}")
     sheet = _sheet_of_header(path, lines[header - 1], header, content=b"\n".join(lines) + b"\n")
     return replace(sheet, labels=found.labels) if len(found.labels) == len(sheet.labels) else sheet
 
 
 def _split(lines: list[str], separator: str, name: str) -> list[list[str]]:
-    """Return the cells of lines.
-
-    Raises:
-        MeasurementError: for what no table holds, such as a cell of a hundred thousand characters.
-    """
+    """Return the cells of lines; refuse what no table contains, such as a cell of a hundred thousand characters."""
     try:
         return list(csv.reader(lines, delimiter=separator))
     except csv.Error as error:
         raise MeasurementError(
-            f"{name}: can't be divided into cells ({error}); expected a table of names and numbers"
+            f"{name}: can't be split into cells ({error}); expected a table of names and numbers"
         ) from None
 
 
@@ -169,7 +165,7 @@ def _sheet_of_header(path: Path, line: bytes, number: int, *, content: bytes | N
 
 
 def _utf8(text: bytes, path: Path) -> bytes:
-    """Return text as UTF-8; what is none as if it were, with a `PincalWarning`."""
+    """Return text as UTF-8, converted from Windows-1252 with a `PincalWarning` where it is not."""
     with suppress(UnicodeDecodeError):
         text.decode("utf-8")
         return text
@@ -183,7 +179,7 @@ def _utf8(text: bytes, path: Path) -> bytes:
 
 
 def _with_tabs(text: bytes) -> bytes:
-    """Return text with a tab instead of each run of blanks between two cells."""
+    """Return text with each run of blanks between cells replaced by a tab."""
     return b"\n".join(_BLANKS.sub(b"\t", line.strip(b" \t")) for line in text.splitlines())
 
 
@@ -198,12 +194,11 @@ def _schema(sheet: TextSheet, columns: Sequence[SheetColumn], number: Any, text:
 
 
 def _read_regular(sheet: TextSheet, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray] | None:
-    """Return the cells of a regular table in one pass, None if anything in it needs a closer look."""
+    """Return the cells of a regular table in one pass, None if any line needs a closer look."""
     import polars as pl
 
-    # Where columns are left out, nobody else would miss their cells.
     expected = _count_lines(sheet) - sheet.header_line
-    if expected < 1 or (len(columns) < len(sheet.labels) and not _are_equal(sheet, expected)):
+    if expected < 1:
         return None
     try:
         frame = pl.read_csv(
@@ -214,19 +209,20 @@ def _read_regular(sheet: TextSheet, columns: Sequence[SheetColumn]) -> tuple[pl.
             separator=sheet.separator,
             decimal_comma=sheet.decimal_comma,
             comment_prefix="#",
+            # All columns: lines with too many cells are an error then.
             schema=_schema(sheet, columns, pl.Float64, pl.String),
-            columns=[column.index for column in columns],
-        )
+        ).head(expected)
     except pl.exceptions.PolarsError:
         return None
-    frame = frame.head(expected)
-    if frame.height != expected or sum(frame.null_count().row(0)):
+    needed = frame.select(column.name for column in columns)
+    # Lines with too few cells lack the last one.
+    if frame.height != expected or sum(needed.null_count().row(0)) or frame.to_series(-1).null_count():
         return None
-    return frame, np.arange(expected) + sheet.header_line + 1
+    return needed, np.arange(expected) + sheet.header_line + 1
 
 
 def _count_lines(sheet: TextSheet) -> int:
-    """Return the number of lines, those without a cell at the end of the file not counted."""
+    """Return the number of lines, not counting blank ones at the end of the file."""
     lines, tail = 1, b""
     with sheet.open() as file:
         while chunk := file.read(_CHUNK_BYTES):
@@ -234,23 +230,8 @@ def _count_lines(sheet: TextSheet) -> int:
     return lines - tail[len(tail.rstrip(b" \t\r\n,;")) :].count(b"\n")
 
 
-def _are_equal(sheet: TextSheet, expected: int) -> bool:
-    """Return whether so many lines after the header have as many separators as the header."""
-    counts, carried = list[np.ndarray](), 0
-    with sheet.open() as file:
-        while chunk := file.read(_CHUNK_BYTES):
-            marks = np.frombuffer(chunk, np.uint8)
-            found = np.flatnonzero(marks == ord(sheet.separator))
-            ends = np.searchsorted(found, np.flatnonzero(marks == ord("\n")))
-            counts.append(np.diff(ends, prepend=-carried))
-            carried = len(found) - (int(ends[-1]) if len(ends) else -carried)
-    counts.append(np.array([carried]))
-    body = np.concatenate(counts)[sheet.header_line : sheet.header_line + expected]
-    return bool((body == len(sheet.labels) - 1).all())
-
-
 def _read_lines(sheet: TextSheet, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray]:
-    """Return the cells as text, without the lines that are blank or comments."""
+    """Return the cells as text, skipping blank lines and comments."""
     import polars as pl
 
     with sheet.open() as file:
@@ -279,7 +260,7 @@ def _read_lines(sheet: TextSheet, columns: Sequence[SheetColumn]) -> tuple[pl.Da
 
 
 def _check_lines(sheet: TextSheet, kept: list[bytes], rows: np.ndarray) -> None:
-    """Refuse the first line that has not as many cells as the header."""
+    """Refuse the first line whose number of cells differs from the header's."""
     separator, expected = sheet.separator.encode(), len(sheet.labels)
     for line, row in zip(kept, rows, strict=True):
         count = line.count(separator) + 1
