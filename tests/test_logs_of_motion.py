@@ -174,7 +174,7 @@ def test_what_a_name_means_is_said_once_for_all_files(logs: Tables, tmp_path: Pa
     tables = named({name: logs[name] for name in ("joints", "tracker")}, "tracker", lambda column: order.get(column, column))
     found, told = read(tmp_path, tables)
     assert found.tracker is not None and list(found.tracker.readings) == ["position"]
-    assert "q0 q1 q2 q3 may be a quaternion, of which they do not tell the order, and are left out" in told
+    assert "q0 q1 q2 q3 may be a quaternion in either order, and are left out" in told
     found, _ = read(tmp_path, tables, columns={name: column for column, name in order.items()})
     assert found.tracker is not None and list(found.tracker.readings) == ["position", "quaternion"]
     with pytest.raises(MeasurementError, match='no column "nothing"'):

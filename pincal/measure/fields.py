@@ -1,4 +1,4 @@
-"""What the columns of a table can hold, quantities made of one column or several; and how the user wants them read."""
+"""Quantities that tables can hold, each in one column or several, and the options for reading them."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class Rule:
     """Which values are valid."""
 
     expected: str
-    """What a value has to be, for messages."""
+    """The valid values in words, for messages."""
     is_met: Callable[[np.ndarray], np.ndarray]
-    """Says of an array, shape (N,) or (N, k), which of its values are valid, in the same shape or (N,)."""
+    """Returns which values of an array, shape (N,) or (N, k), are valid, in the same shape or (N,)."""
 
 
 FINITE = Rule("a finite number", np.isfinite)
@@ -36,17 +36,17 @@ SIGN = Rule("-1, 0 or 1", lambda value: np.isin(value, (-1, 0, 1)))
 
 @dataclass(frozen=True)
 class Field:
-    """One quantity of a table, made of one column or several.
+    """One quantity of a table, in one column or several.
 
     Attributes:
         name: of the array that holds it.
-        columns: their names, units left out, in the order of the components.
-        quantity: what they hold, which gives the units they may have: "length", "angle", "pixel", "noise", "mass", "time",
-            "temperature", "number" or "name".
+        columns: their names without units, in the order of the components.
+        quantity: physical quantity, which determines the possible units: "length", "angle", "pixel", "noise", "mass",
+            "time", "temperature", "number" or "name".
         rule: which values are valid; names always are.
-        is_unit: whether the components are those of a unit vector, to be normalised.
-        mistakes: how its columns get mixed up: in words, and what the right values are then.
-        mirror: what the values are in the frame whose y points the other way; None where that is undefined.
+        is_unit: whether the components form a unit vector, to be normalised.
+        mistakes: how its columns get mixed up: in words, and a function that returns the right values.
+        mirror: returns the values in the frame with y reversed; None where that is undefined.
     """
 
     name: str
@@ -72,7 +72,7 @@ CONDITIONS = {"point": POINT} | {
     name: Field(name, (name,), quantity) for name, quantity in ({"target": "name"} | _RECORDED | {"station": "name"}).items()
 }
 CONDITIONS |= {f"{end}_link": Field(f"{end}_link", (end,), "name") for end in ("from", "to")}
-"""What a table can state of a pose in addition to the readings."""
+"""Conditions of a pose that a table can contain in addition to the readings."""
 
 FIRST, SECOND = (Field(name, (name,), "name") for name in ("first", "second"))
 """The points of a contact, each ``LINK:NAME``."""
@@ -80,15 +80,11 @@ FIRST, SECOND = (Field(name, (name,), "name") for name in ("first", "second"))
 SIGMA = Field("sigma", ("sigma",), "noise", POSITIVE)
 """The standard deviation of a row's reading."""
 TABLE_ENDINGS = (".csv", ".tsv", ".txt", ".parquet")
-"""What the name of a table that is written may end in."""
+"""Endings of the names of tables that can be written."""
 
 
 def link_of(point: str, *, where: str) -> str:
-    """Return the link that a point is on.
-
-    Raises:
-        MeasurementError: for a name that is not LINK:NAME.
-    """
+    """Return the link of a point; refuse a name that is not LINK:NAME."""
     link, _, name = point.rpartition(":")
     if not link.strip() or not name.strip():
         raise MeasurementError(f"{where}: point {point!r}; expected LINK:NAME, such as tool0:ball")
@@ -97,20 +93,20 @@ def link_of(point: str, *, where: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class TableOptions:
-    """How a table is to be read.
+    """Options for reading a table.
 
     Attributes:
-        ignore: columns to leave out; ``"*"`` leaves out all that are unknown.
-        columns: names of columns in the table and what they hold, with a unit if the header lacks one: ``{"J1":
+        ignore: columns to leave out; ``"*"`` leaves out all unknown ones.
+        columns: meanings of columns by their names in the table, with a unit if the header lacks one: ``{"J1":
             "joint_a1 [deg]"}``.
-        orientation: convention of the orientation's columns, one of
-            :data:`pincal.measure.orientation.CONVENTIONS`; default: as in the header.
-        joints: a file of its own with the joint positions, whose rows are found by a column that both files have, by time
-            while the pose is held still, or by order; a `PincalWarning` states by which.
-        sheet: worksheet of a workbook; default: the first that has columns of joints.
-        rows_in_order: whether rows stand in the order in which they were measured, or of their times, which gives from
-            which side joints arrived that have no column for it, see :mod:`pincal.measure.approach`.
-        shares_log: whether other tables have theirs from the same file, so that the order of its rows has no meaning.
+        orientation: convention of the orientation, one of :data:`pincal.measure.orientation.CONVENTIONS`; default: as in
+            the header.
+        joints: a separate file with the joint positions, whose rows are matched by a common column, by time while the pose
+            is held still, or by order; a `PincalWarning` states which.
+        sheet: worksheet of a workbook; default: the first with joint columns.
+        rows_in_order: whether rows are in the order of measurement, or of their times, which gives the direction of
+            approach of joints without a column for it, see :mod:`pincal.measure.approach`.
+        shares_log: whether several tables take their joints from the same file, so that its order has no meaning.
     """
 
     ignore: Sequence[str] = ()
@@ -122,28 +118,28 @@ class TableOptions:
     shares_log: bool = False
 
 
-# Where the joints stood as well, and by what factor that minus the fitted positions is commanded minus read back.
+# Second positions of joints, and the factor on these minus the fitted ones that gives commanded minus read back.
 OTHERS = {"commanded": 1.0, "read": -1.0}
-# What has a column for each joint.
+# Variables with a column for each joint.
 OF_EACH_JOINT = tuple(name for name, variable in RECORDABLE.items() if variable.column == f"{name}_<joint>")
 
 
 @dataclass(frozen=True)
 class Schema:
-    """What a table may hold.
+    """The possible contents of a table.
 
     Attributes:
-        fields: the quantities that are understood.
-        joint_names: the joints, each with a column of its own and perhaps one for the direction of approach and for the
-            position commanded or read back in addition.
-        joint_types: "revolute" or "prismatic" for each joint, which determines the units it may have; all revolute if empty.
-        own_joints: those with positions of their own; all if empty. The others may be absent.
-        following: puts the others where they follow, in positions of shape (N, n).
-        resting: joints that may be absent, with the positions where they rest then [rad or m].
+        fields: the known quantities.
+        joint_names: the joints, each with its column and optionally columns for the direction of approach and for the
+            commanded or read-back position.
+        joint_types: "revolute" or "prismatic" for each joint, which determines its possible units; all revolute if empty.
+        own_joints: the independent joints; all if empty. The others may be absent.
+        following: returns positions, shape (N, n), with the dependent joints set by the independent ones.
+        resting: joints that may be absent, with their rest positions [rad or m].
         may_lack_joints: whether a table without any joint is allowed.
-        is_stream: whether it is what a logger wrote of an arm that moves: columns may have the names of loggers, those that
-            nobody asked for are left out, and so are rows that lack a cell.
-        options: what the user declares of it.
+        is_stream: whether it is a log of a moving arm: columns may have the names that loggers use, unneeded ones and rows
+            with an empty cell are left out.
+        options: how to read it.
     """
 
     fields: tuple[Field, ...]
@@ -176,22 +172,21 @@ class Schema:
         return tuple(name for name in self.own_joints if name not in self.resting)
 
     def quantities(self, *, source: str) -> dict[str, str]:
-        """Return the physical quantity of every column that a table may have; joints that clash with a field are refused."""
+        """Return the physical quantity of each possible column; refuse joints that have the name of a field."""
         known = {column: field.quantity for field in self.fields for column in field.columns}
-        clash = [name for name in self.joint_names if name in known]
-        if clash:
+        if clash := [name for name in self.joint_names if name in known]:
             raise MeasurementError(f'{source}: joint "{clash[0]}" has the name of a column; rename it in the URDF')
         types = self.joint_types or ("revolute",) * len(self.joint_names)
         pairs = zip(self.joint_names, types, strict=True)
         joints = {name: "length" if kind == "prismatic" else "angle" for name, kind in pairs}
-        # Beside the positions that are fitted, the other ones: those commanded where they were read back, or the reverse.
+        # In addition to the fitted positions: commanded ones where these were read back, or vice versa.
         own = {f"{what}_{name}": RECORDABLE[what].quantity for what in OF_EACH_JOINT for name in joints}
         others = {f"{kind}_{name}": quantity for kind in OTHERS for name, quantity in joints.items()}
         return joints | known | own | others
 
 
 class TableRows(Protocol):
-    """What a sensor needs of a table of N rows; :class:`pincal.measure.measurements.Measurements` is one."""
+    """The interface of a table of N rows for sensors; :class:`pincal.measure.measurements.Measurements` implements it."""
 
     @property
     def source(self) -> str:
@@ -207,14 +202,14 @@ class TableRows(Protocol):
 
     @property
     def units(self) -> Mapping[str, str]:
-        """The units that the header gave, by column."""
+        """The units in the header, by column."""
 
     @property
     def point_names(self) -> np.ndarray | None:
-        """Name of the fixed point that each row involves, shape (N,); None where rows involve none."""
+        """Name of each row's fixed point, shape (N,); None where rows involve none."""
 
     def array(self, name: str) -> np.ndarray:
-        """Return the values of a field that the table has, shape (N,) or (N, k)."""
+        """Return the values of a field of the table, shape (N,) or (N, k)."""
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""What a header means: the columns that are needed, with their units; what is guessed or left out is reported."""
+"""Interpretation of a header: the needed columns with their units; guesses and omissions are reported."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ from pincal.measure.orientation import CONVENTIONS, Convention, find_orientation
 from pincal.measure.sheet import Sheet, SheetColumn
 from pincal.units import SIZES, plain_numbers
 
-# Unknown columns that are looked at, and those that a message lists.
-_LOOKED_AT, _LISTED = 500, 20
-# Columns of a stream that are not read, which a note lists.
+# Unknown columns that are examined, and those that a message lists.
+_EXAMINED, _LISTED = 500, 20
+# Unread columns of a stream that a note lists.
 _UNREAD = 8
 
 
 @dataclass(frozen=True)
 class Header:
-    """What a header means.
+    """An interpreted header.
 
     Attributes:
-        columns: those that are needed.
+        columns: the needed ones.
         joints: the joints among them.
         orientation: how they give an orientation, if not by a quaternion.
-        readings: those of them that hold what was measured: rows where one is empty are left out.
-        flag: a column that states of each row whether its reading is valid, if there is one.
+        readings: those that contain measured values: rows with an empty one are left out.
+        flag: a column that states whether the reading of each row is valid, if there is one.
     """
 
     columns: tuple[SheetColumn, ...]
@@ -62,7 +62,7 @@ def rotations(fields: Iterable[Field]) -> Field:
 
 
 def understood(sheet: Sheet, schema: Schema) -> Header:
-    """Return what a header means; raise for what is not understood, warn of what is guessed or left out."""
+    """Return the interpretation of a header; raise for what is ambiguous, warn of guesses and omissions."""
     source, options = sheet.path.name, schema.options
     labels = unignored(renamed(sheet.labels, options.columns, source=source), options.ignore)
     quantities = schema.quantities(source=source)
@@ -84,18 +84,16 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
         joints = ()
     check_joints([name for name in schema.needed_joints if joints and name not in columns], unknown, sheet)
     readings = [part for part in schema.fields if part.name not in CONDITIONS and part != SIGMA]
-    told = {*columns, *(rotations(schema.fields).columns if orientation else ())}
+    given = {*columns, *(rotations(schema.fields).columns if orientation else ())}
     flag = next((label for label in unknown if label.name.casefold() in FLAGS), None)
     if schema.is_stream:
-        _tell_unread(sheet, unknown)
+        _warn_of_unread(sheet, unknown)
     elif "*" not in options.ignore and not sheet.takes_unknown:
         free = {name: quantity for name, quantity in quantities.items() if name not in columns}
-        found = [told.intersection(part.columns) for part in readings if told.intersection(part.columns)]
-        is_whole = bool(found) and all(
-            len(some) == len(part.columns) for part in readings if (some := told & {*part.columns})
-        )
+        found = [part for part in readings if given & {*part.columns}]
+        is_whole = bool(found) and all(given >= {*part.columns} for part in found)
         others = [label for label in unknown if label is not flag]
-        # A program is complete without a pose, unless other columns may be one.
+        # A robot program is complete without a measured pose, unless other columns may be one.
         names = [without_unit(label.name) for label in others]
         is_whole |= schema.may_lack_joints and bool(joints) and not found and not looks_like_place(names)
         is_turned = orientation is None and looks_like_orientation([label.name for label in others])
@@ -116,19 +114,19 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
 FLAGS = ("valid", "is_valid", "isvalid", "ok", "visible", "tracked", "status", "state", "quality", "flag", "flags")
 
 
-# Names of a time in a stream: the stamp of a reading goes before that of who recorded it.
+# Names of a time in a stream: the stamp of a reading takes precedence over the recorder's.
 _STAMPS = (("header", "stamp"), ("stamp",), ("timestamp",), ("time", "stamp"), ("time",), ("t",), ("elapsed",), ("clock",))
-# What the seconds and the nanoseconds of a stamp are called that has a column for each.
+# Names of the columns of a stamp that is split into seconds and nanoseconds.
 _SECONDS = (("sec",), ("secs",), ("seconds",))
 _NANOSECONDS = (("nanosec",), ("nanosecs",), ("nsec",), ("nsecs",), ("nanoseconds",))
-# A time since 1970 in this century [s].
+# Times since 1970 that are in this century [s].
 _EPOCH = 9.4e8, 4.2e9
 NANOSECONDS = "\0nanoseconds"
-"""What is to be added to the time."""
+"""Column of nanoseconds to be added to the time."""
 
 
 def _timed(labels: list[Label], sheet: Sheet, quantities: Mapping[str, str]) -> list[Label]:
-    """Return the labels with a column timestamp of numbers taken for the time, if nothing else is."""
+    """Return the labels with a numeric column timestamp as the time, unless another column is the time."""
     stamps = [label for label in labels if without_unit(label.name).casefold() in ("timestamp", "time_stamp", "time stamp")]
     named = any((spelled(label, quantities) or ("",))[0] == "time" for label in labels)
     if len(stamps) != 1 or named or "time" not in quantities or sheet.has_words(stamps[0].index):
@@ -139,11 +137,7 @@ def _timed(labels: list[Label], sheet: Sheet, quantities: Mapping[str, str]) -> 
 
 
 def _timed_stream(labels: list[Label], sheet: Sheet, quantities: dict[str, str]) -> list[Label]:
-    """Return the labels of a stream with the time among them, in the unit of its numbers where that is since 1970.
-
-    Raises:
-        MeasurementError: where several columns may be it.
-    """
+    """Return the labels of a stream with its time, whose unit follows from values since 1970; refuse several candidates."""
     source = sheet.path.name
     exact = [label for label in labels if (spelled(label, quantities) or ("",))[0] == "time"]
     whole, rest = ([label for label in labels if words_of(label.meant)[-1:] in ends] for ends in (_SECONDS, _NANOSECONDS))
@@ -166,19 +160,19 @@ def _timed_stream(labels: list[Label], sheet: Sheet, quantities: dict[str, str])
     unit = units[stamp][1] or ("s" if stamp in whole else _unit_since_1970(sheet.first_cells(stamp.index, 1)))
     if stamp in exact and (units[stamp][1] or not unit):
         return labels
-    told = f"time [{unit}]" if unit else "time"
+    meaning = f"time [{unit}]" if unit else "time"
     warn(f'{source}: "{stamp.text[:40]}" is read as time [{unit or "s"}]; if that is wrong, --ignore it')
-    return [replace(label, meant=told) if label is stamp else label for label in labels]
+    return [replace(label, meant=meaning) if label is stamp else label for label in labels]
 
 
 def _unit_since_1970(cells: Sequence[str]) -> str:
-    """Return the unit in which a number is a time of this century, if it is smaller than a second; empty otherwise."""
+    """Return the unit below a second in which a number is a time in this century; empty if there is none."""
     pairs = ((unit, size) for size in plain_numbers(cells[:1]) for unit in ("ms", "us", "ns"))
     return next((unit for unit, size in pairs if _EPOCH[0] < size * SIZES[unit] < _EPOCH[1]), "")
 
 
 def _with_vectors(labels: list[Label], sheet: Sheet, quantities: Mapping[str, str], schema: Schema) -> list[Label]:
-    """Return the labels with those replaced that are a vector by another name, such as ``TCP_X``, if there is no other."""
+    """Return the labels with vectors by other names, such as ``TCP_X``, identified where none has its own name."""
     named = {(spelled(label, quantities) or ("",))[0] for label in labels}
     free = [label for label in labels if not spelled(label, quantities) and not sheet.has_words(label.index)]
     wanted = {name: quantity for name, quantity in quantities.items() if name not in named}
@@ -192,7 +186,7 @@ def _with_vectors(labels: list[Label], sheet: Sheet, quantities: Mapping[str, st
 
 
 def with_joints(labels: list[Label], schema: Schema, quantities: Mapping[str, str], *, sheet: Sheet) -> list[Label]:
-    """Return the labels with those replaced that number the joints, if no joint has a column under its name.
+    """Return the labels with numbered joints identified, if no joint has a column under its name.
 
     Raises:
         MeasurementError: for a stream in which several sets of columns may be the joints.
@@ -210,7 +204,7 @@ def with_joints(labels: list[Label], schema: Schema, quantities: Mapping[str, st
 
 
 def _joints_of_stream(free: Sequence[Label], schema: Schema, sheet: Sheet) -> dict[str, str]:
-    """Return the labels of a stream that are joints, by their names amid others or by numbers, as they are meant."""
+    """Return the meanings of a stream's joint columns, by names among other words or by numbers."""
     numeric, needed = [label for label in free if not sheet.has_words(label.index)], schema.needed_joints
     whole = [family for family in joint_families(numeric, schema.joint_names) if family.keys() >= {*needed}]
     if not whole:
@@ -220,10 +214,10 @@ def _joints_of_stream(free: Sequence[Label], schema: Schema, sheet: Sheet) -> di
                 more += [numbered] if len(numbered) > n else []
                 continue
             order = [*schema.own_joints]
-            # A recording of ROS has columns of names beside those of positions.
-            said = [label for label in free if words_of(label.meant)[-2:-1] == ("name",) and label not in numeric]
+            # A recording of ROS has columns of names in addition to positions.
+            names = [label for label in free if words_of(label.meant)[-2:-1] == ("name",) and label not in numeric]
             texts = {
-                int(words_of(label.meant)[-1]): (sheet.first_cells(label.index, 1) or [""])[0].strip() for label in said
+                int(words_of(label.meant)[-1]): (sheet.first_cells(label.index, 1) or [""])[0].strip() for label in names
             }
             if {texts.get(k) for k in numbered} == {*order}:
                 order = [texts[k] for k in sorted(numbered)]
@@ -231,8 +225,8 @@ def _joints_of_stream(free: Sequence[Label], schema: Schema, sheet: Sheet) -> di
         if more and not whole:
             first, last = (more[0][end(more[0])][0].text for end in (min, max))
             raise MeasurementError(
-                f'{sheet.path.name}: "{first}" to "{last}" number {len(more[0])} joints; expected {n}, those of the arm: '
-                f"leave out what is none of its, such as a gripper (--ignore {last})"
+                f'{sheet.path.name}: "{first}" to "{last}" number {len(more[0])} joints; expected {n} for this arm: '
+                f"leave out others, such as a gripper (--ignore {last})"
             )
     columns = [[label for label, _ in family.values()] for family in whole]
     check_one(columns, "joints", source=sheet.path.name, example=next(iter(whole[-1]), "") if whole else "")
@@ -242,7 +236,7 @@ def _joints_of_stream(free: Sequence[Label], schema: Schema, sheet: Sheet) -> di
 
 
 def _orientation(labels: list[Label], schema: Schema, quantities: Mapping[str, str], *, source: str) -> Convention | None:
-    """Return how the table gives an orientation, None if by qx qy qz qw or not at all."""
+    """Return the convention of the table's orientation, None if it is qx qy qz qw or there is none."""
     names, said = [without_unit(label.meant) for label in labels], schema.options.orientation
     usual = rotations(schema.fields).columns
     found = find_orientation(names, said, taken=[n for n in quantities if n not in usual], source=source)
@@ -262,12 +256,12 @@ def _orientation(labels: list[Label], schema: Schema, quantities: Mapping[str, s
 def matched(
     labels: Sequence[Label], quantities: Mapping[str, str], units: Mapping[str, str], *, source: str
 ) -> tuple[dict[str, SheetColumn], list[Label]]:
-    """Return the columns that are known, and the labels that are not; a name as it is known goes before other spellings.
+    """Return the known columns and the unknown labels; exact names take precedence over other spellings.
 
     Args:
         labels: the header.
-        quantities: what is known.
-        units: of columns whose label has none, where that is not SI.
+        quantities: of the known columns.
+        units: of columns without one in the label, where it is not SI.
         source: the file, for messages.
     """
     exact = {label.name for label in labels} & quantities.keys()
@@ -287,7 +281,7 @@ def matched(
 
 
 def check_joints(missing: Sequence[str], unknown: Sequence[Label], sheet: Sheet) -> None:
-    """Refuse a table that lacks joints, with the columns that may be meant."""
+    """Refuse a table that lacks joints, naming the columns that may be meant."""
     if not missing:
         return
     texts, labels = [], [label.text for label in unknown]
@@ -300,14 +294,14 @@ def check_joints(missing: Sequence[str], unknown: Sequence[Label], sheet: Sheet)
     )
 
 
-def _tell_unread(sheet: Sheet, unknown: Sequence[Label]) -> None:
-    """Say which columns of a stream are left out; of numbers that may be a quaternion, why."""
+def _warn_of_unread(sheet: Sheet, unknown: Sequence[Label]) -> None:
+    """Warn of the columns of a stream that are not read, and of a quaternion in an unknown order."""
     texts = [label.text for label in unknown if not sheet.is_blank(label.index)]
     by_name = {label.name.casefold(): label.text for label in unknown}
     if {"q0", "q1", "q2", "q3"} <= by_name.keys() and "q4" not in by_name:
         warn(
-            f"{sheet.path.name}: q0 q1 q2 q3 may be a quaternion, of which they do not tell the order, and are left out; "
-            "say --columns q0=qw,q1=qx,q2=qy,q3=qz or q0=qx,q1=qy,q2=qz,q3=qw, or --ignore them"
+            f"{sheet.path.name}: q0 q1 q2 q3 may be a quaternion in either order, and are left out; "
+            "give --columns q0=qw,q1=qx,q2=qy,q3=qz or q0=qx,q1=qy,q2=qz,q3=qw, or --ignore them"
         )
     if texts:
         named = ", ".join(f'"{text[:60]}"' for text in texts[:_UNREAD])
@@ -316,16 +310,16 @@ def _tell_unread(sheet: Sheet, unknown: Sequence[Label]) -> None:
 
 
 def _check_unknown(sheet: Sheet, unknown: Sequence[Label], free: Mapping[str, str], *, is_complete: bool) -> None:
-    """Leave out unknown columns with a `PincalWarning`; refuse those that may be meant.
+    """Leave out unknown columns with a `PincalWarning`; refuse those that may be misspelled.
 
     Args:
         sheet: the table.
-        unknown: columns that nobody knows.
-        free: what is known and not in the table.
-        is_complete: whether nothing that is needed is missing, so that only a slip of the pen can be meant.
+        unknown: the unknown columns.
+        free: quantities of known columns that the table lacks.
+        is_complete: whether nothing needed is missing, so that only obvious misspellings are refused.
     """
     wrong, words, others = list[str](), list[str](), list[str]()
-    for label in unknown[:_LOOKED_AT]:
+    for label in unknown[:_EXAMINED]:
         if sheet.is_blank(label.index):
             continue
         is_word = sheet.has_words(label.index)
@@ -334,7 +328,7 @@ def _check_unknown(sheet: Sheet, unknown: Sequence[Label], free: Mapping[str, st
         is_longer = bool(close) and re.match(rf"{close[0]}..|.*[ _.-]{close[0]}$", label.name.casefold()) is not None
         is_slip = bool(close) and not is_longer
         (wrong if is_slip else words if is_word else others if is_complete else wrong).append(label.text)
-    if wrong or len(unknown) > _LOOKED_AT:
+    if wrong or len(unknown) > _EXAMINED:
         few = wrong[:_LISTED] or [unknown[-1].text]
         known = ", ".join(nearest_first(few, free)[:_LISTED])
         hint = f"; an orientation? --orientation {'|'.join(CONVENTIONS)}" if looks_like_orientation(wrong) else ""

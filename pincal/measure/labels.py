@@ -1,4 +1,4 @@
-"""The labels of a header: names and units in many spellings, joints by numbers, a position by other names."""
+"""The labels of a header: spellings of names and units, numbered joints, other names of vectors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pincal.errors import MeasurementError
 from pincal.measure.heading import NUMBERED, normal_unit
 from pincal.units import UNITS
 
-# What stands beside the letter of an axis where a position is named.
+# Words next to the letter of an axis in names of a position.
 _PLACES = frozenset(
     ("p", "pos", "position", "tcp", "point", "target", "meas", "measured", "tracker", "reflector", "smr", "laser", "trans",
      "translation", "t", "loc", "location", "coord", "coordinate", "actual", "act", "value")
@@ -20,14 +20,14 @@ _RATES = frozenset(
     ("w", "g", "gyr", "gyro", "gyroscope", "omega", "angular velocity", "angular rate", "gyro rate", "turn rate")
 )
 _TURNS = frozenset(("q", "quat", "quaternion", "orientation", "rotation", "rot", "attitude"))
-# Vectors of a stream, and what their names end in beside the letter of an axis.
+# Vectors of a stream, and the words next to the letter of an axis in their names.
 _VECTORS = {
     ("x", "y", "z"): _PLACES,
     ("ax", "ay", "az"): _FORCES,
     ("wx", "wy", "wz"): _RATES,
     ("qx", "qy", "qz", "qw"): _TURNS,
 }
-# Words about a joint that say that its position is meant, and some by which a number is one of something else.
+# Words that denote the position of a joint, and words that denote another quantity.
 _POSITIONS = frozenset(("position", "positions", "pos", "q", "angle", "value", "actual", "act", "measured", "meas"))
 _NUMBERS = _POSITIONS | {"j", "joint", "joints", "a", "axis", "theta", "rax", "achse", "gelenk"}
 _OTHERS = frozenset(
@@ -37,7 +37,7 @@ _OTHERS = frozenset(
 )  # fmt: skip
 # `x [mm]` is how pincal writes a unit; these are the other spellings: `x (mm)`, `x_mm`, `x mm`, `x/mm`.
 _OTHER_SPELLINGS = (r"(.*?)\s*\(\s*([^()]*?)\s*\)", r"(.*)_([^_]*)", r"(.*?)\s+(\S*)", r"(.*?)\s*/\s*(\S*)")
-# An ending that is a unit and a word of its own.
+# Units that are ordinary words as well.
 _WORDS = ("in",)
 
 
@@ -48,7 +48,7 @@ class Label:
     Attributes:
         index: of the column.
         text: the label in the header.
-        meant: the same after the user's word on it.
+        meant: the same with the meaning that the user assigned.
     """
 
     index: int
@@ -57,7 +57,7 @@ class Label:
 
     @property
     def name(self) -> str:
-        """What it is called, a unit in brackets left out."""
+        """Its name, without a unit in brackets."""
         return name_of(self.meant)
 
 
@@ -67,16 +67,16 @@ def name_of(label: str) -> str:
 
 
 def renamed(labels: Sequence[str], columns: Mapping[str, str], *, source: str, others: Sequence[str] = ()) -> list[Label]:
-    """Return the labels with the user's meaning of some; a unit of the header stays unless the user names one.
+    """Return the labels with the meanings that the user assigned; units in the header apply unless the user gives one.
 
     Args:
         labels: the header.
-        columns: names and what they hold.
+        columns: names and their meanings.
         source: the file, for messages.
-        others: labels of a file that is joined with it, which the user may mean, too.
+        others: labels of a file that is joined with it, to which the user may refer as well.
 
     Raises:
-        MeasurementError: for a name that no column or more than one has.
+        MeasurementError: for a name of no column or of several.
     """
     found = [Label(i, text, text) for i, text in enumerate(labels)]
     for name, meaning in columns.items():
@@ -98,17 +98,17 @@ def renamed(labels: Sequence[str], columns: Mapping[str, str], *, source: str, o
 
 
 def is_named(text: str, name: str) -> bool:
-    """Return whether the user may call a column so: by its label, with or without a unit."""
+    """Return whether a name denotes a column: its label, with or without the unit."""
     return name in (text, name_of(text), _bare(text))
 
 
 def unignored(labels: Sequence[Label], ignored: Sequence[str]) -> list[Label]:
-    """Return the labels without those that the user wants to be ignored, by whatever name."""
+    """Return the labels without those that the user ignores, by any of their names."""
     return [label for label in labels if not {label.name, label.meant, label.text} & set(ignored)]
 
 
 def columns_listed(labels: Sequence[str], most: int = 20) -> str:
-    """Return what a table has, for messages."""
+    """Return the columns of a table, for messages."""
     shown = ", ".join(f'"{text[:30]}"' for text in labels[:most])
     return f"the table has {shown}{', ...' if len(labels) > most else ''}"
 
@@ -120,13 +120,13 @@ def _bare(text: str) -> str:
 
 
 def unit_in(text: str) -> str:
-    """Return the unit that a label has in brackets of whatever kind."""
+    """Return the unit of a label in brackets or parentheses; empty without one."""
     match = re.fullmatch(r"[^\[(]*[\[(]([^\])]*)[\])]\s*", text)
     return match[1].strip() if match else ""
 
 
 def spelled(label: Label, quantities: Mapping[str, str]) -> tuple[str, str] | None:
-    """Return the known name and the unit of a label in another spelling than ``name [unit]``; None if there is none.
+    """Return the known name and the unit of a label in any spelling; None if the name is unknown.
 
     Example:
         >>> known = {"x": "length", "joint_1": "angle"}
@@ -154,11 +154,7 @@ def spelled(label: Label, quantities: Mapping[str, str]) -> tuple[str, str] | No
 
 
 def unit_of(label: str, quantity: str, *, where: str) -> str:
-    """Return the unit that a label has in brackets; empty without any.
-
-    Raises:
-        MeasurementError: for a unit that is not closed or not of this quantity.
-    """
+    """Return the unit of a label in brackets, empty without one; refuse an unclosed one or one of another quantity."""
     match = re.fullmatch(r"[^\[\]]*(?:\[([^\[\]]*)\])?", label)
     unit = normal_unit(match[1] or "") if match else ""
     accepted = ", ".join(f"[{unit}]" for unit in UNITS[quantity]) or "no unit"
@@ -170,10 +166,10 @@ def unit_of(label: str, quantity: str, *, where: str) -> str:
 
 
 def numbered_joints(labels: Sequence[Label], joints: Sequence[str]) -> dict[str, str]:
-    """Return the labels, as they are meant, that number all the joints of an arm; empty if none do or several.
+    """Return the meanings of the labels that number all joints of an arm; empty if no set of labels does, or several do.
 
-    Joints stand in their order from the base to the flange, counted from 1 or from 0. Labels with a further number, such as
-    that of an external axis, are not taken for those of an arm; nor are q1 q2 q3 q4, which may be a quaternion.
+    Joints are numbered from the base to the flange, starting at 1 or 0. Sets with a further number, such as an external
+    axis, are not taken for an arm, nor are q1 q2 q3 q4, which may be a quaternion.
 
     Example:
         >>> labels = [Label(i, f"J{i + 1} (deg)", f"J{i + 1} (deg)") for i in range(2)]
@@ -191,7 +187,7 @@ def numbered_joints(labels: Sequence[Label], joints: Sequence[str]) -> dict[str,
 
 
 def without_unit(text: str, *quantities: str) -> str:
-    """Return a label without the unit of an angle or a length, or of other quantities, in whatever spelling.
+    """Return a label without the unit of an angle or a length, or of the given quantities, in any spelling.
 
     Example:
         >>> without_unit("Roll (deg)"), without_unit("rx_deg"), without_unit("q_1")
@@ -201,7 +197,7 @@ def without_unit(text: str, *quantities: str) -> str:
 
 
 def splits(text: str, *quantities: str) -> Iterator[tuple[str, str]]:
-    """Yield a label as name and unit of an angle, a length or of other quantities, in all spellings."""
+    """Yield the splits of a label into a name and a unit of an angle, a length or the given quantities."""
     yield name_of(text), unit_in(text) if "[" in text else ""
     known: Collection[str] = {unit for quantity in quantities or ("angle", "length") for unit in UNITS[quantity]}
     for pattern in _OTHER_SPELLINGS:
@@ -211,7 +207,7 @@ def splits(text: str, *quantities: str) -> Iterator[tuple[str, str]]:
 
 
 def words_of(text: str) -> tuple[str, ...]:
-    """Return the words of a label in small letters, divided at signs, capitals and numbers.
+    """Return the words of a label in lower case, split at signs, capitals and numbers.
 
     Example:
         >>> words_of("/imu/linearAcceleration.x"), words_of("position[0]")
@@ -223,17 +219,17 @@ def words_of(text: str) -> tuple[str, ...]:
 def vector_columns(
     labels: Sequence[Label], quantities: Mapping[str, str], *, is_stream: bool = False, source: str = ""
 ) -> dict[str, str]:
-    """Return the labels, as they are meant, that name a vector otherwise than by x y z and the like.
+    """Return the meanings of labels that name a vector otherwise than by x y z and the like.
 
     Args:
-        labels: columns that are not known.
-        quantities: what the others may hold.
-        is_stream: whether names may begin with anything, such as the topic of a recording, and vectors are those of an IMU
-            and orientations, too; otherwise only positions are looked for.
+        labels: unknown columns.
+        quantities: what may still be missing.
+        is_stream: whether names may have any prefix, such as the topic of a recording, and vectors include those of an IMU
+            and orientations; otherwise only positions are sought.
         source: the file, for messages.
 
     Raises:
-        MeasurementError: for a stream of which several columns may be meant.
+        MeasurementError: for a stream with several candidates.
 
     Example:
         >>> labels = [Label(i, text, text) for i, text in enumerate(("TCP_X (mm)", "TCP_Y (mm)", "TCP_Z (mm)", "RMS"))]
@@ -247,7 +243,7 @@ def vector_columns(
         families, letters = dict[tuple[str, ...], dict[str, tuple[Label, str]]](), {column[-1] for column in columns}
         for label in labels:
             for base, unit in splits(label.meant, quantities[columns[0]]):
-                # ``PosX`` may be written as one word.
+                # ``posx`` is one word.
                 parts = [
                     part
                     for word in words_of(base)
@@ -258,7 +254,7 @@ def vector_columns(
                 is_named = names.issuperset(rest)
                 if is_stream:
                     ends = [k for k in (2, 1) if " ".join(rest[-k:]) in names]
-                    # A single letter behind that of the axis is a unit: ``accel_x_g``.
+                    # A single letter after the axis is a unit: ``accel_x_g``.
                     is_name = bool(ends) and (len(rest[-1]) > 1 or parts[-1] in axes)
                     is_named = is_name and not (_OTHERS - names) & {*rest[: -ends[0]]}
                 if len(axes) == 1 and rest and is_named:
@@ -274,7 +270,7 @@ def vector_columns(
 
 
 def check_one(families: Sequence[Sequence[Label]], what: str, *, source: str, example: str = "") -> None:
-    """Refuse columns of which several may be meant."""
+    """Refuse several sets of columns with the same meaning."""
     if len(families) > 1:
         firsts = " and ".join(f'"{family[0].text}"' for family in families)
         cure = f"{families[-1][0].text}={example or what.split()[0]}"
@@ -285,10 +281,10 @@ def check_one(families: Sequence[Sequence[Label]], what: str, *, source: str, ex
 
 
 def joint_families(labels: Sequence[Label], joints: Collection[str]) -> list[dict[str, tuple[Label, str]]]:
-    """Return the columns that name joints amid other words, with their units, by joint: one entry for each set of words.
+    """Return columns that name joints among other words, with their units, by joint: one entry for each set of words.
 
-    The word joint itself, topics and namespaces before a name, and words for a position do not matter; a velocity or a
-    commanded position is none.
+    The word joint, topics and namespaces before a name, and words for a position are disregarded; velocities and commanded
+    positions are excluded.
 
     Example:
         >>> texts = ("/joint_states/elbow_joint/position", "/joint_states/elbow_joint/velocity", "elbow.pos")
@@ -316,7 +312,7 @@ def joint_families(labels: Sequence[Label], joints: Collection[str]) -> list[dic
 
 
 def _core(name: str) -> tuple[str, ...]:
-    """Return the words of a name without the word joint, unless only a number is left."""
+    """Return the words of a name without the word joint, unless only a number would remain."""
     words = words_of(name)
     short = tuple(word for word in words if word != "joint")
     return short if any(word.isalpha() for word in short) else words
@@ -325,11 +321,11 @@ def _core(name: str) -> tuple[str, ...]:
 def numbered_families(
     labels: Sequence[Label], *, is_stream: bool = False
 ) -> list[tuple[tuple[str, ...], dict[int, tuple[Label, str]]]]:
-    """Return the columns that number joints, with their units, by number: one entry for each set of words beside the number.
+    """Return columns of numbered joints, with their units, by number: one entry for each set of words around the number.
 
     Args:
         labels: the columns.
-        is_stream: whether other words may stand before and behind the number, too.
+        is_stream: whether the number may be among other words.
     """
     families = dict[tuple[str, ...], dict[int, tuple[Label, str]]]()
     for label in labels:
@@ -342,7 +338,7 @@ def numbered_families(
 
 
 def numbers_all(family: Collection[int], n: int) -> bool:
-    """Return whether numbers are those of n joints, counted from 0 or from 1."""
+    """Return whether the numbers are 0 to n - 1 or 1 to n."""
     return sorted(family) in ([*range(n)], [*range(1, n + 1)])
 
 

@@ -1,7 +1,4 @@
-"""Sheets: tables whose header is known, with cells that are read when they are needed.
-
-How a file becomes a sheet is the business of its format: :mod:`pincal.measure.reader` chooses it.
-"""
+"""Sheets: tables with a known header whose cells are read on demand; :mod:`pincal.measure.reader` opens files as sheets."""
 
 from __future__ import annotations
 
@@ -22,19 +19,19 @@ if TYPE_CHECKING:
 
 # A date and a time of day as in ISO 8601.
 _DATE = r"^\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}:\d{2}"
-# By how much a time of day is ahead of Greenwich.
+# Offset of a time zone from UTC.
 _ZONE = r" ?([+-])(\d{2}):?(\d{2})$"
-# A time of day alone, of whatever day.
+# A time of day alone, assigned to an arbitrary day.
 _CLOCK, _DAY = r"^\d{1,2}:\d{2}:\d{2}(\.\d+)?$", "2000-01-01"
-# Longest name [bytes]: that of a file on most systems.
+# Longest name [bytes], as for files on most systems.
 _LONGEST = 255
-# Cells that show whether a column holds numbers or words.
+# Cells by which columns of numbers and of words are distinguished.
 _SHOWN = 50
 
 
 @dataclass(frozen=True)
 class SheetColumn:
-    """A column that is needed; the unit is empty where the header has none."""
+    """A needed column; the unit is empty where the header has none."""
 
     index: int
     name: str
@@ -58,9 +55,9 @@ class Sheet(ABC):
 
     Attributes:
         path: the file.
-        labels: those of the header, one entry per column.
+        labels: of the header, one entry per column.
         decimal_comma: whether numbers may have a comma instead of a point.
-        takes_unknown: whether columns that nobody asked for belong there, such as the joints of a gripper.
+        takes_unknown: whether unneeded columns are normal, such as the joints of a gripper.
     """
 
     path: Path
@@ -70,34 +67,34 @@ class Sheet(ABC):
 
     @abstractmethod
     def read(self, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray]:
-        """Return the cells of some columns under their names, as numbers or as text, and the line of each row."""
+        """Return the cells of some columns by name, as numbers or as text, and the line of each row."""
 
     @abstractmethod
     def first_cells(self, index: int, count: int) -> list[str]:
-        """Return at most so many cells of a column from the top, as text; empty ones are empty."""
+        """Return at most ``count`` cells from the top of a column, as text."""
 
     @final
     def has_words(self, index: int) -> bool:
-        """Return whether a column holds text: none of its first cells is a number, and some are not empty."""
+        """Return whether a column holds text: its first cells contain no number and are not all empty."""
         cells = list(filter(None, map(str.strip, self.first_cells(index, _SHOWN))))
         return bool(cells) and not any(plain_numbers([c.replace(",", ".") if self.decimal_comma else c]) for c in cells)
 
     @final
     def is_blank(self, index: int) -> bool:
-        """Return whether neither the header nor the first cells of a column hold anything."""
+        """Return whether a column has neither a label nor anything in its first cells."""
         return not self.labels[index] and not any(text.strip() for text in self.first_cells(index, _SHOWN))
 
 
 @dataclass(frozen=True, eq=False)
 class FrameSheet(Sheet):
-    """A sheet whose cells are in memory, or in a Parquet file of which only what is asked for is read.
+    """A sheet whose cells are in memory, or in a Parquet file that is read as far as needed.
 
     Attributes:
-        frame: the cells; its columns stand in the order of the labels, whatever their names.
+        frame: the cells; its columns are in the order of the labels, whatever their names.
         rows: shape (N,), line of each row; default: counted as if there were a header.
-        start: row of a file at which the frame begins, the first being 0.
-        worksheet: of a workbook, its name.
-        header_line: line of the names in it.
+        start: index of the first row of the frame in the file.
+        worksheet: its name in a workbook.
+        header_line: line of the column names in it.
     """
 
     frame: pl.LazyFrame
@@ -107,15 +104,11 @@ class FrameSheet(Sheet):
     header_line: int = 0
 
     def part(self, rows: range) -> FrameSheet:
-        """Return some rows of a file, the first being 0."""
+        """Return some rows of the file, by index."""
         return replace(self, frame=self.frame.slice(rows.start, len(rows)), start=rows.start)
 
     def read(self, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray]:
-        """Return the cells.
-
-        Raises:
-            MeasurementError: for lists or the like, which are of any size.
-        """
+        """Return the cells; refuse lists and the like."""
         import polars as pl
 
         kinds = self.frame.collect_schema().dtypes()
@@ -136,16 +129,16 @@ class FrameSheet(Sheet):
 def read_cells(
     sheet: Sheet, columns: Sequence[SheetColumn], *, readings: Collection[str] = (), flag: SheetColumn | None = None
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Return the needed values by column, names or numbers in SI units, and the line of each row.
+    """Return the values by column, names or numbers in SI units, and the line of each row.
 
     Args:
         sheet: the table.
-        columns: those that are needed.
-        readings: those of them that hold what was measured: rows where one is empty are left out with a `PincalWarning`.
-        flag: a column that states whether a row's reading is valid: those where it is not are left out likewise.
+        columns: the needed ones.
+        readings: columns of measured values: rows with an empty one are left out with a `PincalWarning`.
+        flag: a column that states whether the reading of a row is valid: rows with an invalid one are left out likewise.
 
     Raises:
-        MeasurementError: for a table without rows, or a cell that is invalid.
+        MeasurementError: for a table without rows, or an invalid cell.
     """
     asked = [*columns, *([] if flag is None else [flag])]
     frame, rows = sheet.read(asked)
@@ -159,23 +152,19 @@ def read_cells(
     return {column.name: column.values(cells.pop(column.name)) for column in columns}, rows
 
 
-# What stands in a cell where nothing was read, in small letters, and what marks a reading as invalid.
+# Cells of missing readings, and values of a flag that mark a reading as invalid, in lower case.
 _NOTHING = r'^(""|n/?a|n\.a\.|nan|null|none|invalid|lost|no data|-+|[*]+|[?]+|#+|#n/a|#value!|#num!|#div/0!)?$'
 _INVALID = r"^(false|no|n|nok|bad|lost|.*(invalid|not ok|fail|error|broken|block|reject|outlier|no (signal|target|beam)).*)$"
-# Columns whose 0 marks a reading as invalid.
+# Flags whose 0 marks a reading as invalid.
 _ZERO_IS_INVALID = ("valid", "is_valid", "isvalid", "ok", "visible", "tracked")
-# Lines that a note names.
+# Lines that a note lists.
 _NAMED = 5
 
 
 def _with_readings(
     frame: pl.DataFrame, rows: np.ndarray, readings: Sequence[SheetColumn], flag: SheetColumn | None, sheet: Sheet
 ) -> tuple[pl.DataFrame, np.ndarray]:
-    """Return the rows that have readings that nothing flags; warn of the others.
-
-    Raises:
-        MeasurementError: if none has.
-    """
+    """Return the rows with valid readings, at least one; warn of the others."""
     import polars as pl
 
     lost = dict[str, np.ndarray]()
@@ -204,7 +193,7 @@ def _with_readings(
 
 
 def _check_lengths(series: pl.Series, rows: np.ndarray, column: SheetColumn, *, source: str) -> None:
-    """Refuse a cell that is no name and no number for its length: in an array, all names take the room of the longest."""
+    """Refuse cells too long for a name or a number: in an array, all names take the space of the longest."""
     import polars as pl
 
     if series.dtype == pl.String:
@@ -238,15 +227,15 @@ def _clean(series: pl.Series, column: SheetColumn, *, decimal_comma: bool) -> pl
 
 
 def _seconds(text: pl.Series) -> pl.Series:
-    """Return dates with times of day as seconds since 1970, null where a text is none."""
+    """Return dates with times of day as seconds since 1970, null for other text."""
     import polars as pl
 
     shape = "%Y-%m-%dT%H:%M:%S%.f"
     plain = text.str.replace(" ", "T", literal=True).str.strip_suffix("Z").str.replace(_ZONE, "")
     zone = [text.str.extract(_ZONE, k).cast(pl.Float64).fill_null(0.0) for k in (2, 3)]
     sign = text.str.extract(_ZONE, 1).replace_strict({"-": -1.0, "+": 1.0}, default=0.0, return_dtype=pl.Float64)
-    here = plain.str.to_datetime(shape, time_unit="us", strict=False).dt.epoch("us").cast(pl.Float64) * 1e-6
-    return here - sign * (3600.0 * zone[0] + 60.0 * zone[1])
+    local = plain.str.to_datetime(shape, time_unit="us", strict=False).dt.epoch("us").cast(pl.Float64) * 1e-6
+    return local - sign * (3600.0 * zone[0] + 60.0 * zone[1])
 
 
 def _check_cells(
@@ -255,7 +244,7 @@ def _check_cells(
     total, faults = 0, list[tuple[int, SheetColumn]]()
     for column in columns:
         series = cells[column.name]
-        # An empty cell is null, as numbers nan.
+        # An empty cell is null, or NaN as a number.
         right = series.is_not_null().to_numpy() if column.is_name else is_possible(column.values(series), column.quantity)
         if not right.all():
             wrong = np.flatnonzero(~right)
@@ -274,23 +263,15 @@ def _check_cells(
         )
 
 
-# How many times its own size a file may hold. Excel's text of measured numbers packs to a fifth, with one number in all
-# cells to an eighth; in Parquet, 60 poses that were read 1000 times each pack to a ninth.
+# Largest ratio of unpacked to packed size. Measured numbers compress to a fifth in Excel, one number in all cells to an
+# eighth; 60 poses with 1000 readings each compress to a ninth in Parquet.
 _MOST_TIMES = 50
-# What any file may hold [bytes]: small ones have little but headers.
+# Unpacked size that any file may have [bytes]: small ones are little but headers.
 _ALWAYS = 1_000_000
 
 
 def check_unpacked(path: Path, held: int) -> None:
-    """Refuse a file whose contents take far more room than it does itself, before they are unpacked.
-
-    Args:
-        path: the file.
-        held: the size of its contents [bytes].
-
-    Raises:
-        MeasurementError: saying how much it holds.
-    """
+    """Refuse a file whose contents, of ``held`` bytes, are far larger than itself, before they are unpacked."""
     size = path.stat().st_size
     if held > max(_ALWAYS, _MOST_TIMES * size):
         raise MeasurementError(
