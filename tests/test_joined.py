@@ -138,7 +138,7 @@ def test_a_lost_row_does_not_shift_the_others(tmp_path: Path) -> None:
         (readings(row=60 + np.arange(K) * 20), joints(MOVING, time=TIME, row=np.arange(len(TIME))),
          ["does not hold still", "only counts rows"]),
         (readings(), {"x1": Q[:, 0]}, ["log.csv: no column for joint"]),
-        (readings() | joints(Q), joints(Q), ['joint "a" stands in log.csv, too', "leave out --joints"]),
+        (readings() | joints(Q), joints(Q), ['joint "a" is in log.csv as well', "omit --joints"]),
     ],
 )  # fmt: skip
 def test_what_is_ambiguous_is_refused(

@@ -1,4 +1,4 @@
-"""How joints arrived, from which side and how far, where rows stand in the order in which they were measured."""
+"""Directions of approach and last moves of joints, by the order in which rows were measured."""
 
 from __future__ import annotations
 
@@ -9,24 +9,23 @@ import numpy as np
 from pincal.errors import warn
 
 SAME = 1e-5
-"""Joint positions that count as the same [rad or m]: coarser than encoders resolve, finer than robots repeat.
+"""Joint positions that count as the same [rad or m]: above the resolution of encoders, below the repeatability of robots.
 
-1e-5 rad move the tip of an arm of 2 m by 0.02 mm.
+1e-5 rad moves the tip of an arm of 2 m by 0.02 mm.
 """
-# A joint that moved by less may still be on the side from which it came before [rad, m]: no robot's gear has as much play.
+# A joint that moved by less may not have crossed the backlash of its gear [rad, m]; no robot has more backlash.
 _LEAST = 1e-3
-# The stated origin of sides that are given by columns of their own.
+# Origin of directions that are given by columns.
 BY_COLUMNS = "the columns approach_<joint>"
-# One that moved by less stood still [rad, m]: rounding of the same position.
+# A joint that moved by less stood still [rad, m]: rounding of the same position.
 _STILL = 1e-9
 
 
 def moves_by_order(q: np.ndarray) -> np.ndarray:
-    """Return each joint's last move with its sign, relative to the row before, 0 in the first row (unknown), shape (N, n).
+    """Return the signed last move of each joint, from the row before, 0 in the first row (unknown), shape (N, n).
 
-    A joint that stands where it stood keeps its move, as where several targets are measured in one pose, and so do all
-    joints of a pose that is read again, whatever their encoders scatter by. An arm that went by another pose on its way
-    made another move.
+    A joint that did not move keeps its last move, as where several targets are measured in one pose, and so do all joints
+    of a pose that is read again, whatever the scatter of their encoders. Via points between rows are unknown here.
 
     Args:
         q: joint positions in the order of measurement [rad], prismatic [m], shape (N, n).
@@ -42,7 +41,7 @@ def moves_by_order(q: np.ndarray) -> np.ndarray:
 
 
 def sides_of(moves: np.ndarray) -> np.ndarray:
-    """Return the signs of last moves, shape (N, n): -1, 0 (unknown, or so little that play may have swallowed it) or 1.
+    """Return the signs of last moves, shape (N, n): -1, 0 (unknown, or small enough to be lost in backlash) or 1.
 
     Example:
         >>> sides_of(moves_by_order(np.array([[0.0], [0.5], [0.499995], [0.2], [0.2005]]))).ravel()
@@ -52,13 +51,12 @@ def sides_of(moves: np.ndarray) -> np.ndarray:
 
 
 def moves_of_table(q: np.ndarray, *, time: np.ndarray | None, station: np.ndarray | None) -> np.ndarray:
-    """Return each joint's last move with its sign in the rows of a table, shape (N, n).
+    """Return the signed last move of each joint in the rows of a table, shape (N, n).
 
     Args:
         q: joint positions [rad], prismatic [m], shape (N, n).
-        time: of the rows [s], shape (N,), which then gives the order, as of poses that were measured again and put back in
-            their place; None for the order of the rows.
-        station: of the rows, shape (N,), each with an order and a zero of time of its own; None for one.
+        time: of the rows [s], shape (N,), which gives the order of measurement; None for the order of the rows.
+        station: of the rows, shape (N,), each with its own order and zero of time; None for a single one.
     """
     order = np.arange(len(q)) if time is None else np.argsort(time, kind="stable")
     where = np.zeros(len(q), int) if station is None else np.unique(station, return_inverse=True)[1]
@@ -69,8 +67,8 @@ def moves_of_table(q: np.ndarray, *, time: np.ndarray | None, station: np.ndarra
     return moves
 
 
-def tells_order(time: np.ndarray | None, q: np.ndarray) -> bool:
-    """Return whether times, shape (N,), give the order in which poses were taken: no two of different joints share one."""
+def gives_order(time: np.ndarray | None, q: np.ndarray) -> bool:
+    """Return whether times, shape (N,), give the order of the poses: no two different ones have the same time."""
     if time is None or not np.ptp(time):
         return False
     order = np.argsort(time, kind="stable")
@@ -81,32 +79,31 @@ def tells_order(time: np.ndarray | None, q: np.ndarray) -> bool:
 def completed(
     given: Mapping[str, np.ndarray], joints: Sequence[str], moves: np.ndarray, *, by_time: bool, source: str
 ) -> tuple[dict[str, np.ndarray], str]:
-    """Return the sides of all joints: those of their columns, and of the others by their last moves.
+    """Return the directions of approach of all joints: from their columns, else from their last moves.
 
     Args:
-        given: the columns that there are, shape (N,) each, by joint.
+        given: the existing columns by joint, shape (N,) each.
         joints: the n joints.
         moves: their last moves, shape (N, n).
         by_time: whether times gave the order.
         source: the table's name.
 
     Returns:
-        Sides by joint, shape (N,) each, and where they come from, in words.
+        Directions by joint, shape (N,) each, and their origin in words.
     """
     origin = BY_COLUMNS
     if missing := [joint for joint in joints if joint not in given]:
         origin = f"the sign of the move {'since the time before' if by_time else 'from the row before'}"
-        text = f"{source}: the direction of approach of {', '.join(missing)} is {origin}"
-        warn(text)
+        warn(f"{source}: the direction of approach of {', '.join(missing)} is {origin}")
         others = ", ".join(joint for joint in joints if joint in given)
         origin += f"; for {others} its column" if others else ""
     return dict(zip(joints, sides_of(moves).T, strict=True)) | dict(given), origin
 
 
 def agreeing(moves: np.ndarray, sides: Mapping[str, np.ndarray], joints: Sequence[str]) -> np.ndarray:
-    """Return last moves, shape (N, n), without those of joints that came from another side by their own column.
+    """Return last moves, shape (N, n), set to 0 (unknown) for joints whose column contradicts their sign in some row.
 
-    Such a joint went by another pose on its way, so that its move is unknown; it is 0 then.
+    Such a joint passed a via point between rows.
     """
     found = moves.copy()
     for i, joint in enumerate(joints):
@@ -116,6 +113,5 @@ def agreeing(moves: np.ndarray, sides: Mapping[str, np.ndarray], joints: Sequenc
 
 
 def note_on_sides(source: str, origin: str) -> str | None:
-    """Return the report's note on where sides come from, given that in words; None where there are no guesses."""
-    guessed = origin and origin != BY_COLUMNS
-    return f"{source}: the direction of approach is {origin}" if guessed else None
+    """Return the report's note on the origin of directions of approach; None unless they follow from the order of rows."""
+    return f"{source}: the direction of approach is {origin}" if origin not in ("", BY_COLUMNS) else None

@@ -1,4 +1,4 @@
-"""Where instrument and tools stand, and the linear algebra and the few rows that find it."""
+"""Poses of instrument and tools, with the linear algebra and the subsample of rows for finding them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ RANK = 1e-6
 
 @dataclass(frozen=True)
 class Extrinsics:
-    """Where instrument and tools stand.
+    """Poses of instrument and tools.
 
     Attributes:
         base: shape (4, 4), robot base in the instrument's frame.
@@ -26,7 +26,7 @@ class Extrinsics:
 
 
 def by_target(columns: np.ndarray, target: np.ndarray, n_targets: int) -> np.ndarray:
-    """Return the columns once a target, zero at the rows of the other targets."""
+    """Return the columns once for each target, zero in the rows of other targets."""
     here = [(target == t).reshape(-1, *[1] * (columns.ndim - 1)) for t in range(n_targets)]
     return np.concatenate([np.where(h, columns, 0.0) for h in here], axis=-1)
 
@@ -39,20 +39,19 @@ def least_squares(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, bool]:
     return solution / scale[:, None], bool(rank == A.shape[1])
 
 
-# Rows of each group that are taken at least.
+# Fewest rows sampled from each group.
 _EACH = 6
 
 
 def sample_rows(n: int, most: int, groups: np.ndarray | None = None) -> np.ndarray:
-    """Return at most so many of n row numbers, in order.
+    """Return the indices of a random subsample of n rows, in order, always the same one.
 
-    Drawn, always the same ones, and not every k-th: tables repeat themselves (targets, points of an object), and whatever
-    falls between the steps would never be looked at.
+    It is drawn because every k-th row of a periodic table (targets, points of an object) would miss the others.
 
     Args:
         n: number of rows.
-        most: how many will do.
-        groups: shape (n,), what each row belongs to, if some rows of everything are needed; then there may be more.
+        most: size of the subsample.
+        groups: shape (n,), group of each row, if some rows of each are needed; there may be more then.
 
     Example:
         >>> sample_rows(3, 5).tolist(), len(sample_rows(1000, 5)), len(sample_rows(1000, 5, np.arange(1000) % 3))

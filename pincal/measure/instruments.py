@@ -1,7 +1,7 @@
-"""How the noise of an instrument that reads ranges and angles grows with the distance, as in data sheets.
+"""Noise of instruments that measure ranges and angles, growing with the distance as in data sheets.
 
-A laser tracker is most exact along its line of sight; across it, an error of an angle counts the more the farther the target
-is. A row's covariance follows from where the target is seen, so positions have to be in the instrument's own frame.
+A laser tracker is most accurate along its line of sight; across it, angular errors grow with the distance. The
+covariance of a row follows from the position of the target, which has to be in the instrument's own frame.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from pincal.errors import BadInputError, MeasurementError
 from pincal.measure.measurements import Measurements
 from pincal.units import unit_sizes
 
-# Data sheets state largest errors (MPE). "Typical measurement results are half of the relevant MPE values": Leica AT500 User
-# Manual, 2.8.1. Half of it is taken as the standard deviation.
+# Standard deviation over maximum permissible error (MPE): "Typical measurement results are half of the relevant MPE values",
+# Leica AT500 User Manual, 2.8.1.
 _OF_MPE = 0.5
-# Units of a term: of a constant [m], and of one in proportion to the range [m/m].
+# Units of a constant term [m], and of one proportional to the range [m/m].
 _CONSTANT = unit_sizes("um", "µm", "mm")
 _PER_METRE = {f"{unit}/m": size for unit, size in _CONSTANT.items()} | {"ppm": 1e-6} | unit_sizes("urad", "mrad")
 _TERM = re.compile(r"(?P<number>[0-9]*\.?[0-9]+(?:[eE]-?[0-9]+)?)\s*(?P<unit>\S+)")
@@ -27,7 +27,7 @@ _EXAMPLE = "10um+0.3um/m,15um+6um/m"
 
 
 class _Sheet(NamedTuple):
-    """What a maker states: MPE along and across the line of sight, and where."""
+    """MPE along and across the line of sight as stated by the manufacturer, and where."""
 
     mpe: str
     source: str
@@ -36,21 +36,21 @@ class _Sheet(NamedTuple):
 INSTRUMENTS = {
     # e_ADM +- 10 um + 0.3 um/m and e_T +- 15 um + 6 um/m, MPE by ISO 10360-10:2021, Annex D.
     "leica_at500": _Sheet("10um+0.3um/m,15um+6um/m", "Leica Absolute Tracker AT500 User Manual, section 2.8.2"),
-    # U_x,y,z +- 15 um + 6 um/m, MPE of each coordinate; what it permits along the line of sight alone is not taken from it.
+    # U_x,y,z +- 15 um + 6 um/m, MPE of each coordinate, used in all directions.
     "leica_at960": _Sheet("15um+6um/m", "Hexagon, Leica Absolute Tracker AT960, technical data: accuracy U_x,y,z"),
 }
-"""Instruments by name, with their data sheets; of all others the numbers can be given."""
+"""Instruments by name, with their data sheets; for all others the numbers can be given."""
 
 
 @dataclass(frozen=True)
 class InstrumentNoise:
-    """Standard deviations of what an instrument reads at a range r: along + along_per_m r, and across + across_per_m r.
+    """Standard deviations of readings at a range r: along + along_per_m r, and across + across_per_m r.
 
     Attributes:
         along: along the line of sight [m].
-        along_per_m: in proportion to the range [m/m].
-        across: across it, each way [m].
-        across_per_m: in proportion to the range [m/m], or of an angle [rad].
+        along_per_m: proportional to the range [m/m].
+        across: across it, in each direction [m].
+        across_per_m: proportional to the range [m/m], or of an angle [rad].
 
     Example:
         >>> noise = InstrumentNoise.of("leica_at500")
@@ -66,7 +66,7 @@ class InstrumentNoise:
     across_per_m: float
 
     def __post_init__(self) -> None:
-        """Refuse noise that is none."""
+        """Refuse invalid numbers."""
         numbers = (self.along, self.along_per_m, self.across, self.across_per_m)
         is_some = max(self.along, self.along_per_m) > 0.0 and max(self.across, self.across_per_m) > 0.0
         if not (np.all(np.isfinite(numbers)) and min(numbers) >= 0.0 and is_some):
@@ -74,11 +74,11 @@ class InstrumentNoise:
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """Return the noise of an instrument, half of its largest permissible errors.
+        """Return the noise of an instrument, half of its maximum permissible errors.
 
         Args:
             text: a name of ``INSTRUMENTS``, or MPE along and across the line of sight, separated by a comma, each a constant
-                and a part in proportion to the range, such as ``10um+0.3um/m,15um+6um/m``; one alone holds both ways.
+                and a term proportional to the range, such as ``10um+0.3um/m,15um+6um/m``; a single one applies to both.
 
         Raises:
             BadInputError: for a name or a number that is invalid.
@@ -90,13 +90,13 @@ class InstrumentNoise:
         except ValueError:
             known = ", ".join(INSTRUMENTS)
             raise BadInputError(
-                f"instrument {text!r}; expected {known}, or the largest permissible errors of its data sheet along and "
+                f"instrument {text!r}; expected {known}, or the maximum permissible errors of its data sheet along and "
                 f"across the line of sight, such as {_EXAMPLE}"
             ) from None
         return cls(*(_OF_MPE * number for number in (*along, *across)))
 
     def sigmas(self, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the standard deviations along and across the line of sight at some ranges [m]."""
+        """Return the standard deviations along and across the line of sight at ranges [m]."""
         return self.along + self.along_per_m * distance, self.across + self.across_per_m * distance
 
     def covariance(self, position: np.ndarray) -> np.ndarray:
@@ -115,11 +115,11 @@ class InstrumentNoise:
         return float(np.sqrt(np.mean(along**2 + 2.0 * across**2) / 3.0))
 
     def whitening(self, position: np.ndarray, size: int) -> np.ndarray:
-        """Return what makes the noise of each row independent and even, in units of :meth:`sigma`, shape (size, size, N).
+        """Return the matrices that whiten the noise of each row, in units of :meth:`sigma`, shape (size, size, N).
 
         Args:
             position: shape (N, 3) [m].
-            size: components of a reading, the position first; the others stay as they are.
+            size: components of a reading, the position first; the others are unchanged.
         """
         found = np.tile(np.eye(size)[:, :, None], (1, 1, len(position)))
         inverse = np.linalg.inv(np.linalg.cholesky(self.covariance(position)))
@@ -128,10 +128,10 @@ class InstrumentNoise:
 
 
 def seen_by(table: Measurements) -> np.ndarray:
-    """Return the positions of a table that the noise of an instrument follows, shape (N, 3) [m].
+    """Return the positions on which the noise depends, shape (N, 3) [m].
 
     Raises:
-        MeasurementError: if it holds none, or declares the noise of its rows.
+        MeasurementError: if it has no positions, or has the column sigma.
     """
     if table.position is None:
         raise MeasurementError(
@@ -144,7 +144,7 @@ def seen_by(table: Measurements) -> np.ndarray:
 
 
 def _terms(text: str) -> tuple[float, float]:
-    """Return the constant [m] and the part in proportion to the range [m/m]; ValueError for anything else."""
+    """Return the constant [m] and the factor of the range [m/m]; raise ValueError for other text."""
     constant = per_metre = 0.0
     for term in text.split("+"):
         found = _TERM.fullmatch(term.strip())

@@ -1,11 +1,11 @@
 """JSON, YAML, NumPy's .npz and MATLAB's .mat as sheets: lists of records, or columns of numbers and lists.
 
-Which columns the numbers of a list are follows from its name and its length.
+The columns of a list of numbers follow from its name and length.
 
 Samples of hand-eye calibrations (MoveIt, easy_handeye) hold the pose of an object in a camera for each pose of the robot.
-A camera that stands still sees an object on the hand: its pose is read like that of a tool. A camera on the hand sees an
-object that stands still: read the other way round it is the pose of the camera in the frame of the object. Which of them
-it is, the samples show: the motions of hand and object belong together in one of the two ways only.
+With a fixed camera the object is on the hand, and its pose is that of a tool. With the camera on the hand the object is
+fixed, and the inverse is the pose of the camera in the object's frame. The samples determine which: relative rotations of
+hand and object are consistent in one of the two cases only.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +26,12 @@ from pincal.robot.se3 import transform
 JOINTS = re.compile(
     r"(joints?|joint_?(positions?|values?|angles?|states?|pos)|(actual_?)?q|qpos|angles?|state)(_deg|_rad)?", re.I
 )
-"""What lists of joint positions are called."""
+"""Names of lists of joint positions."""
 PLACE = re.compile(r"(position|pos|xyz|translation|point|p|t|trans|tvec|target|place|measured)(_mm|_m)?", re.I)
 TURNED = re.compile(r"(orientation|rotation|quaternions?|quat|q|ori|rot|R)(_?(xyzw|wxyz))?", re.I)
 POSE = re.compile(r".*(pose|transform|T|matrix|wrt).*", re.I)
 IS_OF_CONTROLLER = re.compile(r"robot|effector_wrt_world|(actual_)?tcp(_pose)?|flange|ee_pos(e)?|end_?effector", re.I)
-"""What the pose is called that a controller computes from the joints: it is no measurement."""
+"""Names of poses that a controller computes from the joints, which are no measurements."""
 _UNIT = re.compile(r".*[_ \[(](deg|rad|mm|cm|m)[\])]?")
 _AXES = ("x", "y", "z")
 _QUATERNION = ("qx", "qy", "qz", "qw")
@@ -42,12 +41,12 @@ _ORDER = "quaternions in lists are read in the order x y z w; if that is wrong, 
 def vector_labels(
     path: str, values: np.ndarray, names: Sequence[str] | None = None
 ) -> tuple[tuple[str, ...], list[np.ndarray], str]:
-    """Return labels and columns of N lists or matrices, and a note on what was taken for what, empty without any.
+    """Return labels and columns of N lists or matrices, and a note on an assumed order of components, or an empty one.
 
     Args:
-        path: where they stand in the file.
+        path: their keys in the file, separated by dots.
         values: shape (N, ...).
-        names: those of joints, where the file has them.
+        names: of the joints, where the file has them.
 
     Example:
         >>> vector_labels("tool.pose", np.zeros((2, 7)))[0]
@@ -71,7 +70,7 @@ def vector_labels(
 
 
 def _plain(key: str, count: int, names: Sequence[str] | None) -> tuple[tuple[str, ...], str]:
-    """Return the labels of so many numbers; none if undetermined."""
+    """Return the labels of ``count`` numbers and a note; no labels if undetermined."""
     if names is not None and len(names) == count and (JOINTS.fullmatch(key) or "state" in key or "position" in key):
         return tuple(map(str, names)), ""
     if count == 3 and PLACE.fullmatch(key):
@@ -92,7 +91,7 @@ def _plain(key: str, count: int, names: Sequence[str] | None) -> tuple[tuple[str
 
 
 def quaternions_of(matrices: np.ndarray) -> np.ndarray:
-    """Return quaternions x y z w of rotation matrices, shape (N, 3, 3); nan for those that are none."""
+    """Return quaternions x y z w of rotation matrices, shape (N, 3, 3); NaN for other matrices."""
     found = np.full((len(matrices), 4), np.nan)
     product = np.einsum("nij,nkj->nik", matrices, matrices)
     right = np.isfinite(matrices).all(axis=(1, 2)) & (np.abs(product - np.eye(3)).max(axis=(1, 2)) < 1e-2)
@@ -108,55 +107,44 @@ def _numbered(path: str, values: np.ndarray) -> tuple[tuple[str, ...], list[np.n
 
 _OF_ROBOT = ("effector_wrt_world", "robot")
 _OF_OBJECT = ("object_wrt_sensor", "tracking", "optical")
-# Residual of one way over that of the other, below which the samples distinguish them.
+# Ratio of the residuals of the two cases below which the samples distinguish them.
 _CLEAR = 0.3
 
 
-@dataclass(frozen=True)
-class TrackedPoses:
-    """Poses as they are read.
-
-    Attributes:
-        matrices: shape (N, 4, 4).
-        groups: the parts of the file that they are made of.
-    """
-
-    matrices: np.ndarray
-    groups: tuple[str, str]
-
-
-def tracked_poses(columns: Mapping[str, np.ndarray], *, is_on_hand: bool | None, source: str) -> TrackedPoses | None:
-    """Return the poses that a tracking system read, None where a file has no samples of a hand-eye calibration.
+def _tracked_poses(
+    columns: Mapping[str, np.ndarray], *, is_on_hand: bool | None, source: str
+) -> tuple[np.ndarray, tuple[str, str]] | None:
+    """Return the poses of a hand-eye calibration, shape (N, 4, 4), and the keys of its groups; None for other files.
 
     Args:
-        columns: values by their place in the file, shape (N, ...).
+        columns: values by their keys in the file, shape (N, ...).
         is_on_hand: whether the camera is on the hand, where the file states it.
         source: the file, for messages.
 
     Raises:
-        MeasurementError: if nothing shows whether the camera is on the hand.
+        MeasurementError: if nothing determines whether the camera is on the hand.
     """
     parts = {path.split(".")[0] for path in columns}
     robot, seen = (next((name for name in names if name in parts), None) for names in (_OF_ROBOT, _OF_OBJECT))
     if robot is None or seen is None:
         return None
     hand, object_ = (_matrices(columns, name, source=source) for name in (robot, seen))
-    said = "as the file says"
+    evidence = "as the file states"
     if is_on_hand is None:
         fixed, moved = _misfit(hand, object_), _misfit(hand, np.linalg.inv(object_))
         if min(fixed, moved) > _CLEAR * max(fixed, moved):
             raise MeasurementError(
-                f"{source}: {len(hand)} samples do not show whether the camera is on the hand ({moved:.3g} rad) or stands "
-                f"still ({fixed:.3g} rad); expected more samples that turn about different axes"
+                f"{source}: {len(hand)} samples do not show whether the camera is on the hand ({moved:.3g} rad) or fixed "
+                f"({fixed:.3g} rad); expected more samples with rotations about different axes"
             )
-        is_on_hand, said = moved < fixed, "as the samples show"
-    where = "on the hand, and the object stands still" if is_on_hand else "standing still, and the object is on the hand"
-    warn(f"{source}: {len(hand)} samples of a hand-eye calibration with the camera {where}, {said}; {robot} is not used")
-    return TrackedPoses(np.linalg.inv(object_) if is_on_hand else object_, (robot, seen))
+        is_on_hand, evidence = moved < fixed, "as the samples show"
+    where = "on the hand and the object fixed" if is_on_hand else "fixed and the object on the hand"
+    warn(f"{source}: {len(hand)} samples of a hand-eye calibration with the camera {where}, {evidence}; {robot} is not used")
+    return np.linalg.inv(object_) if is_on_hand else object_, (robot, seen)
 
 
 def _matrices(columns: Mapping[str, np.ndarray], group: str, *, source: str) -> np.ndarray:
-    """Return the poses of a part of a file, shape (N, 4, 4)."""
+    """Return the poses of a group of a file, shape (N, 4, 4)."""
     found = dict[str, np.ndarray]()
     for path, values in columns.items():
         if path.split(".")[0] == group:
@@ -173,14 +161,16 @@ def _matrices(columns: Mapping[str, np.ndarray], group: str, *, source: str) -> 
         )
         rotations = Rotation.from_quat(turned).as_matrix()
     except (KeyError, ValueError, TypeError) as error:
-        raise MeasurementError(f"{source}: {group} is no pose in each sample; expected translation and rotation") from error
+        raise MeasurementError(
+            f"{source}: {group} is not a pose in each sample; expected translation and rotation"
+        ) from error
     if np.isnan(quaternions_of(rotations)).any() or not np.isfinite(place).all():
-        raise MeasurementError(f"{source}: {group} is no pose in each sample; expected finite numbers")
+        raise MeasurementError(f"{source}: {group} is not a pose in each sample; expected finite numbers")
     return transform(rotations, place)
 
 
 def _misfit(hand: np.ndarray, target: np.ndarray) -> float:
-    """Return how far the turns of two bodies from sample to sample are from those of one body [rad]."""
+    """Return the residual of the rotations of two bodies from sample to sample as those of one rigid body [rad]."""
     turns = [
         Rotation.from_matrix(np.einsum("nji,njk->nik", T[:-1, :3, :3], T[1:, :3, :3])).as_rotvec() for T in (hand, target)
     ]
@@ -189,12 +179,12 @@ def _misfit(hand: np.ndarray, target: np.ndarray) -> float:
 
 
 _YAML = (".yaml", ".yml", ".samples")
-# How deep what is measured may nest, and values that a record may have.
+# Deepest nesting of measured values, and most values of a record.
 _DEEPEST, _MOST = 12, 2000
 
 
 def nested_kind(path: Path) -> str:
-    """Return "json", "yaml", "npz" or "mat" for a file of this kind, by its contents; empty for any other."""
+    """Return "json", "yaml", "npz" or "mat" for a file of such contents; empty for any other."""
     with path.open("rb") as file:
         head = file.read(4096)
     start = head.removeprefix(b"\xef\xbb\xbf").lstrip()
@@ -216,7 +206,7 @@ def open_nested(path: Path, kind: str) -> Sheet:
         kind: as returned by :func:`nested_kind`.
 
     Raises:
-        MeasurementError: for a file that can't be read, or that holds no table.
+        MeasurementError: for a file that can't be read or has no table.
     """
     import polars as pl
 
@@ -224,12 +214,12 @@ def open_nested(path: Path, kind: str) -> Sheet:
         data = {"json": _json, "yaml": _yaml, "npz": _npz, "mat": _mat}[kind](path)
     except MeasurementError:
         raise
-    except Exception as error:  # Whatever a broken file does to the libraries below.
+    except Exception as error:  # Broken files raise all kinds of errors in these libraries.
         reason = " ".join(str(error).split())[:200]
         raise MeasurementError(f"{path.name}: can't be read as {kind} ({reason}); expected a list of records") from error
     if isinstance(data, Mapping) and {"transformation", "parameters"} <= data.keys():
         raise MeasurementError(
-            f"{path.name}: the result of a hand-eye calibration; expected the samples that it was made of, with --joints LOG"
+            f"{path.name}: the result of a hand-eye calibration; expected the samples behind it, with --joints LOG"
         )
     columns = _table(data, path.name)
     found = dict[str, pl.Series]()
@@ -257,7 +247,7 @@ def _yaml(path: Path) -> Any:
         import yaml
 
     class Plain(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-        """A loader without references, which make a small file a large one."""
+        """A loader without references, by which a small file could expand to a large one."""
 
         def compose_node(self, parent: Any, index: Any) -> Any:
             if self.check_event(yaml.events.AliasEvent):
@@ -287,9 +277,10 @@ def _mat(path: Path) -> Any:
 def _table(data: Any, source: str) -> dict[str, np.ndarray]:
     """Return the columns of a table, shape (N,) each, as numbers or as objects."""
     columns = _by_path(data, source)
-    if (poses := tracked_poses(columns, is_on_hand=_said(data, "eye_on_hand"), source=source)) is not None:
-        columns = {path: v for path, v in columns.items() if path.split(".")[0] not in poses.groups}
-        columns |= {"pose": poses.matrices}
+    on_hand = (v for path, v in _flat(data) if path.split(".")[-1] == "eye_on_hand" and isinstance(v, bool))
+    if (tracked := _tracked_poses(columns, is_on_hand=next(on_hand, None), source=source)) is not None:
+        poses, groups = tracked
+        columns = {path: v for path, v in columns.items() if path.split(".")[0] not in groups} | {"pose": poses}
     names = {path: list(value) for path, value in _flat(data) if re.search(r"names?$", path) and isinstance(value, list)}
     given = next(iter(names.values()), None)
     found, notes = dict[str, np.ndarray](), list[str]()
@@ -313,7 +304,7 @@ def _table(data: Any, source: str) -> dict[str, np.ndarray]:
 
 
 def _scalar_label(path: str) -> str:
-    """Return the label of a plain value by its place: that of a component of an orientation begins with q."""
+    """Return the label of a scalar by its keys: components of an orientation begin with q."""
     *above, leaf = path.split(".")
     if leaf in ("x", "y", "z", "w") and any(IS_OF_CONTROLLER.fullmatch(part) for part in above):
         return path
@@ -322,7 +313,7 @@ def _scalar_label(path: str) -> str:
 
 
 def _by_path(data: Any, source: str) -> dict[str, np.ndarray]:
-    """Return what has one length N, by its place in the file: shape (N, ...)."""
+    """Return the columns of equal length N, by their keys in the file: shape (N, ...)."""
     records = data if isinstance(data, list) else None
     if isinstance(data, Mapping):
         lists = {path: v for path, v in _flat(data) if isinstance(v, list) and v and all(isinstance(r, Mapping) for r in v)}
@@ -343,14 +334,14 @@ def _by_path(data: Any, source: str) -> dict[str, np.ndarray]:
     found = {path: np.moveaxis(v, -1, 0) if v.shape[:2] == (4, 4) and v.ndim == 3 else v for path, v in found.items()}
     lengths = [len(v) for path, v in found.items() if v.ndim and not re.search(r"names?$", path)]
     count = max(set(lengths), key=lambda length: (lengths.count(length), length), default=0)
-    left = [path for path, v in found.items() if not v.ndim or len(v) != count]
-    if left:
-        warn(f"{source}: of another length than the {count} rows and left out: {', '.join(left[:20])}")
-    return {path: v for path, v in found.items() if path not in left}
+    others = [path for path, v in found.items() if not v.ndim or len(v) != count]
+    if others:
+        warn(f"{source}: of another length than the {count} rows and left out: {', '.join(others[:20])}")
+    return {path: v for path, v in found.items() if path not in others}
 
 
 def _flat(value: Any, path: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """Yield the values of nested mappings by their place."""
+    """Yield the values of nested mappings by their keys, separated by dots."""
     if not isinstance(value, Mapping):
         yield path, value
     elif depth < _DEEPEST:
@@ -359,7 +350,7 @@ def _flat(value: Any, path: str = "", depth: int = 0) -> Iterator[tuple[str, Any
 
 
 def _array(values: Any) -> np.ndarray:
-    """Return values as numbers, nothing as nan, else as they are."""
+    """Return values as numbers, with NaN for None, else as objects."""
     if isinstance(values, np.ndarray):
         return values if values.dtype.kind in "fiub" else values.astype(object)
     usual = next((v for v in values if isinstance(v, list)), None)
@@ -374,9 +365,3 @@ def _array(values: Any) -> np.ndarray:
         found = np.empty(len(values), object)
         found[:] = values
         return found
-
-
-def _said(data: Any, name: str) -> bool | None:
-    """Return a value yes or no that a file has somewhere, by its name."""
-    found = [v for path, v in _flat(data) if path.split(".")[-1] == name and isinstance(v, bool)]
-    return found[0] if found else None

@@ -1,4 +1,4 @@
-"""Reading a table: columns by name and unit, in SI units, put together to the fields of a schema.
+"""Reading a table: columns by name and unit, converted to SI units and assembled into the fields of a schema.
 
 Measurements, targets of a compensation and lists of known points are tables of different schemas.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from pincal.errors import MeasurementError, warn
-from pincal.measure.approach import BY_COLUMNS, agreeing, completed, moves_of_table, tells_order
+from pincal.measure.approach import BY_COLUMNS, agreeing, completed, gives_order, moves_of_table
 from pincal.measure.excel_sheet import ENDINGS, open_excel
 from pincal.measure.fields import CONDITIONS, FIRST, OF_EACH_JOINT, OTHERS, SECOND, Field, Schema, TableOptions, link_of
 from pincal.measure.header import NANOSECONDS, check_joints, matched, rotations, understood, with_joints
@@ -26,9 +26,9 @@ from pincal.measure.recordings import is_bag, is_dataset, open_bag, open_dataset
 from pincal.measure.sheet import FrameSheet, Sheet, SheetColumn, read_cells
 from pincal.measure.text_sheet import open_text
 
-# A motion that tells in which direction joints follow others [rad or m].
+# Step by which the direction of dependent joints is determined [rad or m].
 _SMALL = 1e-4
-# Formats that other programs can turn into one that is read.
+# Formats that other programs can convert to one that is read.
 _OTHERS = (".xls", ".xlsb", ".ods", ".numbers")
 
 
@@ -40,13 +40,13 @@ def open_sheet(
     joints: Collection[str] = (),
     sheet: str | None = None,
 ) -> Sheet:
-    """Return the sheet of a file, by what it holds; what is nothing else is text.
+    """Return the sheet of a file, by its contents; text if they are of no other format.
 
     Args:
-        path: the file; of a recording perhaps a folder.
+        path: the file; a recording may be a folder.
         ignore: topics of a recording to leave out.
-        only_joints: whether only the joints of a recording are wanted, sample by sample.
-        joints: those of a recording that have to stand still, and whose columns a table has.
+        only_joints: whether to read only the joints of a recording, sample by sample.
+        joints: those that have to stand still in a recording, and by which the header of a table is recognised.
         sheet: worksheet of a workbook.
 
     Raises:
@@ -72,7 +72,7 @@ def open_sheet(
 
 @contextlib.contextmanager
 def typed_errors(path: Path) -> Iterator[None]:
-    """Raise whatever goes wrong with a file as a `MeasurementError` that names it."""
+    """Convert all errors of reading a file to a `MeasurementError` that names it."""
     import polars as pl
 
     try:
@@ -90,16 +90,16 @@ def typed_errors(path: Path) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Cells:
-    """What a table of N rows holds.
+    """The contents of a table of N rows.
 
     Attributes:
-        arrays: values in SI units by the names of the fields, shape (N,) or (N, k); joint positions as "q", directions of
-            approach as "approach" and last moves as "move", shape (N, n), where there are any.
+        arrays: values in SI units by field, shape (N,) or (N, k); "q", "approach" and "move" of the joints, shape (N, n),
+            where there are any.
         rows: shape (N,), line of each row in its file, the header being line 1.
-        units: the units that the header gave, by column.
-        approach_from: where directions of approach come from, in words; empty where there are none.
-        sheet: where they stand.
-        columns: which of them were read.
+        units: the units in the header, by column.
+        approach_from: origin of the directions of approach, in words; empty where there are none.
+        sheet: the table itself.
+        columns: the columns that were read.
         orientation: how they give an orientation, if not by a quaternion.
     """
 
@@ -117,7 +117,7 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
 
     Args:
         path: the file; the ending of its name gives the format, text by default.
-        schema: what it may hold.
+        schema: its possible contents.
         part: rows of a Parquet file to read; default: all.
 
     Raises:
@@ -133,13 +133,13 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
 
 
 def cells_of(sheet: Sheet, schema: Schema, *, is_part: bool = False, was_joined: bool = False) -> Cells:
-    """Return what a sheet holds; see :func:`read_table`.
+    """Return the contents of a sheet; see :func:`read_table`.
 
     Args:
         sheet: the sheet.
-        schema: what it may hold.
-        is_part: whether it is a part of a table, of which nothing is to be cut.
-        was_joined: whether its joints were found in a log.
+        schema: its possible contents.
+        is_part: whether it is part of a table, or a stream, which is not cut into held poses.
+        was_joined: whether its joints are from a log.
     """
     path = sheet.path
     with typed_errors(path):
@@ -165,17 +165,17 @@ def cells_of(sheet: Sheet, schema: Schema, *, is_part: bool = False, was_joined:
     arrays = {} if not joints else {"q": np.column_stack([values.pop(name) for name in joints])}
     if droop is not None:
         arrays["droop"] = droop
-    told = {what: {j: values.pop(f"{what}_{j}") for j in joints if f"{what}_{j}" in values} for what in OF_EACH_JOINT}
-    sides = told["approach"]
+    given = {what: {j: values.pop(f"{what}_{j}") for j in joints if f"{what}_{j}" in values} for what in OF_EACH_JOINT}
+    sides = given["approach"]
     origin = BY_COLUMNS if sides else ""
     time, in_order = values.get("time"), schema.options.rows_in_order
-    if joints and (in_order or tells_order(time, arrays["q"])):
+    if joints and (in_order or gives_order(time, arrays["q"])):
         moves = moves_of_table(arrays["q"], time=time, station=values.get("station"))
         arrays["move"] = agreeing(moves, sides, joints)
         if in_order:
-            told["approach"], origin = completed(sides, joints, moves, by_time=time is not None, source=path.name)
+            given["approach"], origin = completed(sides, joints, moves, by_time=time is not None, source=path.name)
     unknown = np.zeros(len(rows))
-    arrays |= {what: np.column_stack([own.get(j, unknown) for j in joints]) for what, own in told.items() if own}
+    arrays |= {what: np.column_stack([own.get(j, unknown) for j in joints]) for what, own in given.items() if own}
     for of in schema.fields:
         if any(name in values for name in of.columns):
             arrays[of.name] = _whole(of, values, source=path.name)
@@ -184,7 +184,7 @@ def cells_of(sheet: Sheet, schema: Schema, *, is_part: bool = False, was_joined:
 
 
 def _followers(schema: Schema, values: Mapping[str, np.ndarray], missing: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return the columns of joints that follow from others: their positions, and where theirs are known directions."""
+    """Return the columns of dependent joints: positions, and directions of approach where those of others are given."""
     joints, nothing = schema.joint_names, np.zeros(len(values[schema.own_joints[0]]))
     q = np.column_stack([values.get(name, nothing) for name in joints])
     found = schema.following(q)
@@ -203,7 +203,7 @@ def _part(sheet: Sheet, part: range) -> Sheet:
 
 
 def _droop(values: dict[str, np.ndarray], joints: Sequence[str], *, source: str) -> np.ndarray | None:
-    """Take the second positions of joints out of the values; return commanded minus read back, shape (N, n), if any.
+    """Remove second positions of joints from the values; return commanded minus read back, shape (N, n), if any.
 
     Raises:
         MeasurementError: if both are given in addition to the joints' own columns.
@@ -229,11 +229,7 @@ def _droop(values: dict[str, np.ndarray], joints: Sequence[str], *, source: str)
 
 
 def _whole(part: Field, values: Mapping[str, np.ndarray], *, source: str) -> np.ndarray:
-    """Return the array of a field whose columns have to come together.
-
-    Raises:
-        MeasurementError: if some of them are missing.
-    """
+    """Return the array of a field; refuse a table with only some of its columns."""
     given = [name for name in part.columns if name in values]
     if missing := [name for name in part.columns if name not in values]:
         raise MeasurementError(f"{source}: {' '.join(given)} without {' '.join(missing)}; add what is missing")
@@ -247,8 +243,8 @@ def read_columns(
 
     Args:
         path: the file; formats and units as in a table of measurements.
-        quantities: columns and what they hold: "name", "length", ...
-        optional: those that may be absent.
+        quantities: quantity of each column: "name", "length", ...
+        optional: columns that may be absent.
 
     Raises:
         MeasurementError: for a file that can't be read, or a column, unit or cell that is invalid.
@@ -256,8 +252,7 @@ def read_columns(
     schema = Schema(tuple(Field(name, (name,), quantity) for name, quantity in quantities.items()))
     found = read_table(path, schema).arrays
     required = [name for name in quantities if name not in optional]
-    missing = [name for name in required if name not in found]
-    if missing:
+    if missing := [name for name in required if name not in found]:
         raise MeasurementError(f"{Path(path).name}: no column {missing[0]!r}; expected columns {' '.join(required)}")
     return found
 
@@ -265,13 +260,13 @@ def read_columns(
 def joint_columns(
     path: str | os.PathLike[str], names: Iterable[str], options: TableOptions, *, by_words: bool = True
 ) -> tuple[str, ...]:
-    """Return those of some joints that have a column in a table, in the order of the columns, without reading its rows.
+    """Return which joints have a column in a table, in the order of the columns, without reading its rows.
 
     Args:
         path: the table.
         names: of the joints.
-        options: how the table is to be read.
-        by_words: whether names may stand amid other words where no column has one for its own, as in logs of motion.
+        options: how to read the table.
+        by_words: whether names may be among other words if no column has exactly such a name, as in logs of motion.
 
     Raises:
         MeasurementError: for a file that can't be read.
@@ -285,7 +280,7 @@ def joint_columns(
     place = Path(path if options.joints is None else options.joints)
     with typed_errors(place):
         sheet = open_sheet(place, ignore=options.ignore, only_joints=True, joints=known, sheet=options.sheet)
-        # What a name means that is not here is refused, or of another file, where rows are read.
+        # Other names are refused, or belong to another file, when rows are read.
         here = {name: said for name, said in options.columns.items() if any(is_named(text, name) for text in sheet.labels)}
         labels = renamed(sheet.labels, here, source=place.name)
     found = [spelled(label, angles) or spelled(label, lengths) for label in labels]
@@ -295,9 +290,9 @@ def joint_columns(
 
 
 def of_path(path: str | os.PathLike[str], names: Collection[str], options: TableOptions) -> TableOptions:
-    """Return how to read a table of joints, whose columns may lack a prefix that the names of all of them have.
+    """Return how to read a table of joints, whose columns may lack the common prefix of the joints' names.
 
-    Each of two robots alike has a controller that calls its joints as the other one does.
+    The controllers of two identical robots use the same names.
     """
     first = next(iter(names), "")
     if "_" not in first or joint_columns(path, names, options):
@@ -310,7 +305,7 @@ def of_path(path: str | os.PathLike[str], names: Collection[str], options: Table
 
 
 def links_of_rows(path: str | os.PathLike[str], options: TableOptions) -> list[tuple[str | None, str | None]]:
-    """Return the pairs of links that the rows of a table are between, None where it names none, without its readings.
+    """Return the pairs of links between which the rows of a table are, None for links that it does not name.
 
     Raises:
         MeasurementError: for a file that can't be read, or a point that is not LINK:NAME.
@@ -335,24 +330,24 @@ def links_of_rows(path: str | os.PathLike[str], options: TableOptions) -> list[t
 
 
 def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
-    """Return a table joined with the log that the user names, and how to read it then."""
+    """Return a table joined with the log named by the user, and the schema for reading it."""
     options, source = schema.options, sheet.path.name
     path = Path(options.joints or "")
     quantities = schema.quantities(source=path.name)
     readings = {name for part in schema.fields if part.name not in CONDITIONS for name in part.columns}
-    told = {name: quantity for name, quantity in quantities.items() if name not in readings}
+    others = {name: quantity for name, quantity in quantities.items() if name not in readings}
     with typed_errors(path):
         log = open_sheet(path, ignore=options.ignore, only_joints=True, joints=schema.joint_names)
         labels = unignored(renamed(log.labels, options.columns, source=path.name, others=sheet.labels), options.ignore)
         labels = with_joints(labels, schema, quantities, sheet=log)
-        columns, unknown = matched(labels, told, {}, source=path.name)
+        columns, unknown = matched(labels, others, {}, source=path.name)
         check_joints([name for name in schema.needed_joints if name not in columns], unknown, log)
         values, _ = read_cells(log, tuple(columns.values()))
     mine = unignored(renamed(sheet.labels, options.columns, source=source, others=log.labels), options.ignore)
     found, _ = matched(mine, quantities, {}, source=source)
     if twice := [name for name in schema.joint_names if name in found]:
         raise MeasurementError(
-            f'{source}: joint "{twice[0]}" stands in {path.name}, too; leave out --joints, or ignore the column'
+            f'{source}: joint "{twice[0]}" is in {path.name} as well; omit --joints, or ignore the column'
         )
     time = read_cells(sheet, (found["time"],))[0]["time"] if "time" in found else None
     known = {*quantities, *options.ignore}

@@ -1,7 +1,7 @@
 """Measured poses in one table: arrays in SI units, read from CSV, Excel or Parquet and written to CSV or Parquet.
 
-One row is one measured pose. The joints carry the names of the URDF; a unit in square brackets converts
-(``x [mm]``, ``joint_1 [deg]``). Whatever can't be right is refused with the line and the column it stands in.
+One row per measured pose. Joints have their names in the URDF; units are given in square brackets (``x [mm]``,
+``joint_1 [deg]``). Invalid values are refused with their line and column.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from pincal.robot.tree import Mimic, mimicked
 __all__ = ["Measurements", "concatenate", "joint_columns", "measurements_from_arrays", "read_columns"]
 __all__ += ["read_measurements", "row_parts", "write_table"]
 
-# What a set-up is called that has no name.
+# Name of a set-up without one.
 _UNNAMED = "setup"
-# The ends of the path that a row's reading is about.
+# Ends of the path between the two links of a reading.
 LINK_ENDS = ("from", "to")
-# Rows that are worked on at once where not all fit into memory: some hundred MB with all that a fit makes of them.
+# Rows processed at once where not all fit into memory: some hundred MB, including all that a fit derives from them.
 MOST_ROWS = 200_000
 
 
@@ -51,18 +51,18 @@ def read_measurements(
     """Read a table of measured poses from CSV or other text, Excel or Parquet.
 
     Args:
-        path: the file; the ending of its name gives the format, text by default. Of text, separator, decimal comma and
-            encoding are recognised.
-        robot: the robot, or the names of its n joints; of a robot, joints that follow from others need no column.
+        path: the file; the ending of its name gives the format, text by default, whose separator, decimal comma and
+            encoding are detected.
+        robot: the robot, or the names of its n joints; dependent joints of a robot need no column.
         require: "joints" needs no measurement and leaves out all columns that are neither a joint nor a condition (target,
             point, payload, temperature, time, station, approach).
-        joint_types: "revolute" or "prismatic" for each of named joints, which decides the units it may have; default: all
+        joint_types: "revolute" or "prismatic" for each named joint, which determines its possible units; default: all
             revolute.
-        mimics: those of named joints that mimic others, which may have no column (``robot.mimics``).
-        resting: joints that may have no column, with the positions where they rest then [rad or m].
-        part: rows of a Parquet file to read, the first being 0, as :func:`row_parts` yields them; default: all.
-        options: how the table is to be read: ignore, columns, orientation, joints, sheet, rows_in_order and shares_log, as
-            in :class:`pincal.measure.fields.TableOptions`.
+        mimics: named joints that mimic others and may have no column (``robot.mimics``).
+        resting: joints that may have no column, with their rest positions [rad or m].
+        part: rows of a Parquet file to read, by index, as :func:`row_parts` yields them; default: all.
+        options: ignore, columns, orientation, joints, sheet, rows_in_order and shares_log, as in
+            :class:`pincal.measure.fields.TableOptions`.
 
     Returns:
         The rows in SI units, each with its line in the file (in Parquet: counted as if there were a header).
@@ -71,11 +71,11 @@ def read_measurements(
         MeasurementError: for a file that can't be read, or a column, unit or value that is invalid.
     """
     source, only_joints = Path(path).name, require == "joints"
-    said = TableOptions(**{name: value for name, value in options.items() if value is not None})
+    given = TableOptions(**{name: value for name, value in options.items() if value is not None})
     schema = Schema(
         fields=tuple((CONDITIONS if only_joints else known_fields()).values()),
         resting=dict(resting or {}),
-        options=replace(said, ignore=("*", *said.ignore)) if only_joints else said,
+        options=replace(given, ignore=("*", *given.ignore)) if only_joints else given,
     )
     if isinstance(robot, Robot):
         schema = schema.of_robot(robot)
@@ -95,7 +95,7 @@ def read_measurements(
 
 
 def row_parts(path: str | os.PathLike[str], most: int = MOST_ROWS) -> Iterator[range]:
-    """Yield the rows of a Parquet file in parts of limited size.
+    """Yield the rows of a Parquet file, by index, in parts of limited size.
 
     Raises:
         MeasurementError: for a file that can't be read.
@@ -105,18 +105,18 @@ def row_parts(path: str | os.PathLike[str], most: int = MOST_ROWS) -> Iterator[r
     path = Path(path)
     with typed_errors(path):
         count = int(pl.scan_parquet(path, glob=False).select(pl.len()).collect().item())
-    # Parts of about one size: none is left with too few rows.
+    # Parts of about the same size, so that none has too few rows.
     ends = np.linspace(0, count, max(-(-count // most), 1) + 1).round().astype(int).tolist()
     yield from (range(a, b) for a, b in pairwise(ends))
 
 
 def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray], *, to_fill: Sequence[str] = ()) -> None:
-    """Write columns as CSV (by the name's ending with tabs, or as Parquet): the whole file or nothing, in full precision.
+    """Write columns as CSV, tab-separated text or Parquet, by the ending of the name, in full precision.
 
     Args:
         path: the file to write; an existing one is replaced only when the new one is complete.
         columns: values by header, shape (N,) each.
-        to_fill: further headers, whose columns stay empty.
+        to_fill: headers of further, empty columns.
 
     Raises:
         OutputError: for columns of unequal length, another ending, or a place that can't be written to.
@@ -149,10 +149,10 @@ def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measure
     """Return the rows of each station, in the order in which stations appear.
 
     A table is a station unless it has a column ``station``; rows of one name may then come from several tables. Rows between
-    other links are a station of their own, named by the set-up and these links.
+    other links form a separate station, named after the set-up and these links.
 
     Args:
-        tables: tables with the names that they have as stations if they have no such column.
+        tables: tables with their names as stations if they have no such column.
 
     Raises:
         BadInputError: if two stations have the same name, or rows of one station were read by different sensors.
@@ -179,13 +179,13 @@ def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measure
         raise _same_name(name, whole[name], parts[name][0])
     stations: dict[str, Measurements] = {}
     for name, found in parts.items():
-        # Rows of one station that came from several tables may be between several links.
+        # Rows of one station from several tables may be between different links.
         stations |= {name: whole[name]} if name in whole else _by_links(name, _joined(name, found))
     return stations
 
 
 def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurements]]:
-    """Yield a table, or its rows between each two links, with the names that these have as stations."""
+    """Yield the rows of a table between each pair of links, with their names as stations."""
     sensor = table.sensor
     parts = list(sensor.parts(table)) if sensor is not None and issubclass(sensor, Divided) else [("", table)]
     found: list[tuple[list[str], Measurements]] = []
@@ -195,19 +195,15 @@ def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurement
             found.append(([*(str(of[0]) for of in columns), kind], part))
             continue
         links, inverse = np.unique(np.array(columns), axis=1, return_inverse=True)
-        # In the order in which they appear.
         found += [([*links[:, k], kind], part.select(inverse == k)) for k in dict.fromkeys(inverse.tolist())]
-    # What sees from one link is one instrument, what sees from another link another one.
+    # Readings from different links are by different instruments.
     starts = ["" if rows.from_link is None or not len(rows) else str(rows.from_link[0]) for _, rows in found]
     for (own, rows), start in zip(found, starts, strict=True):
         shared = (name or _UNNAMED) if len(set(starts)) == 1 else f"{name or _UNNAMED}:{start}"
-        # What all have in common needs no mention.
-        marks = [
-            mark
-            for mark, others in zip(own, zip(*(each for each, _ in found), strict=True), strict=True)
-            if len(set(others)) > 1
-        ]
-        ending = "".join(f":{mark}" for mark in marks).removeprefix("" if name else ":")
+        # Only marks that differ between the stations.
+        several = zip(own, zip(*(marks for marks, _ in found), strict=True), strict=True)
+        ending = "".join(f":{mark}" for mark, all_marks in several if len(set(all_marks)) > 1)
+        ending = ending.removeprefix("" if name else ":")
         station = None if rows.station is None else np.array([f"{each}{ending}" for each in rows.station.tolist()])
         setup = shared if ending and starts.count(start) > 1 else rows.setup
         yield f"{name}{ending}", replace(rows, station=station, setup=setup)
