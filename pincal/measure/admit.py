@@ -1,7 +1,7 @@
-"""Which rows of a table can be fitted or judged by, after all checks that need no fit.
+"""Selection of the rows for fitting or testing, with all checks that need no fit.
 
-Rows without information are left out with a warning, and all others are still processed; the rules are the sensors'. What
-can't be right, such as degrees, millimetres or swapped joints, is an error; what is odd but possible is a warning.
+Rows without information, by the rules of their sensor, are left out with a warning. Impossible values, such as degrees,
+millimetres or swapped joints, are errors; unlikely ones cause warnings.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Admitted:
 
     Attributes:
         tables: the usable rows of each station.
-        notes: what is odd, but possible, and what was left out.
+        notes: warnings about unlikely values and rows left out.
         idle: known distances that no row involves.
     """
 
@@ -52,7 +52,7 @@ def admit(
     Args:
         robot: the arm.
         tables: the rows of each station.
-        setup_of: takes the name of a station and returns what is known of it.
+        setup_of: returns the set-up of a station by its name.
         holdout: further rows that may involve points of known distances.
 
     Raises:
@@ -78,7 +78,7 @@ def admit(
 
 
 def admit_test(robot: Robot, table: Measurements, setup: Setup) -> Measurements:
-    """Return the rows of a table by which a calibration that knew ``setup`` can be judged; oddities cause warnings.
+    """Return the rows by which a calibration with ``setup`` can be judged; unlikely values cause warnings.
 
     Raises:
         MeasurementError: if the table can't be of this robot, or no row is left.
@@ -99,10 +99,10 @@ def noted() -> Iterator[list[str]]:
 
 
 def usable_rows(measurements: Measurements, setup: Setup) -> Measurements:
-    """Return the rows that carry information; each reason to leave rows out causes a `PincalWarning`.
+    """Return the rows with information; each reason to leave rows out causes a `PincalWarning`.
 
-    Left out are points behind the camera, sockets that were touched only once, unknown points that were seen only once, and
-    unknown anchors of fewer than four distances.
+    Left out are points behind the camera, sockets that were touched once, unknown points that were seen once, and unknown
+    anchors of fewer than four distances.
 
     Raises:
         MeasurementError: if no row is left.
@@ -120,20 +120,20 @@ def usable_rows(measurements: Measurements, setup: Setup) -> Measurements:
 
 
 def scorable_rows(measurements: Measurements, setup: Setup) -> Measurements:
-    """Return the rows that a calibration can be judged by; rows left out cause a `PincalWarning`.
+    """Return the rows by which a calibration can be judged; rows left out cause a `PincalWarning`.
 
-    A socket that the calibration did not have is judged by the mean of its rows, so it needs two; any other point that it
-    did not have can't be judged.
+    A socket that the calibration did not have is judged by the mean of its rows, so it needs two; other new points can't be
+    judged.
 
     Args:
-        measurements: rows that it never saw.
-        setup: the points that it had.
+        measurements: held-out rows.
+        setup: the points of the calibration.
     """
     return _kept(measurements, _unscorable(measurements, setup))
 
 
 def scorable(measurements: Measurements, setup: Setup) -> np.ndarray:
-    """Return which rows a calibration can be judged by, shape (N,), as :func:`scorable_rows` has it, without warnings."""
+    """Return which rows :func:`scorable_rows` returns, shape (N,), without warnings."""
     lost = np.zeros(len(measurements), bool)
     for part in _unscorable(measurements, setup):
         lost |= part.rows
@@ -147,7 +147,7 @@ def _unscorable(measurements: Measurements, setup: Setup) -> Iterator[Excluded]:
 
 
 def unobservable_notes(measurements: Measurements, setup: Setup) -> Iterator[str]:
-    """Yield what measurements of this kind can't determine, however many rows there are, in words."""
+    """Yield in words what measurements of this kind can't determine, however many rows there are."""
     return sensor_like(measurements, setup).unobservable()
 
 
@@ -164,10 +164,10 @@ def _kept(measurements: Measurements, excluded: Iterable[Excluded]) -> Measureme
 
 
 def _check_distances(setup: Setup, tables: Sequence[Measurements]) -> tuple[str, ...]:
-    """Refuse a known distance from a point of the tables to one that nobody knows.
+    """Refuse a known distance between a point of the tables and an unknown one.
 
     Returns:
-        A note on distances between points that are in none of the tables: they may belong to another one.
+        A note on distances between points in none of the tables: they may belong to another one.
     """
     found = [table.point_names for table in tables]
     known = {str(name) for names in found if names is not None for name in np.unique(names)} | set(setup.points)
@@ -184,20 +184,16 @@ def _check_distances(setup: Setup, tables: Sequence[Measurements]) -> tuple[str,
 
 
 def check_placeable(measurements: Measurements, setup: Setup) -> None:
-    """Refuse a table that could not locate instrument and tool of a known robot, and check it by one reading.
-
-    Raises:
-        MeasurementError: saying how many rows are needed.
-    """
+    """Refuse a table with too few rows to locate instrument and tool of a known robot with one redundant reading."""
     purpose = "to determine the poses of instrument and tool of a new station with redundancy"
     _check_count(measurements, setup, joints=1, purpose=purpose, better=10)
 
 
 def _check_count(measurements: Measurements, setup: Setup, *, joints: int, purpose: str, better: int) -> None:
-    """Refuse a table that could not determine the poses of instrument and tool, and so many joint offsets."""
+    """Refuse a table with too few rows for the poses of instrument and tool, and ``joints`` joint offsets."""
     sensor = sensor_like(measurements, setup)
     tool = len(sensor.tool_symbols) * (len(np.unique(measurements.target)) if len(measurements) else 1)
-    # What a camera's lens is like takes no rows beyond: each of them gives two readings of it.
+    # The parameters of a lens take no further rows: each gives two readings of it.
     own = sum(parameter.unit == "m" for parameter in sensor.parameters)
     poses = len(np.unique(measurements.q, axis=0))
     fewest = -(-(tool + joints) // 6) + 1
@@ -214,21 +210,21 @@ def _check_count(measurements: Measurements, setup: Setup, *, joints: int, purpo
         )
 
 
-# Share of the rows beyond the limits from which on the column, not the row, is at fault.
+# Share of rows beyond the limits above which the column, not the row, is at fault.
 _MANY = 0.2
-# Longer than the longest rail of a robot.
+# Longer than any rail of a robot [m].
 _MOST_M = 50.0
-# Two full turns: more than any cable allows, and less than a few degrees' motion written in degrees.
+# Two revolutions: more than cables allow, and less than a motion of some degrees read as radians.
 _MOST_RAD = 4 * np.pi
 # Limits of URDFs are rounded and controllers overshoot them by about this much [rad, m].
 _LIMIT_TOLERANCE = 0.05
-# Below this range [rad, m] a joint only shows the noise of its encoder.
+# Range of a joint that is only encoder noise [rad, m].
 _CONSTANT = 1e-4
 _LISTED_LINES = 5
 
 
 def check_table(robot: Robot, measurements: Measurements, *, minimum: int = 2) -> None:
-    """Refuse what can't be measurements of this robot, or less than ``minimum`` rows; warn of what is merely odd.
+    """Refuse impossible measurements of this robot, or fewer than ``minimum`` rows; warn of unlikely ones.
 
     Raises:
         MeasurementError: as the other functions of this module.
@@ -239,10 +235,10 @@ def check_table(robot: Robot, measurements: Measurements, *, minimum: int = 2) -
 
 
 def check_joints_of(robot: Robot, measurements: Measurements) -> None:
-    """Refuse joint positions that can't be this robot's, by :func:`check_joint_values` and as its loops have it.
+    """Refuse joint positions that can't be this robot's, by :func:`check_joint_values` and its kinematic loops.
 
     Raises:
-        MeasurementError: if a loop can't be closed at those of a row.
+        MeasurementError: if a loop can't be closed in some row.
     """
     rows = measurements.of_joints(robot)
     check_joint_values(rows, robot.lower, robot.upper, robot.joint_types)
@@ -251,12 +247,12 @@ def check_joints_of(robot: Robot, measurements: Measurements) -> None:
     drives = ", ".join(robot.joint_names[i] for i in robot.linkage.drivers)
     raise MeasurementError(
         f"{rows.source}, line {rows.rows[~is_closed][0]}: the robot's loops can't be closed at these positions of {drives}; "
-        f"so in {np.sum(~is_closed)} rows: check zeros, signs and units"
+        f"rows like this: {np.sum(~is_closed)}; check zeros, signs and units"
     )
 
 
 def check_reach(measurements: Measurements, reach_m: float) -> None:
-    """Check that readings are in metres, as far as the reach of the flange [m] shows; the rules are the sensor's.
+    """Check the unit of readings against the reach of the flange [m], by the rules of the sensor.
 
     Raises:
         MeasurementError: for values farther apart than the arm can reach, or closer together than the motion of the joints
@@ -270,8 +266,7 @@ def check_reach(measurements: Measurements, reach_m: float) -> None:
 def check_rows(measurements: Measurements, *, minimum: int) -> None:
     """Check that there are enough rows and that they differ.
 
-    Rows that repeat an earlier one in every column cause a `PincalWarning`; the same pose measured again with another result
-    is a replicate and welcome.
+    Rows that repeat an earlier one in every column cause a `PincalWarning`; a replicate differs in its readings.
 
     Raises:
         MeasurementError: for fewer rows than needed, or the same pose in all of them.
@@ -309,13 +304,12 @@ def check_joint_values(measurements: Measurements, lower: ArrayLike, upper: Arra
 
     Args:
         measurements: the table, N rows of n joints.
-        lower: lower joint limits [rad], prismatic [m], shape (n,); -inf where there is none.
-        upper: upper joint limits, likewise; a joint with lower >= upper counts as unlimited.
+        lower: lower joint limits [rad], prismatic [m], shape (n,); -inf without a limit.
+        upper: upper joint limits, likewise; a joint with lower >= upper is unlimited.
         joint_types: "revolute" or "prismatic" for each joint.
 
     Raises:
-        MeasurementError: for values that can only be degrees or millimetres though no unit is given, or two columns that are
-            swapped.
+        MeasurementError: for degrees or millimetres without a unit, or two swapped columns.
     """
     q, slides = measurements.q, np.array([kind == "prismatic" for kind in joint_types])
     if not q.size:
@@ -348,7 +342,7 @@ def _inside(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray
 
 
 def _seems_coupled(q: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return which joints are beyond their limits, and within them together with a neighbour, as coupled drives report."""
+    """Return which joints exceed their limits but not when a neighbour is added or subtracted, as for coupled drives."""
     found = np.array(~_inside(q, low, high).all(axis=0))
     for i in np.flatnonzero(found):
         sums = [q[:, i] + s * q[:, j] for j in (i - 1, i + 1) if 0 <= j < q.shape[1] for s in (1.0, -1.0)]
@@ -357,7 +351,7 @@ def _seems_coupled(q: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarr
 
 
 def _refuse_unit(measurements: Measurements, is_wrong: np.ndarray, slides: np.ndarray) -> None:
-    """Raise for a joint whose unit is wrong, shape (n,), and was not stated; a stated unit is the user's word."""
+    """Raise for a joint whose unit is wrong, shape (n,), unless it was stated explicitly."""
     for j in np.flatnonzero(is_wrong):
         name, row = measurements.joint_names[j], int(np.abs(measurements.q[:, j]).argmax())
         if name not in measurements.units:
@@ -370,7 +364,7 @@ def _refuse_unit(measurements: Measurements, is_wrong: np.ndarray, slides: np.nd
 
 
 def _curing_swaps(measurements: Measurements, low: np.ndarray, high: np.ndarray, *, slides: np.ndarray) -> list[str]:
-    """Return the pairs of columns whose exchange brings all values inside the limits."""
+    """Return the pairs of columns whose exchange brings all values within the limits."""
     names, ends = measurements.joint_names, np.stack([measurements.q.min(axis=0), measurements.q.max(axis=0)])
     cures = []
     for i, j in itertools.combinations(range(len(names)), 2):

@@ -1,7 +1,7 @@
-"""An instrument's table and a log of the joints from a file of its own, made one table.
+"""Joins a table of readings with a separate log of the joints.
 
-Rows belong together by a column that both have, by time while the pose is held still, or by their order where the counts
-agree; a `PincalWarning` states which.
+Rows are matched by a common column, by time while the pose is held still, or by their order where the counts agree; a
+`PincalWarning` states which.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     import polars as pl
 
 
-# An arm that moves by less than this [rad, m] within this time [s] holds still; noise of encoders is smaller.
+# An arm that moves by less than this [rad, m] within this time [s] is held still; encoder noise is smaller.
 _STILL, _HOLD = 3e-4, 0.3
-# A pose that wanders by more than this [rad, m] while it is held is none.
+# Largest drift of a held pose [rad, m].
 _DRIFT = 2e-3
 
 
@@ -33,7 +33,7 @@ class HeldPoses:
 
     Attributes:
         begin: shape (K,), first sample of each.
-        end: shape (K,), its last sample.
+        end: shape (K,), last sample of each.
     """
 
     begin: np.ndarray
@@ -48,7 +48,7 @@ class HeldPoses:
         return np.column_stack([self.begin, self.end])
 
     def at(self, time: np.ndarray, asked: np.ndarray) -> np.ndarray:
-        """Return the pose that is held at each time asked for, shape (M,); -1 where none is."""
+        """Return the index of the pose held at each of the times ``asked``, shape (M,); -1 where none is."""
         found = np.searchsorted(time[self.begin], asked, side="right") - 1
         is_held = (found >= 0) & (asked <= time[self.end][np.maximum(found, 0)]) if len(self) else np.zeros(len(asked), bool)
         return np.where(is_held, found, -1)
@@ -59,7 +59,7 @@ class HeldPoses:
 
 
 def held_poses(time: np.ndarray, q: np.ndarray) -> HeldPoses:
-    """Return the poses that are held still for some tenths of a second.
+    """Return the poses that are held still for a few tenths of a second.
 
     Args:
         time: shape (T,), strictly increasing [s].
@@ -72,9 +72,9 @@ def held_poses(time: np.ndarray, q: np.ndarray) -> HeldPoses:
         (2, [0, -1, 1])
     """
     ahead = np.minimum(np.searchsorted(time, time + _HOLD), len(time) - 1)
-    alone = time[ahead] - time < 0.9 * _HOLD  # The recording ends; times are rounded.
+    alone = time[ahead] - time < 0.9 * _HOLD  # At the end of the recording; times are rounded.
     is_held = (np.abs(q[ahead] - q).max(axis=1, initial=0.0) <= _STILL) & ~alone
-    # Each held window holds all its samples.
+    # All samples of a still window are held.
     change = np.zeros(len(time) + 1, int)
     np.add.at(change, np.flatnonzero(is_held), 1)
     np.add.at(change, ahead[is_held] + 1, -1)
@@ -87,23 +87,23 @@ def held_poses(time: np.ndarray, q: np.ndarray) -> HeldPoses:
     return HeldPoses(first[steady], last[steady])
 
 
-# A table of so many rows, so close in time [s], is a log; one of which more than this share is in motion is cut.
+# Fewest rows of a log, its longest time step [s], and the share of rows in motion above which it is cut into held poses.
 _LOG_ROWS, _LOG_STEP, _IN_MOTION = 100, 0.1, 0.05
-# Rows a pose from which those of a log that was joined with its joints are taken together.
+# Rows per pose above which a log that was joined with its joints is averaged.
 _PER_POSE = 10
 
 
 def is_log(time: np.ndarray) -> bool:
-    """Return whether rows follow each other as closely as those of a log; several recordings may follow each other."""
+    """Return whether rows are as close in time as in a log, which may consist of several recordings."""
     return len(time) >= _LOG_ROWS and 0.0 < float(np.median(np.diff(time))) <= _LOG_STEP
 
 
 def held_rows(
     values: Mapping[str, np.ndarray], rows: np.ndarray, joints: Sequence[str], *, was_joined: bool, source: str
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Return a row for each pose that is held still, if a table is a log in which the arm moves; else the table.
+    """Return one row per pose that is held still, if a table is a log in which the arm moves; else the table.
 
-    Numbers are means over the middle half of the pose, names those in the middle. A `PincalWarning` reports it.
+    Numbers are means over the middle half of the pose. A `PincalWarning` reports it.
 
     Args:
         values: columns in SI units, shape (N,) each; with a time.
@@ -115,7 +115,7 @@ def held_rows(
     steps = np.diff(values["time"])
     if not is_log(values["time"]):
         return dict(values), rows
-    # Where a recording ends and another one begins, time jumps.
+    # Time may jump where one recording ends and the next begins.
     kept = np.flatnonzero(np.append(True, steps != 0.0))
     time = np.append(0.0, np.cumsum(np.where(steps[kept[1:] - 1] < 0.0, 1.0, steps[kept[1:] - 1])))
     poses = held_poses(time, np.column_stack([values[name][kept] for name in joints]))
@@ -143,9 +143,9 @@ def mean_turn(quaternions: np.ndarray) -> np.ndarray:
     return np.asarray(mean / np.linalg.norm(mean))
 
 
-# Rows of a table that may fall between the poses of a log, as a share.
+# Largest share of a table's rows between the poses of a log.
 _BETWEEN = 0.5
-# Joint positions of one pose in a log differ by less [rad, m].
+# Largest difference of joint positions of one pose in a log [rad, m].
 _SAME = 2e-3
 
 
@@ -156,8 +156,8 @@ class Log:
     Attributes:
         sheet: the file.
         values: its known columns in SI units by name, shape (T,) each.
-        joints: those that are joints.
-        is_shared: whether it belongs to several tables.
+        joints: which of them are joints.
+        is_shared: whether several tables use it.
     """
 
     sheet: Sheet
@@ -172,19 +172,19 @@ class Log:
 
     @cached_property
     def held(self) -> HeldPoses | None:
-        """The poses that are held still, where it is a recording, whose time increases; else None."""
+        """The poses that are held still, if its time increases as in a recording; else None."""
         time = self.values.get("time")
         return held_poses(time, self.q) if time is not None and (np.diff(time) > 0).all() else None
 
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Which rows belong together.
+    """Matched rows of table and log.
 
     Attributes:
         rows: shape (M,), rows of the table that have a pose.
-        samples: for each of them the first and the last sample of the log that are its pose, shape (M, 2).
-        words: by what.
+        samples: shape (M, 2), first and last sample of each one's pose in the log.
+        words: the criterion, for messages.
     """
 
     rows: np.ndarray
@@ -193,23 +193,23 @@ class _Pairs:
 
 
 def join(table: Sheet, log: Log, time: np.ndarray | None, *, known: Collection[str], has: Collection[str]) -> Sheet:
-    """Return a table with the joints that a log holds for its rows, and with what else the log knows of them.
+    """Return a table with the joints and other known columns of a log for its rows.
 
     Args:
-        table: readings.
-        log: joints.
+        table: the readings.
+        log: the joints.
         time: of the table's rows [s], shape (N,); None if it has none.
-        known: columns with a meaning of their own, which do not identify rows.
-        has: those of them that the table has.
+        known: columns with a known meaning, which do not identify rows.
+        has: known columns of the table.
 
     Raises:
-        MeasurementError: if nothing, or more than one thing, determines which rows belong together.
+        MeasurementError: if no criterion determines which rows belong together, or two contradict each other.
     """
     import polars as pl
 
     columns = [SheetColumn(i, str(i), label, "", "name") for i, label in enumerate(table.labels)]
     frame, lines = table.read(columns)
-    # Labels of the table that the log has, too, and that mean nothing else, with their place in the log.
+    # Common labels without a known meaning, with their index in the log.
     places = {label.casefold(): i for i, label in enumerate(log.sheet.labels) if label}
     folded = {name.casefold() for name in known}
     free = [label for label in table.labels if name_of(label).casefold() not in folded]
@@ -218,8 +218,8 @@ def join(table: Sheet, log: Log, time: np.ndarray | None, *, known: Collection[s
     pairs = pairs or (None if log.is_shared else _by_order(log, frame.height))
     if pairs is None:
         raise MeasurementError(_advice(table, log, frame.height, has_times=time is not None))
-    left = frame.height - len(pairs.rows)
-    rest = f"; {left} rows between two poses are left out" if left else ""
+    lost = frame.height - len(pairs.rows)
+    rest = f"; {lost} rows between two poses are left out" if lost else ""
     source = log.sheet.path.name
     warn(f"{table.path.name}: {len(pairs.rows)} rows have their joints from {source} {pairs.words}{rest}")
     kept = [i for i, label in enumerate(table.labels) if label not in keys]
@@ -230,7 +230,7 @@ def join(table: Sheet, log: Log, time: np.ndarray | None, *, known: Collection[s
 
 
 def _pooled(values: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """Return the mean of a log's values over the samples of each row; names are those of the first sample."""
+    """Return the mean of a log's values over the samples of each row; for names, the first one."""
     if values.dtype.kind not in "fi":
         return np.asarray(values[samples[:, 0]])
     total = np.append(0.0, np.cumsum(values - values[0]))
@@ -239,7 +239,7 @@ def _pooled(values: np.ndarray, samples: np.ndarray) -> np.ndarray:
 
 
 def _by_columns(table: Sheet, frame: pl.DataFrame, log: Log, *, lines: np.ndarray, keys: Mapping[str, int]) -> _Pairs | None:
-    """Pair rows by the columns that both have and that identify the pose of each row; several have to agree."""
+    """Pair rows by common columns that identify the pose of each row; several have to agree."""
     found: dict[str, np.ndarray] = {}
     for label, place in keys.items():
         cells = log.sheet.read([SheetColumn(place, "key", label, "", "name")])[0]["key"]
@@ -268,11 +268,7 @@ def _by_columns(table: Sheet, frame: pl.DataFrame, log: Log, *, lines: np.ndarra
 
 
 def _agreed(by_column: _Pairs | None, by_time: _Pairs | None, *, table: Sheet, log: Log) -> _Pairs | None:
-    """Return the pairs by column, else those by time; counters of rows are no names of poses.
-
-    Raises:
-        MeasurementError: if column and time give different joints.
-    """
+    """Return the pairs by column, else those by time; refuse a column that contradicts the time, as a row counter does."""
     if by_column is None:
         return by_time
     if by_time is not None:
@@ -292,7 +288,7 @@ def _agreed(by_column: _Pairs | None, by_time: _Pairs | None, *, table: Sheet, l
 
 
 def _as_keys(series: pl.Series) -> list[str]:
-    """Return cells as text; numbers are the same however they are written."""
+    """Return cells as text, numbers in normal form."""
     import polars as pl
 
     text = series.cast(pl.String).str.strip_chars().fill_null("")
@@ -301,7 +297,7 @@ def _as_keys(series: pl.Series) -> list[str]:
 
 
 def _places(keys: Sequence[str], q: np.ndarray) -> dict[str, tuple[int, int]] | None:
-    """Return first and last sample of each key; None if the keys do not distinguish poses."""
+    """Return first and last sample of each key; None if keys do not identify poses."""
     found: dict[str, tuple[int, int]] = {}
     for i, key in enumerate(keys):
         first, last = found.get(key, (i, i - 1))
@@ -314,7 +310,7 @@ def _places(keys: Sequence[str], q: np.ndarray) -> dict[str, tuple[int, int]] | 
 
 
 def _by_time(log: Log, time: np.ndarray | None) -> _Pairs | None:
-    """Pair rows with the pose that is held at their time, if most rows have one."""
+    """Pair rows with the pose held at their time, if most rows have one."""
     theirs = log.values.get("time")
     if time is None or theirs is None or len(theirs) < 2:
         return None
@@ -331,7 +327,7 @@ def _by_time(log: Log, time: np.ndarray | None) -> _Pairs | None:
 
 
 def _by_order(log: Log, count: int) -> _Pairs | None:
-    """Pair rows in their order with the log's rows, or with its poses, of which there are as many."""
+    """Pair rows in order with the log's rows, or with its held poses, if there are as many."""
     every = np.arange(count)
     if len(log.q) == count:
         return _Pairs(every, np.column_stack([every, every]), "by order, row by row")

@@ -1,6 +1,6 @@
-"""A camera's image of points in front of it: a pinhole with radial and tangential distortion.
+"""The camera model: a pinhole with radial and tangential distortion.
 
-With x = X / Z, y = Y / Z and r^2 = x^2 + y^2 of a point in the camera's frame (z along the view, x to the right, y down):
+With x = X / Z, y = Y / Z and r^2 = x^2 + y^2 of a point in the camera's frame (z along the view, x right, y down):
 
     x'' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
     y'' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
@@ -8,10 +8,10 @@ With x = X / Z, y = Y / Z and r^2 = x^2 + y^2 of a point in the camera's frame (
 
 (Brown 1966; the same order and signs as OpenCV's.)
 
-Where a camera in the hand and the points that it sees are is found from images alone, without a first guess: for a point P
-that stands still in the robot's base frame, P - R_i (W c_i + t) = p_i holds with the nominal arm's poses (R_i, p_i), the
-camera's place t, W on the tool and the point c_i in the camera's frame. An image lacks the depth of c_i: what is left is
-linear in P and t once W and the focal length are given, which are looked for on a grid. P is eliminated.
+The poses of a camera in the hand and the points that it sees are found from images alone, without a first guess. For a point
+P fixed in the robot's base frame, P - R_i (W c_i + t) = p_i with the nominal arm's poses (R_i, p_i), the orientation W and
+position t of the camera on the tool, and the point c_i in its frame. An image lacks the depth of c_i; the other equations
+are linear in P and t once W and the focal length, which are searched on a grid, are given. P is eliminated.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pincal.robot.se3 import transform
 
 PINHOLE = ("fx", "fy", "u0", "v0")
 DISTORTION = ("k1", "k2", "p1", "p2", "k3")
-# Points nearer to the plane of the lens than this [m], or behind it, have no image; their prediction stays finite.
+# Least depth of a point [m]: the prediction of points nearer to the lens, or behind it, remains finite.
 NEAREST = 1e-3
 
 
@@ -66,13 +66,10 @@ class Lens:
         return _bent(self, _slopes(seen)[0])[0]
 
     def linearise(self, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the image and how it moves.
-
-        Args:
-            seen: shape (N, 3), points in the camera's frame [m].
+        """Return the image [px], shape (N, 2), of points in the camera's frame [m], shape (N, 3), and its derivatives.
 
         Returns:
-            Image [px], shape (N, 2); its derivative by the point, shape (N, 2, 3), and by the parameters, shape (N, 2, 9).
+            The image; its derivatives with respect to the point, shape (N, 2, 3), and to the parameters, shape (N, 2, 9).
         """
         slopes, depth = _slopes(seen)
         image, by_slope, by_lens = _bent(self, slopes)
@@ -88,7 +85,7 @@ def _slopes(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _bent(lens: Lens, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the image of slopes x, y, shape (N, 2), and its derivatives by slopes and by parameters."""
+    """Return the image of slopes x, y, shape (N, 2), and its derivatives with respect to slopes and parameters."""
     x, y = slopes.T
     r2 = x * x + y * y
     radial = 1.0 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
@@ -112,13 +109,13 @@ def _bent(lens: Lens, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     return image, by_slope, by_lens
 
 
-# Focal lengths that are tried where none is known, in widths of the part of the image that is used.
+# Focal lengths tried where none is known, in widths of the used part of the image.
 _FOCAL = (0.5, 0.8, 1.2, 1.8, 2.7, 4.0, 6.0)
-# Starts of the search that are made better, and those of them that are kept.
+# Starts of the search that are refined, and how many of them are kept.
 _GRID_STARTS, _KEPT = 6, 3
-# A point is not looked for nearer to the camera than this [m].
+# Least distance of a point from the camera in the search [m].
 _NEAR = 0.02
-# Rounds that take the distortion of a known camera out of an image.
+# Iterations that remove the distortion of a known camera.
 _ROUNDS = 20
 
 
@@ -128,9 +125,9 @@ class Views:
 
     Attributes:
         index: shape (N,), the point of each row.
-        n_points: how many points there are.
+        n_points: number of points.
         tips: shape (N, 3, 4), nominal tips in the robot's base frame.
-        slopes: shape (N, 2), where each point is seen from a camera, undistorted.
+        slopes: shape (N, 2), undistorted directions x/z, y/z of the points from a camera.
         focal: the focal length of that camera [px].
     """
 
@@ -145,11 +142,11 @@ class Views:
         return replace(self, index=self.index[rows], tips=self.tips[rows], slopes=self.slopes[rows])
 
     def sight(self, turn: np.ndarray, factor: float) -> _Sight:
-        """Return the camera's place and the points nearest to their lines of sight, for a camera turned on the tool.
+        """Return the camera's position and the points nearest to their lines of sight, for a given orientation.
 
         Args:
-            turn: shape (3, 3), camera to tip frame.
-            factor: by which its focal length is longer.
+            turn: shape (3, 3), rotation from the camera to the tip frame.
+            factor: on the focal length.
         """
         index, R, p = self.index, self.tips[:, :, :3], self.tips[:, :, 3]
         seen = np.column_stack([self.slopes / factor, np.ones(len(p))])
@@ -162,7 +159,7 @@ class Views:
         np.add.at(S, index, across)
         np.add.at(b, index, push)
         np.add.at(B, index, turned)
-        # Along the line of a point that is seen once nothing pushes, so that a little there changes nothing.
+        # The position of a point along its only line of sight is undetermined, so that this ridge changes nothing else.
         inverse = np.linalg.inv(S + RANK * np.eye(3))
         solved = inverse @ B
         H = np.tensordot(R, turned, ((0, 1), (0, 1))) - np.tensordot(B, solved, ((0, 1), (0, 1)))
@@ -181,22 +178,26 @@ class Views:
 def camera_starts(
     index: np.ndarray, n_points: int, tips: np.ndarray, pixel: np.ndarray, *, known: Lens | None, rows: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray, Lens]]:
-    """Yield the best places and focal lengths of the camera: those on a grid, made better one by one.
+    """Yield the best poses and focal lengths of the camera: those on a grid, each refined.
 
     Args:
         index: shape (N,), the point of each row.
-        n_points: how many points there are.
+        n_points: number of points.
         tips: shape (N, 3, 4), nominal tips in the robot's base frame.
         pixel: shape (N, 2), the images [px].
         known: the camera, where it is known.
-        rows: those that the search looks at.
+        rows: the subsample used by the search.
 
     Yields:
         The camera's frame in the tip frame, shape (4, 4), the points in the robot's base frame [m], shape (K, 3), the lens.
     """
     from scipy.optimize import least_squares
 
-    lens, focal = _guessed(pixel, known)
+    lens, scales = known, [np.zeros(0)]
+    if lens is None:
+        low, high = pixel.min(axis=0), pixel.max(axis=0)
+        width, (u0, v0) = float(np.max(high - low)), (0.5 * (low + high)).tolist()
+        lens, scales = Lens(width, width, u0, v0), [np.log([factor]) for factor in _FOCAL]
     views = Views(index, n_points, tips, slopes(lens, pixel), lens.fx)
     sample = views.of(rows)
 
@@ -204,7 +205,7 @@ def camera_starts(
         return sample.sight(Rotation.from_rotvec(x[:3]).as_matrix(), float(np.exp(x[3:].sum())))
 
     turns = Rotation.create_group("I").as_rotvec()
-    grid = [np.append(turn, scale) for scale in focal for turn in turns]
+    grid = [np.append(turn, scale) for scale in scales for turn in turns]
     best = sorted(grid, key=lambda x: missed(x).error)[:_GRID_STARTS]
     found = [least_squares(lambda x: missed(x).image, x, max_nfev=_ROUNDS).x for x in best]
     for x in sorted(found, key=lambda x: missed(x).error)[:_KEPT]:
@@ -213,18 +214,8 @@ def camera_starts(
         yield transform(turn, sight.camera), sight.points, replace(lens, fx=factor * lens.fx, fy=factor * lens.fy)
 
 
-def _guessed(pixel: np.ndarray, known: Lens | None) -> tuple[Lens, list[list[float]]]:
-    """Return a camera, and the logarithms of the factors on its focal length that are tried (none where it is known)."""
-    if known is not None:
-        return known, [[]]
-    low, high = pixel.min(axis=0), pixel.max(axis=0)
-    width = float(np.max(high - low))
-    u0, v0 = 0.5 * (low + high)
-    return Lens(width, width, float(u0), float(v0)), [[float(np.log(f))] for f in _FOCAL]
-
-
 def slopes(lens: Lens, pixel: np.ndarray) -> np.ndarray:
-    """Return where points are seen in the camera's frame, undistorted: x/z and y/z, shape (N, 2)."""
+    """Return the undistorted directions of points in the camera's frame: x/z and y/z, shape (N, 2)."""
     ideal = (pixel - (lens.u0, lens.v0)) / (lens.fx, lens.fy)
     found = ideal
     for _ in range(_ROUNDS if np.any(lens.values[4:]) else 0):
@@ -235,12 +226,12 @@ def slopes(lens: Lens, pixel: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Sight:
-    """How well lines of sight meet.
+    """Intersection of lines of sight.
 
     Attributes:
-        error: by which they miss their points, mean over the rows [px].
-        image: the same row by row, shape (3 N,) [px]; in pixels, as a long lens sees any points at small angles.
-        camera: the camera's place in the tip frame, shape (3,) [m].
+        error: mean miss distance of the lines from their points [px].
+        image: miss vectors, shape (3 N,) [px]; in pixels, as angles vanish for long focal lengths.
+        camera: the camera's position in the tip frame, shape (3,) [m].
         points: the points in the base frame, shape (K, 3) [m].
     """
 

@@ -1,4 +1,4 @@
-"""Measured poses of one robot as arrays in SI units, checked when they are built."""
+"""Measured poses of one robot as arrays in SI units, validated on construction."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pincal.recorded import RECORDED, Moving, Recorded
 from pincal.robot.robot import Robot
 from pincal.units import expected_number, is_possible
 
-# What a table has in addition to its readings.
+# Arrays in addition to the readings.
 _OF_JOINTS = {name: variable.quantity for name, variable in RECORDED.items() if variable.of_joints}
 _ARRAYS = ("q", *_OF_JOINTS, "rows", *CONDITIONS, "sigma", "readings_per_row")
 
@@ -28,7 +28,7 @@ _ARRAYS = ("q", *_OF_JOINTS, "rows", *CONDITIONS, "sigma", "readings_per_row")
 class Measurements(Recorded):
     """Measured poses of one robot, one row per measured pose; absent columns are None and all arrays are read-only.
 
-    The readings of pincal's own sensors are attributes as well.
+    Readings of pincal's own sensors are also attributes.
 
     Example:
         >>> poses = measurements(["a", "b"], [[0.0, 1.0], [0.5, 1.0]], distance=[1.2, 1.3])
@@ -46,7 +46,7 @@ class Measurements(Recorded):
     source: str
     """Name of the file, for messages."""
     readings: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """What the instrument read, by the fields that its sensor declares: shape (N,) or (N, k) each, lengths in m."""
+    """Readings of the instrument by the fields of its sensor: shape (N,) or (N, k) each, lengths in m."""
     point: np.ndarray | None = None
     """Name of the point of the calibration object, shape (N,)."""
     payload: np.ndarray | None = None
@@ -54,21 +54,21 @@ class Measurements(Recorded):
     station: np.ndarray | None = None
     """Name of the set-up of instrument and targets that each row belongs to, shape (N,)."""
     from_link: np.ndarray | None = None
-    """Name of the link from which each row's reading is seen, shape (N,); default: the robot's base."""
+    """Name of the link on which the instrument of each row is, shape (N,); default: the robot's base."""
     to_link: np.ndarray | None = None
-    """Name of the link that each row's reading is about, shape (N,); default: the robot's tip."""
+    """Name of the link on which the target of each row is, shape (N,); default: the robot's tip."""
     sigma: np.ndarray | None = None
     """Standard deviation of the row [m], shape (N,)."""
     readings_per_row: np.ndarray | None = None
-    """How many readings of a pose each row is the mean of, shape (N,); None where each row is a single reading."""
+    """Number of readings of which each row is the mean, shape (N,); None where each row is a single reading."""
     units: Mapping[str, str] = field(default_factory=dict)
-    """The units that the header gave, by column; what is not in it was taken as SI."""
+    """The units in the header, by column; others were taken as SI."""
     approach_from: str = ""
-    """Where ``approach`` comes from, in words, as far as it is known."""
+    """Origin of ``approach`` in words, if known."""
     setup: str = ""
-    """Name of the set-up whose instrument it shares with rows between other links; empty if it is one of its own."""
+    """Name of the set-up whose instrument it shares with rows between other links; empty if it shares none."""
     moving: Moving | None = None
-    """How the poses of a moving arm go on, by its path (:mod:`pincal.motion`); None where poses were held."""
+    """Motion of the arm about each row, by its path (:mod:`pincal.motion`); None where poses were held."""
 
     def __post_init__(self) -> None:
         for name, array in self._present().items():
@@ -84,12 +84,12 @@ class Measurements(Recorded):
 
     @property
     def sensor(self) -> type[Sensor] | None:
-        """The class of the sensor that reads these columns; None where nothing was measured."""
+        """The class of the sensor with these columns; None where nothing was measured."""
         return sensor_class(self.columns())
 
     @property
     def kind(self) -> str:
-        """What was measured, such as "position" or "pose"; "none" where nothing was."""
+        """Kind of measurement, such as "position" or "pose"; "none" without any."""
         return "none" if self.sensor is None else self.sensor.kind
 
     @property
@@ -104,7 +104,7 @@ class Measurements(Recorded):
 
     @property
     def distance(self) -> np.ndarray | None:
-        """From the instrument's point, or the row's anchor, to the target [m], shape (N,)."""
+        """Distance from the instrument's point, or the row's anchor, to the target [m], shape (N,)."""
         return self.readings.get("distance")
 
     @property
@@ -124,20 +124,20 @@ class Measurements(Recorded):
 
     @property
     def point_names(self) -> np.ndarray | None:
-        """Name of the fixed point that each row involves, shape (N,); None where rows involve none."""
+        """Name of each row's fixed point, shape (N,); None where rows involve none."""
         sensor = self.sensor
         return None if sensor is None or sensor.names_points is None else self.array(sensor.names_points)
 
     def array(self, name: str) -> np.ndarray:
-        """Return the values of a field that the table has, shape (N,) or (N, k)."""
+        """Return the values of a field of the table, shape (N,) or (N, k)."""
         return self.columns()[name]
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return all arrays with one entry per row by name: joints, readings, conditions."""
+        """Return all arrays with one entry per row, by name."""
         return {**self._present(), **self.readings}
 
     def names(self) -> dict[str, np.ndarray]:
-        """Return the arrays that hold names, such as that of the target, shape (N,) each."""
+        """Return the arrays of names, such as the target's, shape (N,) each."""
         return {name: array for name, array in self.columns().items() if array.dtype.kind not in "fi"}
 
     def select(self, index_or_mask: Any) -> Measurements:
@@ -147,11 +147,11 @@ class Measurements(Recorded):
         return chosen if self.moving is None else replace(chosen, moving=self.moving[take])
 
     def with_readings(self, **readings: np.ndarray) -> Measurements:
-        """Return the table with other values of some of its readings."""
+        """Return the table with some of its readings replaced."""
         return replace(self, readings={**self.readings, **readings})
 
     def of_joints(self, robot: Robot) -> Measurements:
-        """Return the table with the positions of the URDF's joints in place of what the controller reports."""
+        """Return the table with positions of the URDF's joints instead of those reported by the controller."""
         q = robot.from_reported(self.q)
         return self if q is self.q else replace(self, q=q)
 
@@ -173,15 +173,15 @@ def measurements(
     units: Mapping[str, str] | None = None,
     **columns: ArrayLike | None,
 ) -> Measurements:
-    """Build measurements from arrays in SI units, which are checked and copied.
+    """Build measurements from arrays in SI units, which are validated and copied.
 
     Args:
         joints: the robot, or the names of its n joints.
-        q: joint positions [rad], prismatic [m], shape (N, n); of a robot, joints that follow from others may be left out.
+        q: joint positions [rad], prismatic [m], shape (N, n); dependent joints of a robot may be left out.
         rows: line numbers for messages, shape (N,); by default 2, 3, ... as if read from a file.
         source: name of the data for messages.
-        units: units that were stated explicitly, by column name; an entry marks a column as intended.
-        columns: what was measured and recorded, by name, and fields of custom sensors; None is absent:
+        units: explicitly stated units, by column.
+        columns: readings and conditions by name, and fields of custom sensors; None means absent:
 
             - position: of the target in the instrument's frame [m], shape (N, 3).
             - quaternion: orientation of the tool in the instrument's frame, x y z w, shape (N, 4); with ``position``.
@@ -241,21 +241,21 @@ def measurements(
 
 
 def concatenate(tables: Sequence[Measurements]) -> Measurements:
-    """Join at least one table of the same joints and columns; each keeps its own line numbers.
+    """Concatenate at least one table of the same joints and columns; line numbers are kept.
 
-    The source names all files, units are those that all tables stated.
+    The source names all files; units are those stated by all tables.
 
     Raises:
-        MeasurementError: for no table at all, other joints, or a column that only some tables have.
+        MeasurementError: for no table, different joints, or a column that only some tables have.
     """
     if not tables:
         raise MeasurementError("no table to join; expected at least one")
     if any(table.readings_per_row is not None for table in tables):
-        # Rows of the others are single readings.
+        # Rows of other tables are single readings.
         counts = [np.ones(len(table), int) if table.readings_per_row is None else table.readings_per_row for table in tables]
         tables = [replace(table, readings_per_row=count) for table, count in zip(tables, counts, strict=True)]
     if any(table.move is not None for table in tables):
-        # No column of a file: of rows without a declared order the last moves are unknown.
+        # Last moves are no column of a file, and unknown for rows without a declared order.
         tables = [table if table.move is not None else replace(table, move=np.zeros(table.q.shape)) for table in tables]
     first = tables[0]
     for other in tables[1:]:
@@ -277,7 +277,7 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
 def validated(
     names: tuple[str, ...], arrays: dict[str, np.ndarray], *, source: str, units: Mapping[str, str]
 ) -> Measurements:
-    """Return the measurements of these arrays, which are checked but not copied."""
+    """Return the measurements of arrays, which are validated but not copied."""
     count = len(arrays["q"])
     arrays.setdefault("rows", np.arange(2, count + 2))
     fields = known_fields()
@@ -330,13 +330,13 @@ def _check_values(name: str, values: np.ndarray, known: Field | None, lines: np.
 
 
 def sensor_of(measurements: Measurements, setup: Setup | None = None) -> Sensor:
-    """Return the sensor that made a table of measurements.
+    """Return the sensor of a table of measurements.
 
-    Points that the setup does not name are refused, but for sockets, which are then judged by the mean of their rows. By
-    default nothing is known, and every point of the table is a parameter.
+    Points that the setup does not have are refused, except sockets, which are judged by the mean of their rows. By default
+    all points of the table are unknown parameters.
 
     Raises:
-        MeasurementError: if no sensor reads such columns, or a point is named that the setup does not have.
+        MeasurementError: if no sensor has such columns, or for a point that the setup does not have.
     """
     found = measurements.sensor
     if found is None:
@@ -348,12 +348,12 @@ def sensor_of(measurements: Measurements, setup: Setup | None = None) -> Sensor:
 
 
 def sensor_like(measurements: Measurements, setup: Setup) -> Sensor:
-    """Return the sensor of a table over its first row alone: all that does not depend on the rows is that of the table."""
+    """Return the sensor of the first row of a table, with all properties that do not depend on the rows."""
     return sensor_of(measurements.select(slice(0, 1)), setup.over(measurements))
 
 
 def _signature() -> inspect.Signature:
-    """Return the signature of ``measurements`` with all columns, for whoever looks it up or completes it."""
+    """Return the signature of ``measurements`` with all columns, for help texts and completion."""
     plain = inspect.signature(measurements)
     *first, rest = plain.parameters.values()
     names = dict.fromkeys([*known_fields(), *_OF_JOINTS])

@@ -1,4 +1,4 @@
-"""Orientations in the conventions of controllers, brought to unit quaternions x y z w.
+"""Orientations in the conventions of controllers, converted to unit quaternions x y z w.
 
 =========  =================  =======  ======================================================================
 name       columns            unit     rotation
@@ -11,8 +11,8 @@ name       columns            unit     rotation
 ``xyzw``   qx qy qz qw        1        quaternion x y z w [ROS]_
 =========  =================  =======  ======================================================================
 
-A unit in the header replaces that of the table above. Columns that are named by their axes (rx ry rz, roll pitch yaw) may
-also hold the angles of another convention, and q1 q2 q3 q4 a quaternion in the order x y z w, if the user declares it.
+A unit in the header overrides the one in this table. Columns named after their axes (rx ry rz, roll pitch yaw) may also hold
+the angles of another convention, and q1 q2 q3 q4 a quaternion in the order x y z w, if the user declares it.
 
 .. [KUKA] KUKA System Software 8.3, Operating and Programming Instructions for System Integrators: A, B, C as rotations about
    the Z, Y and X axis, each about the axes as turned before.
@@ -33,22 +33,22 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
 
-# A rotation vector is not longer than a full turn, with what rounding adds [rad].
+# Longest rotation vector, a revolution with rounding [rad].
 _FULL_TURN = 6.3
 
 
 @dataclass(frozen=True)
 class Convention:
-    """How columns give an orientation.
+    """A convention for orientations in columns.
 
     Attributes:
-        name: what the user calls it.
-        words: what it is, for messages.
-        columns: their names, at first those of the usual header.
-        order: the component that each column holds: angles about x, y, z or components x, y, z, w.
-        unit: of a column whose header has none.
+        name: value of the option ``--orientation``.
+        words: description for messages.
+        columns: their names in the table; by default the usual ones.
+        order: component in each column: angles about x, y, z or components x, y, z, w.
+        unit: of columns without a unit in the header.
         kind: "angles" R_z R_y R_x, "vector" or "quaternion".
-        known_by: the spellings of the columns that nobody mistakes for something else.
+        known_by: unambiguous spellings of the first column.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Convention:
 
     @property
     def quantity(self) -> str:
-        """What the columns hold."""
+        """Physical quantity of the columns."""
         return "number" if self.kind == "quaternion" else "angle"
 
     def quaternions(self, columns: Mapping[str, np.ndarray], *, where: str) -> np.ndarray:
@@ -91,7 +91,7 @@ class Convention:
         return np.asarray(Rotation.from_euler("xyz", values).as_quat())
 
     def values(self, rotation: np.ndarray) -> np.ndarray:
-        """Return what stands in the usual columns, in their order and unit, for a rotation matrix, shape (3, 3)."""
+        """Return the values of the columns, in their order and unit, for a rotation matrix, shape (3, 3)."""
         turned = Rotation.from_matrix(rotation)
         if self.kind == "quaternion":
             found = turned.as_quat(canonical=True)
@@ -111,30 +111,30 @@ _ALL = (
     Convention("wxyz", "a quaternion w x y z", ("qw", "qx", "qy", "qz"), "wxyz", "", "quaternion"),
 )
 CONVENTIONS: Mapping[str, Convention] = {convention.name: convention for convention in _ALL}
-"""The conventions by the names of the option ``--orientation``."""
+"""The conventions by the values of the option ``--orientation``."""
 
-# Columns named by their axes, so that they serve every convention of their kind.
+# Columns numbered without a defined order.
 _BY_NUMBER = ("q1", "q2", "q3", "q4")
 
 
-def find_orientation(names: Collection[str], said: str | None, *, taken: Collection[str], source: str) -> Convention | None:
-    """Return the columns that give an orientation in another way than a quaternion qx qy qz qw; None without any.
+def find_orientation(
+    names: Collection[str], declared: str | None, *, taken: Collection[str], source: str
+) -> Convention | None:
+    """Return the convention of columns that give an orientation other than by a quaternion qx qy qz qw; None without any.
 
     Args:
         names: the table's columns, without units.
-        said: the convention that the user names.
-        taken: columns that mean something else, such as joints.
+        declared: name of the convention, by the user.
+        taken: columns with another meaning, such as joints.
         source: the file, for messages.
 
     Raises:
         MeasurementError: for an unknown convention, one whose columns are missing, or columns of two conventions.
     """
     free = [name for name in names if name not in taken]
-    if said is not None:
-        return _as_said(free, said, source=source)
-    found = [
-        replace(convention, columns=columns) for convention in _ALL if (columns := _known(free, convention)) is not None
-    ]
+    if declared is not None:
+        return _as_declared(free, declared, source=source)
+    found = [replace(each, columns=columns) for each in _ALL if (columns := _known(free, each)) is not None]
     if len(found) > 1:
         listed = " and ".join(" ".join(each.columns) for each in found)
         raise MeasurementError(f"{source}: orientations in {listed}; expected one: ignore the others")
@@ -142,13 +142,13 @@ def find_orientation(names: Collection[str], said: str | None, *, taken: Collect
 
 
 def looks_like_orientation(names: Collection[str]) -> bool:
-    """Return whether columns have the names of an orientation's, in any spelling."""
+    """Return whether columns include those of an orientation, in upper or lower case."""
     folded = {name.casefold() for name in names}
     return any({name.casefold() for name in convention.columns} <= folded for convention in _ALL)
 
 
 def _known(free: Collection[str], convention: Convention) -> tuple[str, ...] | None:
-    """Return the columns of a convention, spelled so that they can't be mistaken, all of them and no more of their kind."""
+    """Return the columns of a convention in an unambiguous spelling, if they are complete."""
     for first in convention.known_by:
         spell = str.upper if first.isupper() else str.title if first.istitle() else str.lower
         columns = tuple(spell(name) for name in convention.columns)
@@ -157,25 +157,25 @@ def _known(free: Collection[str], convention: Convention) -> tuple[str, ...] | N
     return None
 
 
-def _as_said(free: Collection[str], said: str, *, source: str) -> Convention:
-    if said not in CONVENTIONS:
-        raise MeasurementError(f"{source}: orientation {said!r} is unknown; expected one of {', '.join(CONVENTIONS)}")
-    convention = CONVENTIONS[said]
+def _as_declared(free: Collection[str], name: str, *, source: str) -> Convention:
+    if name not in CONVENTIONS:
+        raise MeasurementError(f"{source}: orientation {name!r} is unknown; expected one of {', '.join(CONVENTIONS)}")
+    convention = CONVENTIONS[name]
     folded = {name.casefold(): name for name in free}
     others = [other for other in _ALL if len(other.order) == len(convention.order) and convention.kind != "vector"]
     for other in (convention, *others):
-        by_name = other.columns != _BY_NUMBER
-        if all(name.casefold() in folded for name in other.columns):
-            columns = tuple(folded[name.casefold()] for name in other.columns)
-            return replace(convention, columns=columns, order=other.order if by_name else convention.order)
+        if all(column.casefold() in folded for column in other.columns):
+            columns = tuple(folded[column.casefold()] for column in other.columns)
+            order = convention.order if other.columns == _BY_NUMBER else other.order
+            return replace(convention, columns=columns, order=order)
     raise MeasurementError(
-        f"{source}: no columns {' '.join(convention.columns)} for the orientation {said!r} ({convention.words}); the table "
+        f"{source}: no columns {' '.join(convention.columns)} for the orientation {name!r} ({convention.words}); the table "
         f"has {', '.join(free)}; name them with --columns 'NAME={convention.columns[0]},...'"
     )
 
 
 def looks_like_place(names: Collection[str]) -> bool:
-    """Return whether columns may be a position: three differ by x, y and z at an end, or one is little more than that."""
+    """Return whether columns may be a position: three that differ by x, y and z at an end, or a short one with x, y or z."""
     small = {name.casefold() for name in names}
     ends = ([f"{name[:-1]}{axis}" for axis in "xyz"] for name in small if name.endswith("x"))
     starts = ([f"{axis}{name[1:]}" for axis in "xyz"] for name in small if name.startswith("x"))

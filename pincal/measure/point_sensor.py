@@ -1,4 +1,4 @@
-"""What sensors have in common each of whose readings involves one named point that stands still.
+"""Base class of sensors each of whose readings involves one named, fixed point.
 
 A point is known in the instrument's frame, or its coordinates are parameters of the sensor; see
 :class:`pincal.measure.setup.NamedPoints`.
@@ -30,11 +30,11 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     """Readings that each involve one named point.
 
     Attributes:
-        thing: what a point is called.
-        fewest: the readings of one unknown point from which on some are left over to judge the robot by.
-        judges_new_points: whether a point that the calibration did not have is judged by the mean of its own rows, of which
-            it then needs two.
-        in_link_frame: whether points are places on the link from which the path starts, whose frame is the base then.
+        thing: name of such a point in messages.
+        fewest: least number of readings of an unknown point that are redundant.
+        judges_new_points: whether a point that the calibration did not have is judged by the mean of its rows, of which it
+            needs two.
+        in_link_frame: whether points are fixed to the link at which the path starts, whose frame is the base.
         points: the named points.
         index: shape (N,), each row's point.
     """
@@ -49,9 +49,9 @@ class PointSensor(Sensor, OwnParameters, Grouped):
 
     @classmethod
     def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the readings of a table; points that the setup does not have are refused, unless they are judged.
+        """Return the readings of a table; points that the setup does not have are refused, unless they can be judged.
 
-        A class with an attribute ``setup``, whose lens it has to know, gets the setup.
+        A class with an attribute ``setup`` gets the setup.
         """
         points, names = setup.named(), {field.name for field in cls.fields}.intersection(cls.per_row)
         index = index_of(table, points, may_be_new=cls.judges_new_points)
@@ -79,7 +79,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     @property
     @final
     def base_symbols(self) -> tuple[str, ...]:
-        """All if any point is known in a frame of its own; else the robot's base is that frame."""
+        """All if any point is known in the instrument's frame; else the robot's base is that frame."""
         return FRAME_SYMBOLS if self.points.known.any() and not self.in_link_frame else ()
 
     @property
@@ -106,20 +106,20 @@ class PointSensor(Sensor, OwnParameters, Grouped):
 
     @final
     def unobservable(self) -> Iterator[str]:
-        """Yield what the kind of reading, and the points that are known, leave open."""
+        """Yield what the kind of reading and the known points do not determine."""
         known = int(self.points.known.sum())
         yield from self.unobservable_with(known)
         if known and self.points.are_in_line and not self.in_link_frame:
-            some = "fewer than three of the named points are known" if known < 3 else "the known points stand in a line"
+            some = "fewer than three of the named points are known" if known < 3 else "the known points are collinear"
             yield f"{some}, so a rotation of the base about them is undetermined: give one more, off their line"
 
     @abstractmethod
     def unobservable_with(self, known: int) -> Iterator[str]:
-        """Yield what the kind of reading leaves open when so many points are known."""
+        """Yield what the kind of reading does not determine with ``known`` known points."""
 
     @final
     def unusable_rows(self) -> Iterator[Excluded]:
-        """Yield what the instrument can't have seen, then unknown points with too few readings: they only place it."""
+        """Yield impossible readings, then unknown points with too few readings to do more than locate them."""
         keep = np.ones(len(self), bool)
         if self.impossible is not None:
             keep = ~self.impossible.rows
@@ -136,18 +136,18 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     @property
     @abstractmethod
     def impossible(self) -> Excluded | None:
-        """Rows that the instrument can't have seen; None if there is no such thing."""
+        """Rows that the instrument can't have seen; None if all are possible."""
 
     @classmethod
     @final
     def unscorable_rows(cls, table: TableRows, setup: Setup) -> Iterator[Excluded]:
-        """Yield rows of points that the calibration did not have, but for those judged by the mean of at least two rows."""
+        """Yield rows of points that the calibration did not have, unless judged by the mean of two rows or more."""
         lost, listed = rows_of_new(table, setup, enough=2 if cls.judges_new_points else None)
         yield Excluded(lost, f"are of points not used in the calibration ({listed})", "points of the calibration")
 
     @final
     def by_points(self, by_place: np.ndarray) -> np.ndarray:
-        """Return the derivative by the unknown points, shape (own, m, N), from that by each row's, shape (3, m, N)."""
+        """Return the derivative with respect to the unknown points, shape (own, m, N), from the rows', shape (3, m, N)."""
         out = np.zeros((len(self.points.parameters), *by_place.shape[1:]))
         slot = self.points.slot[self.index]
         for k in range(len(out) // 3):
@@ -157,7 +157,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
 
     @final
     def start_at_means(self, ends: np.ndarray, tools: np.ndarray) -> Extrinsics:
-        """Return where all stands if each point is at the mean of its rows' ``ends``, shape (N, 3), in the base frame."""
+        """Return the poses with each point at the mean of its rows' ``ends``, shape (N, 3), in the base frame."""
         n = len(self.points.names)
         count = np.bincount(self.index, minlength=n).astype(float)
         places = np.stack([np.bincount(self.index, weights=column, minlength=n) for column in ends.T], axis=1)
@@ -165,7 +165,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
 
     @final
     def start_with_points(self, places: np.ndarray, tools: np.ndarray, *, rest: np.ndarray | None = None) -> Extrinsics:
-        """Return where all stands for points in the robot's base frame; the known ones determine the base.
+        """Return the poses for points in the robot's base frame; the known ones determine the base.
 
         Args:
             places: shape (K, 3), the points [m].
@@ -182,21 +182,21 @@ class PointSensor(Sensor, OwnParameters, Grouped):
 
 
 def _names_of(table: TableRows) -> np.ndarray:
-    """Return the name of each row's point, shape (N,), of a table whose rows involve points."""
+    """Return the name of each row's point, shape (N,)."""
     names = table.point_names
     assert names is not None
     return names
 
 
 def poor_groups(names: np.ndarray, fewest: int, known: Collection[str] = ()) -> tuple[np.ndarray, str]:
-    """Return rows of things with too few of them, shape (N,), and their names; known things need none."""
+    """Return the rows of unknown names with fewer than ``fewest`` rows, shape (N,), and these names."""
     found, inverse, count = np.unique(names, return_inverse=True, return_counts=True)
     poor = (count < fewest) & np.array([str(name) not in known for name in found], bool)
     return poor[inverse], few(found[poor], _LISTED)
 
 
 def rows_of_new(table: TableRows, setup: Setup, *, enough: int | None = None) -> tuple[np.ndarray, str]:
-    """Return rows of things that a calibration did not have, shape (N,), but for those with enough rows, and their names."""
+    """Return the rows of names that a calibration did not have, shape (N,), unless they are enough, and these names."""
     names = _names_of(table)
     found, inverse, count = np.unique(names, return_inverse=True, return_counts=True)
     is_new = np.array([str(name) not in setup.points for name in found], bool)
@@ -209,11 +209,11 @@ def index_of(table: TableRows, points: NamedPoints, *, may_be_new: bool = False)
 
     Args:
         table: a table whose rows involve points.
-        points: those that are known by name.
-        may_be_new: whether others are allowed; their index is -1 and below, one number for each.
+        points: the points of the calibration.
+        may_be_new: whether others are allowed; their indices are -1, -2, ...
 
     Raises:
-        MeasurementError: naming a point that is not known by name.
+        MeasurementError: naming a point that is not allowed.
     """
     names = _names_of(table)
     found, inverse = np.unique(names, return_inverse=True)
@@ -230,7 +230,7 @@ def index_of(table: TableRows, points: NamedPoints, *, may_be_new: bool = False)
 
 
 def centred(values: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return values, shape (N, 3, ...), with the mean of each point's rows taken off, as equations, shape (3 N, ...)."""
+    """Return values, shape (N, 3, ...), minus the mean over the rows of the same point, as shape (3 N, ...)."""
     _, group, count = np.unique(index, return_inverse=True, return_counts=True)
     total = np.zeros((len(count), *values.shape[1:]))
     np.add.at(total, group, values)
@@ -239,5 +239,5 @@ def centred(values: np.ndarray, index: np.ndarray) -> np.ndarray:
 
 
 def solved(A: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the least-squares solution of A x = y, the shortest one where the rows leave some of it open."""
+    """Return the least-squares solution of A x = y, of minimum norm where it is not unique."""
     return np.asarray(np.linalg.lstsq(A, y, rcond=RANK)[0])

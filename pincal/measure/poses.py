@@ -1,12 +1,11 @@
-r"""Poses that were measured more than once: which rows are of one pose, and the table with one row for each pose.
+r"""Replicates: the rows of each pose, and the table with one row per pose.
 
 Rows are of one pose if they have the same joint positions, target, named point, payload and direction of approach, and
-temperatures within 4 K: ISO 9283 allows :math:`\pm 2` K. Time may differ, as cycles take time: a robot that drifts repeats
-badly.
+temperatures within 4 K, as ISO 9283 allows :math:`\pm 2` K. Times may differ, so that drift counts as poor repeatability.
 
-What a robot misses at a pose it misses in each of the pose's readings: these are one observation of the robot, however many
-they are. So fits, tests and held-out sets go by the means of poses. What readings of a pose differ by is the noise of the
-instrument, against which the means are judged (pure error, :mod:`pincal.validate.lack_of_fit`).
+The error of the robot is common to all readings of a pose: they are one observation of the robot, however many they are. So
+fits, tests and held-out sets use the means of poses. The scatter of the readings of a pose is pure error, against which the
+means are judged (:mod:`pincal.validate.lack_of_fit`).
 """
 
 from __future__ import annotations
@@ -22,19 +21,19 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.registry import known_fields
 
 SCATTER = 1e-4
-"""Joint positions that count as the same where drives settle differently [rad or m].
+"""Joint positions that count as the same although drives settle differently [rad or m].
 
-Drives repeat to 1e-5 to 9e-5 rad (Slamani 2012: an IRB 1600 to 8.7e-5); means of rows that lie closer are exact to 1e-9 m.
+Drives repeat to 1e-5 to 9e-5 rad (Slamani 2012: an IRB 1600 to 8.7e-5); means of closer rows are exact to 1e-9 m.
 """
-# Payloads that count as the same [kg]: a gram bends no arm. Temperatures within the ±2 K of ISO 9283 [K].
+# Payloads that count as the same [kg]: a gram bends no arm. Range of temperatures by ISO 9283, ±2 K [K].
 _SAME_LOAD, _SAME_CLIMATE = 1e-3, 4.0
 
 
 def by_pose(table: Measurements) -> Measurements:
     """Return a table with one row for each pose: the mean of its readings, joints and conditions.
 
-    A reading that occurs in the table again, to the last digit, is a copy and counts once. ``readings_per_row`` counts the
-    readings of which a row is the mean; a table in which no pose was measured twice is returned as it is.
+    Readings that are equal to the last digit are copies and count once. ``readings_per_row`` counts the readings of each
+    row; a table without replicates is returned unchanged.
 
     Example:
         >>> from pincal.measure.measurements import measurements_from_arrays
@@ -49,7 +48,7 @@ def by_pose(table: Measurements) -> Measurements:
     if not len(pose) or pose.max() + 1 == len(pose):
         return table
     numbers = {name: a for name, a in table.columns().items() if a.dtype.kind == "f"}
-    # By what was read; joints alone are what a socket reads.
+    # Copies have the same readings, or joints where these are all that is read, as in sockets.
     read = [numbers[name].reshape(len(pose), -1) for name in table.readings if name in numbers]
     key = np.column_stack([pose, *(read or [table.q])])
     kept = np.sort(np.unique(key, axis=0, return_index=True)[1])
@@ -70,7 +69,7 @@ def by_pose(table: Measurements) -> Measurements:
         if name not in numbers:
             continue
         if name in fields and fields[name].is_unit:
-            # A quaternion and its opposite are one orientation.
+            # q and -q are the same orientation.
             is_opposite = np.sum(values * values[first][number], axis=1, keepdims=True) < 0.0
             means[name] = mean(np.where(is_opposite, -values, values))
             means[name] /= np.linalg.norm(means[name], axis=1, keepdims=True)
@@ -85,14 +84,14 @@ def by_pose(table: Measurements) -> Measurements:
 
 
 def replicate_groups(tables: Sequence[Measurements], *, within: float = SAME) -> list[np.ndarray]:
-    """Return the number of the pose of each row of some tables; each row of an arm in motion is a pose of its own.
+    """Return the pose of each row of some tables as a number; each row of an arm in motion is a separate pose.
 
     Args:
         tables: tables of the same joints.
-        within: joint positions [rad or m] that count as the same.
+        within: difference of joint positions that count as the same [rad or m].
 
     Returns:
-        For each table shape (N,), whole numbers from 0.
+        For each table shape (N,), integers from 0.
 
     Example:
         >>> from pincal.measure.measurements import measurements_from_arrays
@@ -112,7 +111,7 @@ def replicate_groups(tables: Sequence[Measurements], *, within: float = SAME) ->
         sides = [np.zeros(t.q.shape, int) if t.approach is None else t.approach for t in tables]
         keys.append(np.unique(np.vstack(sides), axis=0, return_inverse=True)[1].ravel())
     if any(table.moving is not None for table in tables):
-        # Where it stops for a moment it vibrates less than elsewhere, and what is filtered there overlaps.
+        # Rows at a brief stop vibrate less than others, and their filter windows overlap.
         moves = np.concatenate([np.full(len(table), table.moving is not None) for table in tables])
         keys.append(moves * np.arange(len(moves)))
     poses = _numbered(np.column_stack(keys))
@@ -128,7 +127,7 @@ def _stacked(tables: Sequence[Measurements], name: str) -> np.ndarray:
 
 
 def _numbered(keys: np.ndarray) -> np.ndarray:
-    """Return a number for each distinct row, in the order of their first appearance."""
+    """Return the number of each row among the distinct ones, in the order of first appearance."""
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     rank = np.empty(len(first), int)
     rank[np.argsort(first)] = np.arange(len(first))
@@ -136,7 +135,7 @@ def _numbered(keys: np.ndarray) -> np.ndarray:
 
 
 def same_joints(q: np.ndarray, within: float = SAME) -> np.ndarray:
-    """Return a number for rows with the same joint positions: cells of a grid, those that touch joined."""
+    """Return a label for rows with the same joint positions, by connected cells of a grid."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -148,14 +147,14 @@ def same_joints(q: np.ndarray, within: float = SAME) -> np.ndarray:
     low, high = np.full((count, q.shape[1]), np.inf), np.full((count, q.shape[1]), -np.inf)
     np.minimum.at(low, label, cells)
     np.maximum.at(high, label, cells)
-    # A slow motion links cell to cell over a long way: its rows are not replicates.
+    # A slow motion connects cells over a long distance: its rows are not replicates.
     label = label[inverse.ravel()]
     is_motion = np.any(high - low > 1.5, axis=1)[label]
     return np.asarray(np.where(is_motion, count + np.arange(len(q)), label))
 
 
 def _same_climate(temperature: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Return, within each pose, the number of the window of temperature that a row falls into."""
+    """Return the temperature window of each row within its pose, as a number."""
     window = np.zeros(len(poses), int)
     pose, lowest, number = -1, 0.0, 0
     for row in np.lexsort((temperature, poses)):

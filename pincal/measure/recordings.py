@@ -1,12 +1,12 @@
 """Parquet files, data sets of LeRobot and recordings of ROS as sheets.
 
-In Parquet each number of a list is a column, named by the data set: a data set is a folder with ``meta/info.json``,
-which names the numbers of each feature, and ``data/*/*.parquet``.
+In Parquet each number of a list is a column. A data set is a folder with ``data/*/*.parquet`` and ``meta/info.json``, which
+names the numbers of each feature.
 
-A recording of ROS (rosbag2 folders, .mcap, .db3, and .bag of ROS 1) has a row per pose that was held still. Joints come
-from a topic of JointState, readings from one of PoseStamped, PointStamped or TransformStamped; without such a topic from
-the one transform of /tf that moves freely, which no joint of a robot does. Times are those of the recorder, so that clocks
-of several computers don't matter. Joints and readings are means over the pose.
+A recording of ROS (rosbag2 folders, .mcap, .db3, and .bag of ROS 1) gives one row per pose that was held still. Joints are
+from a topic of JointState, readings from one of PoseStamped, PointStamped or TransformStamped, or else from the one
+transform of /tf that moves freely, as no joint of a robot does. Times are the recorder's, so that clocks of several
+computers don't matter. Joints and readings are means over the pose.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from pincal.measure.joined import HeldPoses, held_poses, mean_turn
 from pincal.measure.nested_sheet import vector_labels
 from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
 
-# Size of a cell in memory [bytes], a number's.
+# Size of a number in memory [bytes].
 _BYTES = 8
-# Numbers of a list that are columns: images are longer.
+# Longest list whose numbers are columns: images are longer.
 _MOST = 32
 
 
@@ -72,7 +72,7 @@ def open_dataset(path: Path) -> FrameSheet:
 
 
 def _with_vectors(sheet: FrameSheet) -> FrameSheet:
-    """Return a sheet with a column for each number of those lists that are short and of one length; others stay."""
+    """Return a sheet with a column for each number of short lists of one length; other lists are unchanged."""
     import polars as pl
 
     kinds = sheet.frame.collect_schema()
@@ -87,14 +87,14 @@ def _with_vectors(sheet: FrameSheet) -> FrameSheet:
     asked, labels = list[Any](), list[str]()
     for name in kinds.names():
         found, _, note = vector_labels(name, np.zeros((1, sizes.get(name, 1))))
-        said = names.get(name, [])
-        is_named = len(said) == sizes.get(name) and name != "action"
+        given = names.get(name, [])
+        is_named = len(given) == sizes.get(name) and name != "action"
         if name not in sizes or (found[0].startswith(name) and not is_named):
             asked, labels = [*asked, pl.col(name)], [*labels, name]
             continue
         if is_named:
-            found = tuple(n.removesuffix(".pos") + " [deg]" * n.endswith(".pos") for n in said)
-            if any(n.endswith(".pos") for n in said):
+            found = tuple(n.removesuffix(".pos") + " [deg]" * n.endswith(".pos") for n in given)
+            if any(n.endswith(".pos") for n in given):
                 warn(f"{sheet.path.name}: positions in {name} are taken for degrees, not for shares of the range")
         if note:
             warn(f"{sheet.path.name}: {note}")
@@ -112,9 +112,7 @@ def _names(folder: Path) -> dict[str, list[str]]:
         found = msgspec.json.decode((folder / "meta" / "info.json").read_bytes())["features"]
         listed = {name: feature.get("names") for name, feature in found.items()}
     except (OSError, msgspec.DecodeError, KeyError, TypeError, AttributeError) as error:
-        raise MeasurementError(
-            f"{folder.name}: meta/info.json can't be read; expected that of a data set of LeRobot"
-        ) from error
+        raise MeasurementError(f"{folder.name}: meta/info.json can't be read; expected one as LeRobot writes it") from error
     flat = {n: next(iter(v.values()), None) if isinstance(v, Mapping) else v for n, v in listed.items()}
     return {name: [str(each) for each in value] for name, value in flat.items() if isinstance(value, list)}
 
@@ -125,7 +123,7 @@ _LISTED = 20
 _JOINTS, _IMU = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu"
 _READINGS = tuple(f"geometry_msgs/msg/{kind}Stamped" for kind in ("Pose", "Point", "Transform", "PoseWithCovariance"))
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-# A frame moves if its place or quaternion changes by more, and freely if its place does so in two directions [m].
+# A frame moves if its position or quaternion changes by more, and freely if its position does in two directions [m].
 _MOVES = 1e-3
 _LABELS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _OF_IMU = ("ax", "ay", "az", "wx", "wy", "wz")
@@ -133,15 +131,15 @@ _OF_IMU = ("ax", "ay", "az", "wx", "wy", "wz")
 
 @dataclass(frozen=True)
 class _Topic:
-    """What one topic holds.
+    """The messages of one topic.
 
     Attributes:
         name: of the topic.
         labels: of the values.
         time: by the recorder, shape (T,), strictly increasing [s].
         values: shape (T, k).
-        own: by the stamps of the messages, shape (T,) [s].
-        frames: of a transform, the frame that it is in and its own.
+        own: stamps of the messages, shape (T,) [s].
+        frames: parent and child frame of a transform.
     """
 
     name: str
@@ -153,7 +151,7 @@ class _Topic:
 
     @property
     def stamps(self) -> np.ndarray:
-        """Times by the clock of the topic's own node, by the recorder's where those do not increase [s]."""
+        """Times by the clock of the node, or by the recorder's where those do not increase [s]."""
         return self.own if len(self.own) > 1 and np.all(np.diff(self.own) > 0.0) else self.time
 
     @property
@@ -163,22 +161,22 @@ class _Topic:
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is a recording of ROS, by its name or, of a folder, its contents."""
+    """Return whether a path is a recording of ROS, by its name, or by its contents if it is a folder."""
     return path.suffix.lower() in _ENDINGS or (path / "metadata.yaml").is_file()
 
 
 def open_bag(path: Path, *, ignore: Collection[str] = (), only_joints: bool = False, joints: Collection[str] = ()) -> Sheet:
-    """Read the poses that were held still and have readings; without any topic of readings all samples of the joints.
+    """Read the poses that were held still and have readings, or all samples of the joints if there are no readings.
 
     Args:
         path: the recording.
         ignore: topics to leave out.
-        only_joints: whether to read the joints alone, sample by sample.
+        only_joints: whether to read only the joints, sample by sample.
         joints: those that have to stand still; default: all of the topic.
 
     Raises:
-        MeasurementError: without the library rosbags, for a recording that can't be read, or one in which joints or readings
-            come from several topics, or no pose was held still.
+        MeasurementError: without the library rosbags, for a recording that can't be read, or one with joints or readings in
+            several topics, or without a pose that was held still.
     """
     found, listed = _topics(path, ignore)
     arm = _arm([topic for topic in found if topic.labels[:3] != _LABELS[:3]], path, listed)
@@ -213,7 +211,7 @@ def open_bag(path: Path, *, ignore: Collection[str] = (), only_joints: bool = Fa
 
 
 def open_streams(path: Path, *, ignore: Collection[str] = ()) -> dict[str, Sheet]:
-    """Return the sheets of "joints", "imu" and "tracker", as far as a recording has topics of them.
+    """Return the sheets of "joints", "imu" and "tracker" for which a recording has topics.
 
     Raises:
         MeasurementError: as :func:`open_bag`, and for several IMUs or readings.
@@ -240,7 +238,7 @@ def _sheet(path: Path, columns: dict[str, np.ndarray]) -> Sheet:
 
 
 def _middle(poses: HeldPoses, time: np.ndarray, asked: np.ndarray) -> np.ndarray:
-    """Return the first and past the last of the times asked for in the middle half of each pose, shape (K, 2)."""
+    """Return the index range of the times ``asked`` in the middle half of each pose, shape (K, 2)."""
     begin, end = time[poses.begin], time[poses.end]
     quarter = 0.25 * (end - begin)
     return np.column_stack([np.searchsorted(asked, begin + quarter), np.searchsorted(asked, end - quarter, side="right")])
@@ -248,14 +246,14 @@ def _middle(poses: HeldPoses, time: np.ndarray, asked: np.ndarray) -> np.ndarray
 
 def _mean(values: np.ndarray) -> np.ndarray:
     """Return the mean of positions, or of poses with quaternions, shape (k,)."""
-    place, turned = values[:, :3].mean(axis=0), values[:, 3:]
-    return np.append(place, mean_turn(turned)) if turned.size else np.asarray(place)
+    position, quaternions = values[:, :3].mean(axis=0), values[:, 3:]
+    return np.append(position, mean_turn(quaternions)) if quaternions.size else np.asarray(position)
 
 
 def _free(frames: list[_Topic], path: Path) -> list[_Topic]:
-    """Return the transforms that move freely; those of a camera on the hand the other way round.
+    """Return the transforms that move freely, inverted if the parent frame is on the hand, as a camera may be.
 
-    The joints of a robot turn about a place that stands still, or slide along a line.
+    Joints of a robot rotate about a fixed point, or slide along a line.
     """
     found = list[_Topic]()
     by_child = {topic.frames[1]: topic for topic in frames}
@@ -276,7 +274,7 @@ def _free(frames: list[_Topic], path: Path) -> list[_Topic]:
 
 
 def _arm(topics: list[_Topic], path: Path, listed: str) -> _Topic:
-    """Return the topic with the most joints; joints in two topics are refused."""
+    """Return the topic with the most joints; refuse joints in two topics."""
     if not topics:
         raise MeasurementError(f"{path.name}: no joints; expected a topic of {_JOINTS}; topics: {listed}")
     arm = max(topics, key=lambda topic: len(topic.labels))
@@ -292,9 +290,9 @@ def _several(what: str, topics: list[_Topic], path: Path) -> MeasurementError:
 
 
 def _topics(path: Path, ignore: Collection[str], *, imu: bool = False) -> tuple[list[_Topic], str]:
-    """Return all topics of joints, of readings and perhaps of IMUs, and in words what else there is.
+    """Return all topics of joints, of readings and of IMUs or transforms, and a list of all topics in words.
 
-    Messages with other joints are topics of their own, and so is each frame of /tf.
+    Messages with different joints count as separate topics, and so does each frame of /tf.
     """
     with needed("rosbags", f"{path.name}: recordings of ROS", install="'pincal[ros]'", error=MeasurementError):
         from rosbags.highlevel import AnyReader
@@ -311,19 +309,19 @@ def _topics(path: Path, ignore: Collection[str], *, imu: bool = False) -> tuple[
                     if not {*frames[1:], " > ".join(frames)} & {*ignore}:
                         sample = (1e-9 * stamp, _stamp(message), values)
                         found.setdefault((connection.topic, frames, labels), []).append(sample)
-    except Exception as error:  # Whatever a broken recording does to the libraries below.
+    except Exception as error:  # Broken recordings raise all kinds of errors in these libraries.
         raise MeasurementError(f"{path.name}: can't be read ({error}); expected a recording of ROS") from error
     return [_topic(*place, samples) for place, samples in found.items()], listed
 
 
 def _stamp(message: Any) -> float:
-    """Return the stamp of a message, 0 for one without [s]."""
+    """Return the stamp of a message [s], 0 without one."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     return 0.0 if stamp is None else stamp.sec + 1e-9 * stamp.nanosec
 
 
 def _values(message: Any, kind: str) -> Iterator[tuple[tuple[str, ...], tuple[str, ...], Any]]:
-    """Yield frames, labels and values of a message that has some."""
+    """Yield frames, labels and values of a message."""
     if kind in _TRANSFORMS:
         for each in message.transforms:
             (_, labels, values), *_ = _values(each, "")

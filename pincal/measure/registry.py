@@ -1,7 +1,7 @@
-"""All sensors: which one reads a table, by the columns that it has.
+"""All sensors, and the choice of the sensor of a table by its columns.
 
-A sensor from outside is added by :func:`register_sensor`, in an installed package that declares the entry point
-``pincal.sensors`` or in a module that the user names (see :mod:`pincal.plugins`).
+Custom sensors are added by :func:`register_sensor`, in an installed package with the entry point ``pincal.sensors`` or in a
+module named by the user (see :mod:`pincal.plugins`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pincal.plugins import Registry
 
 
 def _check(sensor: type[Sensor]) -> None:
-    """Refuse a sensor that leaves something out, or whose columns mean something else already."""
+    """Refuse an incomplete sensor, or one whose columns already have another meaning."""
     stated = ("kind", "fields", "blocks", "tool_symbols", "twist_rows", "per_row")
     missing = [name for name in stated if not hasattr(sensor, name)] + sorted(getattr(sensor, "__abstractmethods__", ()))
     if missing:
@@ -39,7 +39,7 @@ def _check(sensor: type[Sensor]) -> None:
 SENSORS = Registry[Sensor](
     "sensor", group="pincal.sensors", name_of=lambda sensor: " ".join(field.name for field in sensor.fields), check=_check
 )
-"""The sensors by the fields that they read: two may share a kind."""
+"""The sensors by their fields, as two may share a kind."""
 
 register_sensor = SENSORS.register
 """Add a sensor, as a decorator or by a call."""
@@ -52,13 +52,13 @@ for _sensor in (PositionSensor, PoseSensor, *_DISTANCES, ContactSensor, *_CAMERA
 
 
 def known_fields() -> Mapping[str, Field]:
-    """Return all that a table may hold by name: readings of all sensors, then the conditions of a pose."""
+    """Return all known fields by name: readings of all sensors, then the conditions of a pose."""
     found = {field.name: field for sensor in SENSORS.known().values() for field in sensor.fields}
     return {name: field for name, field in found.items() if name not in CONDITIONS} | {SIGMA.name: SIGMA} | CONDITIONS
 
 
 def known_kinds() -> Mapping[str, str]:
-    """Return what sensors measure, and the module that defines each of them."""
+    """Return the kinds of measurement, with the module of each one's sensor."""
     return {sensor.kind: sensor.__module__ for sensor in SENSORS.known().values()}
 
 
@@ -74,26 +74,22 @@ def columns_of(kind: str) -> tuple[str, ...]:
 
 
 def simulatable() -> Mapping[str, type[Simulatable]]:
-    """Return the sensors, by their kind, for which measurements can be designed."""
+    """Return the sensors for which measurements can be designed, by kind."""
     return {sensor.kind: sensor for sensor in SENSORS.known().values() if issubclass(sensor, Simulatable)}
 
 
 def sensor_class(fields: Collection[str]) -> type[Sensor] | None:
-    """Return the sensor that reads a table with these fields, of several the one that reads most; None without any."""
+    """Return the sensor of a table with these fields, the one with the most fields of several; None without any."""
     found = [sensor for sensor in SENSORS.known().values() if all(field.name in fields for field in sensor.fields)]
     return max(found, key=lambda sensor: len(sensor.fields), default=None)
 
 
 def check_fields(fields: Collection[str], *, source: str) -> None:
-    """Refuse a table whose fields are two kinds of measurement, or a part of one.
-
-    Raises:
-        MeasurementError: naming the columns that don't go together, or the missing ones.
-    """
+    """Refuse a table with two kinds of measurement, or an incomplete one, naming the columns."""
     sensors = SENSORS.known().values()
     chosen = sensor_class(fields)
     read = {} if chosen is None else {field.name: field for field in chosen.fields}
-    # What one sensor reads in addition to the first field of its own may be the first field of another.
+    # A further field of one sensor may be the first field of another.
     mains = {sensor.fields[0].name: sensor.fields[0] for sensor in sensors if sensor.fields[0].name in fields}
     apart = [field for name, field in mains.items() if name not in read]
     if len(mains) > 1 and (chosen is None or apart):
@@ -112,6 +108,6 @@ def check_fields(fields: Collection[str], *, source: str) -> None:
 
 
 def expected_columns() -> str:
-    """Return the columns that make a measurement, sensor by sensor, in words."""
+    """Return the columns of each sensor, in words."""
     known = [" with ".join(map(str, sensor.fields)) for sensor in SENSORS.known().values()]
     return ", ".join(known[:-1]) + f", or {known[-1]}"

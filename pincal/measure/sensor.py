@@ -1,10 +1,9 @@
-"""Sensors: what an instrument reads of a pose, and how the reading moves with it.
+"""Sensors: models of readings as functions of a pose, with derivatives.
 
-A sensor knows the target's pose in the instrument's frame and nothing of robots. Whatever is asked of measurements elsewhere
-goes through :class:`Sensor`, so that a sensor needs no other place than its own file.
-
-What only some sensors have is a class of its own to inherit from: :class:`OwnParameters`, :class:`KnownParameters`,
-:class:`Grouped`, :class:`Divided`, :class:`Simulatable`, :class:`Plausible`.
+A sensor predicts readings from the target's pose in the instrument's frame, independently of robots. :class:`Sensor` is its
+only interface, so that a sensor is defined in one file. Properties of only some sensors are mix-in classes:
+:class:`OwnParameters`, :class:`KnownParameters`, :class:`Grouped`, :class:`Divided`, :class:`Simulatable`,
+:class:`Plausible`.
 """
 
 from __future__ import annotations
@@ -31,9 +30,9 @@ class Block:
         name: "position", "orientation", "distance", ...
         unit: "m", "rad" or "px"; of an IMU "m/s^2" and "rad/s".
         size: number of components.
-        rounding: of a prediction; noise is never taken to be less.
-        noise: standard deviation of one component as good instruments have it, taken where the noise is neither declared
-            nor can be estimated.
+        rounding: rounding error of a prediction, the least noise.
+        noise: standard deviation of one component for good instruments, used where it is neither declared nor can be
+            estimated.
         axes: one letter per component; x, y, z or numbers by default.
     """
 
@@ -55,11 +54,11 @@ class Block:
 
 @dataclass(frozen=True)
 class Constraints:
-    """C facts on a sensor's own parameters, as if they were readings.
+    """C constraints on a sensor's own parameters, in the form of readings.
 
     Attributes:
-        residuals: shape (C,), known minus predicted.
-        jacobian: shape (own, C), derivative of the predicted.
+        residuals: shape (C,), known minus predicted value.
+        jacobian: shape (own, C), derivative of the prediction.
         sigma: shape (C,), standard deviations.
     """
 
@@ -75,7 +74,7 @@ class Excluded:
     Attributes:
         rows: shape (N,).
         reason: completes the sentence "3 rows ... and are left out".
-        expected: what a table with no other rows would need.
+        expected: the rows that a table without any others would need.
     """
 
     rows: np.ndarray
@@ -89,23 +88,23 @@ class Sensor(ABC):
     A class defines, in addition to the abstract methods:
 
     Attributes:
-        kind: what is measured, in files and messages.
-        fields: what a table has to hold, that which gives the kind of measurement away first.
+        kind: kind of measurement, in files and messages.
+        fields: the required fields, beginning with the one that identifies the kind of measurement.
         blocks: the components of a reading.
-        tool_symbols: coordinates of the target on the tool that readings depend on.
-        twist_rows: 3 if readings depend on the target's position alone, 6 if on its orientation as well.
-        per_row: names of the attributes that have one entry per row.
-        names_points: field that names a fixed point for each row.
-        default_target: name of the target in a table that names none.
+        tool_symbols: coordinates of the target on the tool on which readings depend.
+        twist_rows: 3 if readings depend only on the target's position, 6 if on its orientation as well.
+        per_row: names of the attributes with one entry per row.
+        names_points: field with the name of a fixed point for each row.
+        default_target: name of the target in a table without one.
         reads_pose: whether the first three components are the target's position in the instrument's axes and further ones
-            its orientation, so that repeated poses have an accuracy and a repeatability as ISO 9283 defines them.
-        pose_limit: completes "3 poses ..." where many rows can share a pose and yet give no more than six coordinates.
+            its orientation, so that replicates have an accuracy and a repeatability as in ISO 9283.
+        pose_limit: completes "3 poses ..." where many rows of one pose determine no more than six coordinates.
         has_camera: whether a known camera can be given.
-        is_of_joints: whether a row reads the joints alone, at a touch (:func:`pincal.identify.believed.slope_of_contacts`).
-        is_on_tool: whether the sensor itself sits on the tool, so that its mount can be given.
-        reads_place: whether readings tell places, and so lengths, held otherwise; else errors have no size in mm.
+        is_of_joints: whether a row reads only the joints, at a contact (:func:`pincal.identify.believed.slope_of_contacts`).
+        is_on_tool: whether the sensor itself is on the tool, so that its mount can be given.
+        reads_place: whether readings determine positions, and so lengths; else these are held and errors have no size in mm.
         follows: how readings depend on the moving tip: "linearly", "squared" or "as ratios", see ``motion/reading_starts``.
-        deviation_end: where an arrow from the predicted position ends that is as long as the reading deviates.
+        deviation_end: end of the arrow from the predicted position that represents the deviation of the reading.
     """
 
     kind: ClassVar[str]
@@ -128,24 +127,24 @@ class Sensor(ABC):
     @classmethod
     @abstractmethod
     def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the readings of a table that has all of ``fields``, with what is known of named points and of a camera.
+        """Return the readings of a table that has all of ``fields``, with the known points and camera of the setup.
 
         Raises:
-            MeasurementError: for a point that the setup does not have and that can't be judged without.
+            MeasurementError: for a point that the setup does not have and that can't be judged.
         """
 
     @property
     @abstractmethod
     def base_symbols(self) -> tuple[str, ...]:
-        """Coordinates of the base frame that the readings can depend on."""
+        """Coordinates of the base frame on which readings can depend."""
 
     @abstractmethod
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return reading minus prediction.
 
         Args:
-            poses: shape (N, 3, 4), the target in the instrument's frame; where conditions have K moments about each row
-                shape (N K, 3, 4), and so in the other methods.
+            poses: shape (N, 3, 4), the target in the instrument's frame; with K moments about each row shape (N K, 3, 4),
+                here and in the other methods.
             own: values of the sensor's parameters.
 
         Returns:
@@ -154,15 +153,15 @@ class Sensor(ABC):
 
     @abstractmethod
     def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the derivative of minus the residuals.
+        """Return the derivative of the prediction.
 
         Args:
             poses: shape (N, 3, 4).
-            motion: shape (P, ``twist_rows``, N), motion of the target by parameter, in the instrument's axes.
+            motion: shape (P, ``twist_rows``, N), motion of the target per parameter, in the instrument's axes.
             own: values of the sensor's parameters.
 
         Returns:
-            Shape (P + number of own parameters, m, N); the motion itself may be returned, but is not changed.
+            Shape (P + number of own parameters, m, N); may be the motion itself, which is not changed.
         """
 
     @abstractmethod
@@ -173,10 +172,10 @@ class Sensor(ABC):
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return the deviation of the target from its prediction, as far as the reading determines it.
 
-        Where no better formula is at hand, :meth:`least_displacement` serves.
+        Use :meth:`least_displacement` where there is no better formula.
 
         Args:
-            residuals: shape (m, N), as :meth:`residuals` has them.
+            residuals: shape (m, N), as from :meth:`residuals`.
             poses: shape (N, 3, 4), the target in the instrument's frame.
             own: values of the sensor's parameters.
 
@@ -186,7 +185,7 @@ class Sensor(ABC):
 
     @abstractmethod
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield where instrument, tools and all that the sensor owns may stand; some candidates may be far off.
+        """Yield candidates for the poses of instrument and tools and for own parameters; some may be far off.
 
         Args:
             tips: shape (N, 3, 4), nominal tips in the robot's base frame.
@@ -196,7 +195,7 @@ class Sensor(ABC):
 
     @abstractmethod
     def unobservable(self) -> Iterator[str]:
-        """Yield what readings of this kind can't determine, however many there are, in words."""
+        """Yield in words what readings of this kind can't determine, however many there are."""
 
     @final
     def __len__(self) -> int:
@@ -211,7 +210,7 @@ class Sensor(ABC):
 
     @final
     def joined(self, others: Sequence[Self]) -> Self:
-        """Return these readings and others of the same instrument, one after the other."""
+        """Return these readings concatenated with others of the same instrument."""
         names = [name for name in self.per_row if getattr(self, name) is not None]
         chosen: dict[str, Any] = {n: np.concatenate([getattr(each, n) for each in (self, *others)]) for n in names}
         return replace(self, **chosen)  # type: ignore[type-var]
@@ -234,13 +233,13 @@ class Sensor(ABC):
     @property
     @final
     def unknowns(self) -> str:
-        """What the sensor's own parameters describe; empty if it has none."""
+        """Description of the sensor's own parameters; empty if it has none."""
         return self.own_words if isinstance(self, OwnParameters) else ""
 
     @property
     @final
     def fixed(self) -> np.ndarray:
-        """Which of its own parameters are known and stay as they are, shape (own,)."""
+        """Which of its own parameters are known and held fixed, shape (own,)."""
         return self.known_parameters if isinstance(self, KnownParameters) else np.zeros(len(self.parameters), bool)
 
     @final
@@ -251,18 +250,18 @@ class Sensor(ABC):
     @property
     @final
     def groups(self) -> np.ndarray | None:
-        """What each row belongs to, shape (N,), where a sample needs rows of everything; else None."""
+        """Group of each row, shape (N,), where a subsample needs rows of each; else None."""
         return self.row_groups if isinstance(self, Grouped) else None
 
     @property
     @final
     def is_whole(self) -> bool:
-        """Whether the rows make sense only together, so that they can't be worked on in pieces."""
+        """Whether the rows can be processed only together, not in parts."""
         return isinstance(self, Grouped) and self.needs_all_rows
 
 
 class Additive(Sensor):
-    """A sensor whose readings are the attribute that is named as its first field, and add up with their errors."""
+    """A sensor whose readings are the attribute named like its first field, with additive errors."""
 
     @final
     def shifted(self, change: np.ndarray) -> Self:
@@ -274,7 +273,7 @@ class Additive(Sensor):
 class OwnParameters(ABC):
     """A sensor with parameters of its own, such as the position of a socket.
 
-    Those that may lie anywhere have an infinite size: they are fitted together with base and tool.
+    Unconstrained ones have an infinite size and are fitted together with base and tool.
     """
 
     @property
@@ -285,11 +284,11 @@ class OwnParameters(ABC):
     @property
     @abstractmethod
     def own_words(self) -> str:
-        """What those that may lie anywhere describe, such as "the unknown points"; empty if nothing worth a name."""
+        """Description of the unconstrained ones, such as "the unknown points"; empty if there are none."""
 
 
 class KnownParameters(ABC):
-    """A sensor some of whose own parameters may be known, so that a fit leaves them as they are."""
+    """A sensor some of whose own parameters may be known and are held fixed in a fit."""
 
     @property
     @abstractmethod
@@ -299,60 +298,60 @@ class KnownParameters(ABC):
     @property
     @abstractmethod
     def is_given(self) -> bool:
-        """Whether the known values were given for this very instrument, not taken from experience."""
+        """Whether the known values were given for this instrument, rather than assumed."""
 
     @property
     @abstractmethod
     def doubt(self) -> str:
-        """The message if the readings contradict the values that were given."""
+        """The message if readings contradict the given values."""
 
 
 class Grouped(ABC):
-    """A sensor each of whose rows involves one of several things, such as a socket; own parameters describe unknown ones."""
+    """A sensor whose rows are in groups, such as one for each socket; own parameters describe the unknown ones."""
 
     @property
     @abstractmethod
     def row_groups(self) -> np.ndarray:
-        """The thing that each row involves, shape (N,)."""
+        """Group of each row, shape (N,)."""
 
     @property
     @abstractmethod
     def needs_all_rows(self) -> bool:
-        """Whether the rows make sense only together."""
+        """Whether the rows can be processed only together."""
 
     @abstractmethod
     def facts(self, own: np.ndarray) -> Constraints | None:
-        """Return what is known of the own parameters from elsewhere, such as the distance of two sockets, or None."""
+        """Return prior knowledge of the own parameters, such as the distance of two sockets, or None."""
 
     @abstractmethod
     def unusable_rows(self) -> Iterator[Excluded]:
-        """Yield rows without information; later ones are judged without the earlier ones."""
+        """Yield rows without information, each judged without the rows yielded before."""
 
     @classmethod
     @abstractmethod
     def unscorable_rows(cls, table: TableRows, setup: Setup) -> Iterator[Excluded]:
-        """Yield rows by which a calibration that knew ``setup`` can't be judged."""
+        """Yield rows by which a calibration with ``setup`` can't be judged."""
 
 
 class Divided(ABC):
-    """A sensor whose rows may belong to several stations, as they are between different links, or read differently."""
+    """A sensor whose rows may belong to several stations, between different links or of different kinds."""
 
     @classmethod
     @abstractmethod
     def parts(cls, table: Any) -> Iterator[tuple[str, Any]]:
-        """Yield what kind of rows each part has, in a word, and the part, a table with its links.
+        """Yield each part as a word for its kind of rows and a table with its links.
 
         Raises:
-            MeasurementError: for rows that do not name the links.
+            MeasurementError: for rows without the names of the links.
         """
 
 
 class Simulatable(ABC):
-    """A sensor whose readings follow from the target's pose alone, so that measurements can be designed beforehand.
+    """A sensor whose readings follow from the target's pose, so that measurements can be designed in advance.
 
     Attributes:
-        needs_instrument: whether the information of readings depends on where the instrument is.
-        needs_places: whether the target is held at places, which are the sensor's own parameters, one after the other.
+        needs_instrument: whether the information in readings depends on the pose of the instrument.
+        needs_places: whether the target is held at fixed places, whose positions are the sensor's own parameters.
     """
 
     blocks: ClassVar[tuple[Block, ...]]
@@ -362,22 +361,22 @@ class Simulatable(ABC):
     @classmethod
     @abstractmethod
     def simulated(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Sensor:
-        """Return what an instrument without errors reads of poses.
+        """Return error-free readings of poses.
 
         Args:
             poses: shape (N, 3, 4), in the instrument's frame.
-            places: shape (K, 3), in that frame [m], where the target is held by what needs places; each pose belongs to the
+            places: shape (K, 3), places in that frame where the target is held, if needed [m]; each pose is assigned to the
                 nearest.
         """
 
 
 class Plausible(ABC):
-    """A sensor whose readings show by their size if they are in another unit than assumed."""
+    """A sensor whose readings reveal a wrong unit by their size."""
 
     @classmethod
     @abstractmethod
     def check_plausible(cls, table: TableRows, reach_m: float) -> None:
-        """Refuse a table, of at least two rows, whose readings can't be of an arm that reaches so far [m] with its flange.
+        """Refuse a table, of at least two rows, whose readings are impossible for the reach of the flange [m].
 
         Raises:
             MeasurementError: naming the unit that seems to be meant.
@@ -387,7 +386,7 @@ class Plausible(ABC):
 class _Foreseeable(Simulatable):
     @classmethod
     def simulated(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Sensor:
-        """Return what the class calls foreseen."""
+        """Return the readings by the old method ``foreseen``."""
         found: Sensor = cls.foreseen(poses, places)  # type: ignore[attr-defined]
         return found
 

@@ -1,4 +1,4 @@
-"""What is known of a measuring setup in addition to the table: named points, distances between them, the camera."""
+"""Prior knowledge of a measurement set-up in addition to the table: named points, distances between them, the camera."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from pincal.parameters import ANYWHERE, Parameter
 
 PointPlace = tuple[float, float, float]
 
-# An artefact is made, and measured, to about this [m], unless its maker states otherwise.
+# Standard deviation of the length of an artefact, unless stated by its manufacturer [m].
 GAP_SIGMA = 1e-5
-# Width of a row of points, over its length, below which they stand in a line.
+# Ratio of width to length below which points are collinear.
 _LINE = 1e-3
 
 
@@ -48,10 +48,9 @@ class KnownDistance:
 
 @dataclass(frozen=True)
 class NamedPoints:
-    """Points that stand still.
+    """Fixed points, each known in the instrument's frame or with three coordinates as parameters.
 
-    A point is known in the instrument's frame, or its three coordinates are parameters. Without any known point the
-    instrument's frame is the robot's base.
+    Without any known point the instrument's frame is the robot's base.
 
     Attributes:
         places: each point's position [m], None where it is unknown.
@@ -83,7 +82,7 @@ class NamedPoints:
 
     @cached_property
     def slot(self) -> np.ndarray:
-        """Place of each point among the unknown ones, -1 for a known one, shape (K,)."""
+        """Index of each point among the unknown ones, -1 for a known one, shape (K,)."""
         return np.where(self.known, -1, np.cumsum(~self.known) - 1)
 
     @cached_property
@@ -100,15 +99,15 @@ class NamedPoints:
 
     @property
     def are_in_line(self) -> bool:
-        """Whether the known points leave a rotation open: fewer than three of them, or all on one line."""
+        """Whether the known points do not determine a rotation: fewer than three, or collinear."""
         places = self.given[self.known]
         spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) if len(places) > 2 else np.zeros(2)
         return bool(spread[1] <= _LINE * max(spread[0], 1e-300))
 
 
-# Size of real distortions, used as prior where images do not determine them.
+# Size of real distortions, used as prior.
 _DISTORTION_SIZE = {"k1": 0.3, "k2": 0.3, "k3": 0.3, "p1": 0.01, "p2": 0.01}
-# Distortion that is looked for in an unknown camera; k3 only matters to fisheyes.
+# Parameters that are fitted for an unknown camera; k3 only matters for fisheye lenses.
 _USUAL = (*PINHOLE, "k1", "k2", "p1", "p2")
 
 
@@ -121,7 +120,7 @@ class Setup:
             where they are known.
         distances: known distances between such points.
         lens: the camera, where it is known.
-        fit_lens: whether to re-estimate the parameters of a known camera; those of an unknown one always are.
+        fit_lens: whether to re-estimate the parameters of a known camera, as is always done for an unknown one.
     """
 
     points: Mapping[str, PointPlace | None] = field(default_factory=dict)
@@ -130,23 +129,23 @@ class Setup:
     fit_lens: bool = False
 
     def over(self, table: TableRows) -> Setup:
-        """Return the setup with all points that a table names, those of no known position as unknown."""
+        """Return the setup with all points of a table, new ones as unknown."""
         names = table.point_names
         return self if names is None else replace(self, points=self.named(np.unique(names)).places)
 
     def named(self, names: Sequence[str] | np.ndarray = ()) -> NamedPoints:
-        """Return the named points, others of these names among them as unknown, and the distances between them."""
+        """Return the named points with the distances between them; further ``names`` are unknown points."""
         places = {**self.points, **{str(name): None for name in names if name not in self.points}}
         inside = tuple(d for d in self.distances if {d.first, d.second} <= places.keys())
         return NamedPoints(places, inside)
 
     @property
     def lens_values(self) -> np.ndarray:
-        """What is known of the camera's parameters, zero for nothing, shape (9,)."""
+        """The known camera's parameters, zeros for an unknown one, shape (9,)."""
         return np.zeros(9) if self.lens is None else self.lens.values
 
     def lens_parameters(self) -> tuple[Parameter, ...]:
-        """Return the camera's parameters, as deviations from what is known of it."""
+        """Return the camera's parameters, as deviations from :attr:`lens_values`."""
         found = []
         for name, value in zip((*PINHOLE, *DISTORTION), self.lens_values.tolist(), strict=True):
             unit, effect = ("px", "lens") if name in PINHOLE else ("1", "lens_distortion")
@@ -154,16 +153,16 @@ class Setup:
         return tuple(found)
 
     def lens_fixed(self) -> np.ndarray:
-        """Return which of the camera's parameters stay as they are, shape (9,)."""
+        """Return which of the camera's parameters are held fixed, shape (9,)."""
         free = self.lens is None or self.fit_lens
         return np.array([not (free and name in _USUAL) for name in (*PINHOLE, *DISTORTION)])
 
 
 def read_points(path: str | os.PathLike[str]) -> dict[str, PointPlace]:
-    """Read positions of named points from a table with columns ``point x y z``; units stand in the header.
+    """Read positions of named points from a table with columns ``point x y z`` and units in the header.
 
     Raises:
-        MeasurementError: if the file can't be read, or a name stands twice.
+        MeasurementError: if the file can't be read, or a name occurs twice.
     """
     columns = read_columns(path, {"point": "name", "x": "length", "y": "length", "z": "length"})
     places = np.column_stack([columns[axis] for axis in "xyz"]).tolist()
@@ -176,10 +175,10 @@ def read_points(path: str | os.PathLike[str]) -> dict[str, PointPlace]:
 
 
 def read_distances(path: str | os.PathLike[str]) -> tuple[KnownDistance, ...]:
-    """Read known distances from a table with columns ``first second distance`` and perhaps ``sigma``.
+    """Read known distances from a table with columns ``first second distance`` and optionally ``sigma``.
 
     Raises:
-        MeasurementError: if the file can't be read, or a value can't be right.
+        MeasurementError: if the file can't be read, or a value is invalid.
     """
     quantities = {"first": "name", "second": "name", "distance": "length", "sigma": "length"}
     columns = read_columns(path, quantities, optional=("sigma",))
