@@ -1,7 +1,7 @@
-"""Files and folders written as a whole or not at all.
+"""Atomic writing of files and folders.
 
-A draft stands beside what it will replace and is locked by the process that writes it. A process that is killed leaves its
-draft without a lock; the next one that writes to the same place removes it.
+A draft is in the same folder as its destination and locked by the process that writes it. A killed process leaves its draft
+unlocked; the next one that writes to the same path removes it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ fcntl: ModuleType | None
 try:
     import fcntl
 except ImportError:
-    # Without locks nobody can tell whether the process that wrote a draft still runs: none is removed.
+    # Without locks it is unknown whether the process that wrote a draft still runs: none is removed.
     fcntl = None
 
 ELSEWHERE = "choose a folder that exists and is writable"
@@ -34,17 +34,17 @@ _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str], *, advice: str = ELSEWHERE) -> Iterator[Path]:
-    """Yield a draft beside ``path``, which replaces it at a good end; else what was there before is untouched.
+    """Yield a draft in the folder of ``path`` that replaces it on success; after an error ``path`` is unchanged.
 
     Args:
         path: the file to write.
-        advice: what the user can do if this place can't be written to.
+        advice: what the user can do if it can't be written.
 
     Yields:
-        The draft's path; it has the same ending as ``path``, since some writers choose their format by it.
+        The draft's path, with the ending of ``path``, by which some writers choose their format.
 
     Raises:
-        OutputError: if the place can't be written to.
+        OutputError: if the file can't be written.
 
     Example:
         >>> import tempfile
@@ -55,7 +55,7 @@ def replacing(path: str | os.PathLike[str], *, advice: str = ELSEWHERE) -> Itera
         ('whole', 1)
     """
     path = Path(path)
-    # A draft would take the place of the device itself, for everybody on the machine.
+    # A draft would replace the device itself, for all users of the machine.
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise OutputError(f"{path}: a device or a pipe, which a file would replace; {advice}")
     try:
@@ -67,10 +67,10 @@ def replacing(path: str | os.PathLike[str], *, advice: str = ELSEWHERE) -> Itera
 
 
 def write_atomic(path: str | os.PathLike[str], content: str | bytes, *, advice: str = ELSEWHERE) -> None:
-    """Write a file as a whole or not at all; text as UTF-8 with the line ends that it has.
+    """Write a file atomically; text as UTF-8 with unchanged line ends.
 
     Raises:
-        OutputError: if the place can't be written to.
+        OutputError: if the file can't be written.
     """
     with replacing(path, advice=advice) as draft:
         draft.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -78,12 +78,12 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes, *, advice: 
 
 @contextlib.contextmanager
 def drafted(place: Path, name: str, *, is_folder: bool = False) -> Iterator[Path]:
-    """Yield an empty file or folder in ``place`` that only this process writes to, and remove it if it is still there after.
+    """Yield an empty, locked file or folder in ``place``, and remove it afterwards if it still exists.
 
-    Drafts of the same name that killed processes have left there are removed first.
+    Drafts of the same name that killed processes left there are removed first.
 
     Raises:
-        OSError: if the place can't be written to.
+        OSError: if the folder can't be written to.
     """
     _sweep(place, name)
     while True:
@@ -92,7 +92,7 @@ def drafted(place: Path, name: str, *, is_folder: bool = False) -> Iterator[Path
             if is_folder:
                 draft.mkdir()
             lock = os.open(draft, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-            # Another process may have taken it for a leftover before it was locked; then the next name is tried.
+            # Another process may have removed it as a leftover before it was locked; then the next name is tried.
             if _locked(lock) is not False and draft.exists():
                 break
             os.close(lock)
@@ -106,7 +106,7 @@ def drafted(place: Path, name: str, *, is_folder: bool = False) -> Iterator[Path
 
 
 def exchanged(one: Path, other: Path) -> bool:
-    """Give two folders each other's name in one step; return False where the system can't, and nothing has changed."""
+    """Exchange the names of two folders in one step; return False, without a change, where the system can't."""
     try:
         libc = ctypes.CDLL(None, use_errno=True)
         paths = os.fsencode(one), os.fsencode(other)
@@ -119,7 +119,7 @@ def exchanged(one: Path, other: Path) -> bool:
 
 @contextlib.contextmanager
 def one_at_a_time(folder: Path) -> Iterator[None]:
-    """Let only one process at a time do this to a folder, where the system has locks."""
+    """Let only one process at a time enter this context for a folder, where the system has locks."""
     if fcntl is None:
         yield
         return
@@ -133,7 +133,7 @@ def one_at_a_time(folder: Path) -> Iterator[None]:
 
 
 def _sweep(place: Path, name: str) -> None:
-    """Remove the drafts of a name that nobody has locked."""
+    """Remove the unlocked drafts of a name."""
     pattern = re.compile(rf"\.[0-9a-f]{{32}}-{re.escape(name)}")
     with contextlib.suppress(OSError):
         for leftover in [entry for entry in os.listdir(place) if pattern.fullmatch(entry)]:
@@ -146,7 +146,7 @@ def _sweep(place: Path, name: str) -> None:
 
 
 def _locked(descriptor: int) -> bool | None:
-    """Return whether this process has got the lock of an open file; None where there are no locks."""
+    """Return whether this process got the lock of an open file; None where there are no locks."""
     if fcntl is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Files that come with pincal, found in a source checkout as well as in an installed wheel."""
+"""Files that come with pincal, in a source checkout or an installed wheel."""
 
 from pathlib import Path
 
@@ -10,11 +10,8 @@ _KUKA = "kuka_kr125_2.urdf"
 def kuka_urdf_path() -> Path:
     """Return the path of the built-in URDF of the KUKA KR 125/2 (Table I of the paper, nominal values).
 
-    Returns:
-        Path of an existing file.
-
     Raises:
-        RobotFileError: If the file is in neither of the two places, which means a broken installation.
+        RobotFileError: if the installation lacks the file.
 
     Example:
         >>> kuka_urdf_path().name
@@ -25,6 +22,4 @@ def kuka_urdf_path() -> Path:
     for path in places:
         if path.is_file():
             return path
-    raise RobotFileError(
-        f"built-in robot {_KUKA} not found; looked for {' and '.join(map(str, places))}; install pincal again"
-    )
+    raise RobotFileError(f"built-in robot {_KUKA} not found at {' or '.join(map(str, places))}; install pincal again")

@@ -1,7 +1,7 @@
-"""Loops that are compiled once for a machine: what was kept of them is used if it is whole, and compiled anew if it isn't.
+"""Compiled loops, cached on each machine and recompiled if the cache is damaged.
 
-Numba keeps machine code in files and takes what it finds there for its own: a file that was cut off ends the program, one
-with other bytes may crash it or compute something else.
+Numba trusts the machine code in its cache: a truncated file ends the program, and other bytes may crash it or give wrong
+results.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ log = logging.getLogger(__name__)
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator that compiles a function when it is first called, and keeps what came of it for later runs.
+    """Return a decorator that compiles a function on its first call and caches it for later runs.
 
     Args:
-        options: those of ``numba.njit``, but for ``cache``.
+        options: of ``numba.njit``, except ``cache``.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
@@ -44,15 +44,15 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 class _Summed(CompileResultCacheImpl):
-    """What is kept of a loop: its bytes, and their checksum."""
+    """A cached loop: its bytes, and their checksum."""
 
     def reduce(self, result: Any) -> tuple[int, bytes]:
-        """Return what is written."""
+        """Return checksum and bytes."""
         content = dumps(super().reduce(result))
         return zlib.crc32(content), content
 
     def rebuild(self, context: Any, kept: tuple[int, bytes]) -> Any:
-        """Return the compiled loop, if what was read is what was written."""
+        """Return the compiled loop, if the checksum is right."""
         checksum, content = kept
         if zlib.crc32(content) != checksum:
             raise ValueError("wrong checksum")
@@ -60,19 +60,19 @@ class _Summed(CompileResultCacheImpl):
 
 
 class _Cache(FunctionCache):
-    """A place for what is compiled that never keeps a program from compiling it."""
+    """A cache whose faults never prevent compilation."""
 
     _impl_class = _Summed
 
     def __init__(self, function: Any) -> None:
-        """Take a change of any file for new that has parts of the loop."""
+        """Invalidate the cache when any file with parts of the loop changes."""
         super().__init__(function)
         others = sorted(_files_of(function, set()) - {function.__code__.co_filename})
         changed = [(status.st_mtime, status.st_size) for status in map(os.stat, others)]
         self._cache_file._source_stamp = (self._cache_file._source_stamp, *changed)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        """Return what was kept, None if nothing was or it is damaged, which is then dropped."""
+        """Return the cached loop; None if there is none, or if it is damaged, which empties the cache."""
         try:
             return super().load_overload(signature, context)
         except Exception as error:
@@ -82,7 +82,7 @@ class _Cache(FunctionCache):
             return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        """Keep what was compiled, if there is a place for it."""
+        """Cache a compiled loop, if possible."""
         try:
             super().save_overload(signature, result)
         except Exception as error:
@@ -90,7 +90,7 @@ class _Cache(FunctionCache):
 
 
 def _files_of(function: Any, known: set[str]) -> set[str]:
-    """Return the files of a loop and of those that its file imports."""
+    """Return the files of a loop and of all loops it may call."""
     if function.__code__.co_filename not in known:
         known.add(function.__code__.co_filename)
         for other in function.__globals__.values():
@@ -100,21 +100,21 @@ def _files_of(function: Any, known: set[str]) -> set[str]:
 
 
 def announce(module: str) -> None:
-    """Let it be said once if the loops of a module have to be compiled."""
+    """Log once if the loops of a module have to be compiled."""
     event.register("numba:compile", _Compiling(module))
 
 
 class _Compiling(event.Listener):
-    """Says once that the loops of a module are being compiled, which keeps the first command on a machine waiting.
+    """Logs once that the loops of a module are being compiled, for which the first command on a machine waits.
 
-    What the compiler builds lives until it is done: looking through it for garbage would take a sixth of the time.
+    Garbage collection, which would take a sixth of the time and find nothing, is disabled meanwhile.
     """
 
     def __init__(self, module: str) -> None:
         self._module, self._is_due, self._depth, self._collects = module, True, 0, False
 
     def on_start(self, event: event.Event) -> None:
-        """Say so at the first of the loops, and keep what is built."""
+        """Log the first loop, and disable garbage collection."""
         if not self._is_ours(event):
             return
         if self._is_due:
@@ -126,7 +126,7 @@ class _Compiling(event.Listener):
         self._depth += 1
 
     def on_end(self, event: event.Event) -> None:
-        """Collect garbage again after the last one."""
+        """Enable garbage collection after the last one."""
         if self._is_ours(event):
             self._depth -= 1
             if not self._depth and self._collects:

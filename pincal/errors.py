@@ -1,7 +1,7 @@
-"""Errors and warnings that pincal raises, each for a reader who has to act on it.
+"""Errors and warnings.
 
-A message says what is wrong, where (file, row, column, joint), what was found, what was expected and what to do next.
-The exit code of the command follows from the class.
+A message states what is wrong, where (file, row, column, joint), what was found, what was expected and what to do next. The
+exit code of the command follows from the class.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-# The longest message [bytes]: names in it come from files and may have any length.
+# Longest message [bytes], as names from files may have any length.
 LONGEST = 1900
-# Likeness of two names, 0 to 1, below which they have nothing to do with each other.
-_ALIKE = 0.5
-# Names that are compared at most, and characters of each: beyond, it is no slip of the pen.
+# Similarity of two names, 0 to 1, below which they are unrelated.
+_SIMILAR = 0.5
+# Most names that are compared, and characters of each.
 _COMPARED = 50
 
 
 def printable(text: str, most: int | None = None) -> str:
-    r"""Return a text as a terminal may show it: what would control the terminal is escaped, line ends stay.
+    r"""Return text with control characters escaped, except line breaks and tabs.
 
     Args:
-        text: any text; names in it may come from files.
-        most: size [bytes] beyond which the middle is left out; default: any size.
+        text: any text; names in it may be from files.
+        most: size beyond which the middle is omitted [bytes]; default: unlimited.
 
     Example:
         >>> printable("joint \x1b[2J"), printable("a" * 50, 20)
@@ -48,7 +48,7 @@ def printable(text: str, most: int | None = None) -> str:
 
 
 class Exit(IntEnum):
-    """How the command ended: its exit code.
+    """Exit codes of the command.
 
     Attributes:
         meaning: the code in words, for help texts.
@@ -66,7 +66,7 @@ class Exit(IntEnum):
     INTERRUPTED = 130, "interrupted"
 
     def __new__(cls, code: int, meaning: str) -> Exit:
-        """Return a member that is its code and knows its meaning."""
+        """Return a member with code and meaning."""
         self = int.__new__(cls, code)
         self._value_ = code
         self.meaning = meaning
@@ -74,7 +74,7 @@ class Exit(IntEnum):
 
 
 class PincalError(Exception):
-    """Base of all errors raised by pincal; its message can be printed as it is, whatever the files held."""
+    """Base of all errors raised by pincal, with a printable message."""
 
     exit_code = Exit.INTERNAL_ERROR
 
@@ -101,7 +101,7 @@ class ModelFileError(BadInputError):
 
 
 class ProgramError(BadInputError):
-    """A robot's program that is cut, of another dialect, or can't be read."""
+    """A robot program that is truncated, in another dialect, or can't be read."""
 
 
 class OutputError(BadInputError):
@@ -115,23 +115,23 @@ class IdentificationError(PincalError, RuntimeError):
 
 
 class AccuracyGateError(PincalError):
-    """The held-out error exceeds the limit that the user set."""
+    """The held-out error exceeds the limit set by the user."""
 
     exit_code = Exit.INACCURATE
 
 
 class ChangedRobotError(PincalError):
-    """Measurements that a calibrated robot can't have given wherever the instrument stood: it has changed, or is another."""
+    """Measurements that contradict a calibrated robot for any pose of the instrument: it has changed, or is another one."""
 
     exit_code = Exit.CHANGED
 
 
 class WorkersLostError(PincalError, RuntimeError):
-    """Processes or machines that did a part of the work died, and nobody could go on with it."""
+    """Worker processes or machines died, and no others could continue."""
 
 
 class PincalWarning(UserWarning):
-    """A message to the user that does not stop the run; can be printed as it is."""
+    """A printable message to the user that does not stop the run."""
 
     def __init__(self, message: object = "") -> None:
         super().__init__(printable(str(message), LONGEST))
@@ -139,16 +139,16 @@ class PincalWarning(UserWarning):
 
 @contextmanager
 def needed(package: str, what: str, *, install: str = "", error: type[BadInputError] = BadInputError) -> Iterator[None]:
-    """Import a package that some features alone need: where it is not installed they are refused, and nothing else is.
+    """Import an optional package, without which only the feature that needs it is refused.
 
     Args:
         package: its name.
-        what: needs it, in words.
-        install: what pip is to install; default: the package.
+        what: the feature, in words.
+        install: what pip has to install; default: the package.
         error: class of the error.
 
     Raises:
-        BadInputError: of the class, saying how to install it.
+        BadInputError: of the class, with the command to install it.
 
     Example:
         >>> with needed("example-robot-data", "robots by name", install="example-robot-data-loaders"):
@@ -163,7 +163,7 @@ def needed(package: str, what: str, *, install: str = "", error: type[BadInputEr
 
 
 def nearest_first(wrong: Iterable[str], known: Iterable[str]) -> list[str]:
-    """Return the known names, those most like one of the wrong ones first, the others as they stand.
+    """Return the known names, those most similar to a wrong one first, the others in their order.
 
     Example:
         >>> nearest_first(["jont_2"], ["base", "joint_1", "joint_2"])
@@ -174,13 +174,13 @@ def nearest_first(wrong: Iterable[str], known: Iterable[str]) -> list[str]:
     def likeness(name: str) -> float:
         name = name.casefold()[:_COMPARED]
         best = max((difflib.SequenceMatcher(None, other, name).ratio() for other in folded), default=0.0)
-        return best if best >= _ALIKE else 0.0
+        return best if best >= _SIMILAR else 0.0
 
     return sorted(dict.fromkeys(known), key=likeness, reverse=True)
 
 
 def counted(count: int, word: str) -> str:
-    """Return a number of things in words.
+    """Return a count with its noun.
 
     Example:
         >>> counted(1, "check"), counted(0, "check"), counted(2, "diagnosis")
@@ -190,7 +190,7 @@ def counted(count: int, word: str) -> str:
 
 
 def few(items: Sequence[object] | np.ndarray, most: int) -> str:
-    """Return some items as a list in a sentence, the first ones of many.
+    """Return the first items as a list in a sentence.
 
     Example:
         >>> few([3, 5], 2), few([3, 5, 8], 2)
@@ -200,5 +200,5 @@ def few(items: Sequence[object] | np.ndarray, most: int) -> str:
 
 
 def warn(text: str) -> None:
-    """Warn of what is odd, but possible."""
+    """Issue a `PincalWarning`."""
     warnings.warn(text, PincalWarning, stacklevel=3)

@@ -1,4 +1,4 @@
-"""What the user should know of a result: notes, and doubts, which keep it from being called adequate."""
+"""Messages about a result: notes, and doubts, with which it is not called adequate."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import msgspec
 
 
 class Severity(StrEnum):
-    """Whether something makes a result doubtful, or is good to know."""
+    """Whether a message is a reservation about the result, or information."""
 
     DOUBT = "doubt"
     NOTE = "note"
@@ -19,7 +19,7 @@ class Note(msgspec.Struct, frozen=True, omit_defaults=True):
     """A message to the user; ``str()`` gives the text.
 
     Attributes:
-        severity: "doubt", which stands first in every output and keeps the verdict from being "adequate", or "note".
+        severity: "doubt", which comes first in all output and prevents the verdict "adequate", or "note".
         text: in words.
         rows: lines of the rows concerned, if any.
     """
@@ -33,20 +33,20 @@ class Note(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def is_doubt(self) -> bool:
-        """Whether it makes the result doubtful."""
+        """Whether it is a reservation about the result."""
         return self.severity is Severity.DOUBT
 
 
 def doubts_first(notes: Iterable[Note | str]) -> tuple[Note, ...]:
-    """Return notes, each once, doubts before the others; plain text is good to know.
+    """Return notes, each once, doubts before the others; plain text is a note.
 
     Example:
-        >>> told = doubts_first(["three rows are left out", Note(Severity.DOUBT, "the target was touched")])
-        >>> [(note.severity.value, note.text) for note in told]
+        >>> notes = doubts_first(["three rows are left out", Note(Severity.DOUBT, "the target was touched")])
+        >>> [(note.severity.value, note.text) for note in notes]
         [('doubt', 'the target was touched'), ('note', 'three rows are left out')]
     """
-    told = dict.fromkeys(Note(Severity.NOTE, note) if isinstance(note, str) else note for note in notes)
-    return tuple(sorted(told, key=lambda note: not note.is_doubt))
+    unique = dict.fromkeys(Note(Severity.NOTE, note) if isinstance(note, str) else note for note in notes)
+    return tuple(sorted(unique, key=lambda note: not note.is_doubt))
 
 
 def doubts_of(notes: Iterable[Note]) -> tuple[Note, ...]:

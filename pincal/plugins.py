@@ -1,7 +1,7 @@
-"""Classes by name, and the code outside pincal that adds some: installed packages, and modules that the user names.
+"""Registries of classes by name, extended by installed packages and by modules that the user names.
 
-A file never makes pincal import code. What a model file needs from elsewhere has to be installed as an entry point or named
-by the user, with ``--plugin`` on the command line or :func:`load_plugin` in Python.
+Files never make pincal import code: custom classes in a model file have to be installed with an entry point, or their module
+named by the user, with ``--plugin`` on the command line or :func:`load_plugin` in Python.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from pincal.errors import BadInputError, warn
 _T = TypeVar("_T")
 _C = TypeVar("_C", bound=type[Any])
 
-# Modules that users named, in their order, and those that classes were registered from.
+# Modules named by users, in order, and the modules of registered classes.
 _loaded: dict[str, None] = {}
 _origins: list[str] = []
 
 
 class Registry(Generic[_T]):
-    """The classes of one kind by name: those of pincal, those of plugins, and what a user registers.
+    """The classes of one kind by name: pincal's own, those of plugins, and those that a user registers.
 
     Example:
         >>> class Hose:
@@ -42,13 +42,13 @@ class Registry(Generic[_T]):
     def __init__(
         self, kind: str, *, group: str, name_of: Callable[[type[_T]], str], check: Callable[[type[_T]], None] | None = None
     ) -> None:
-        """Make an empty registry.
+        """Create an empty registry.
 
         Args:
-            kind: what its classes are, for messages: "effect", "sensor".
-            group: the entry points by which installed packages declare classes, or modules that register them.
-            name_of: returns the name under which a class is known.
-            check: raises ``TypeError`` for a class that does not say all that it must.
+            kind: of its classes, for messages: "effect", "sensor".
+            group: entry points by which installed packages declare classes, or modules that register them.
+            name_of: returns the name of a class.
+            check: raises ``TypeError`` for an incomplete class.
         """
         self.kind = kind
         self.group = group
@@ -61,7 +61,7 @@ class Registry(Generic[_T]):
         """Add a class, as a decorator or by a call.
 
         Raises:
-            TypeError: if the class does not say all that it must, or another class has its name.
+            TypeError: if the class is incomplete, or another class has its name.
         """
         if self._check is not None:
             self._check(cls)
@@ -78,24 +78,24 @@ class Registry(Generic[_T]):
         return cls
 
     def registered(self) -> Mapping[str, type[_T]]:
-        """Return the classes that were registered so far, without a look at installed packages."""
+        """Return the classes registered so far, without loading installed packages."""
         return dict(self._classes)
 
     def known(self) -> Mapping[str, type[_T]]:
-        """Return all classes by name, those of installed packages among them."""
+        """Return all classes by name, including those of installed packages."""
         if not self._is_complete:
             self._is_complete = True
             self._load_entry_points()
         return dict(self._classes)
 
     def _load_entry_points(self) -> None:
-        """Load what installed packages declare; a package that fails is told of and left out."""
+        """Load the classes that installed packages declare; warn of those that fail."""
         for point in entry_points(group=self.group):
             try:
                 found = point.load()
                 if isinstance(found, type):
                     self.register(found)
-            except Exception as error:  # Anything may go wrong in the code of others.
+            except Exception as error:  # Third-party code may raise anything.
                 warn(
                     f"{self.kind} {point.name!r} of the entry point {point.value} can't be loaded "
                     f"({type(error).__name__}: {error}); it is left out"
@@ -106,7 +106,7 @@ def load_plugin(name: str) -> ModuleType:
     """Import a module that registers effects or sensors.
 
     Args:
-        name: its dotted name, looked up where Python looks and in the current folder, or the path of a ``.py`` file.
+        name: its dotted name, on Python's path or in the current folder, or the path of a ``.py`` file.
 
     Raises:
         BadInputError: if there is no such module, it fails, or it registers nothing.
@@ -126,7 +126,7 @@ def load_plugin(name: str) -> ModuleType:
         ) from None
     except Exception as error:
         raise BadInputError(f"plugin {name!r} fails: {type(error).__name__}: {error}") from error
-    # A module that was imported before has registered its classes then.
+    # A module that was already imported has registered its classes before.
     if not any(i >= before or f"{origin}.".startswith(f"{module}.") for i, origin in enumerate(_origins)):
         raise BadInputError(
             f"plugin {name!r}: registers neither an effect nor a sensor; expected a module with a class under "
@@ -137,13 +137,13 @@ def load_plugin(name: str) -> ModuleType:
 
 
 def loaded_plugins() -> tuple[str, ...]:
-    """Return the modules that :func:`load_plugin` loaded, as it can load them in another process."""
+    """Return the modules loaded by :func:`load_plugin`, as names for loading them in another process."""
     return tuple(_loaded)
 
 
 @contextmanager
 def _importable(folder: Path) -> Iterator[None]:
-    """Let modules of a folder be imported, after all others of their names."""
+    """Append a folder to the path of imports."""
     place = os.fspath(folder)
     sys.path.append(place)
     importlib.invalidate_caches()

@@ -1,4 +1,4 @@
-"""What may be recorded of a pose beside joints and readings: one entry here, and tables, models and reports know of it."""
+"""Variables recorded with each pose in addition to joints and readings: tables, models and reports use these entries."""
 
 from __future__ import annotations
 
@@ -14,19 +14,18 @@ _IN_MOTION = "a session in motion has its joints as a stream"
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable that may be recorded of each pose.
+    """A variable that can be recorded with each pose.
 
     Attributes:
-        quantity: what it is, see :data:`pincal.units.UNITS`.
-        unit: in which the library has it; empty for a plain number.
-        column: the column of a table that tells it: its own name, and of each joint ``name_<joint>``, unless the reader
-            makes it of other columns.
+        quantity: physical quantity, see :data:`pincal.units.UNITS`.
+        unit: in the library; empty for a plain number.
+        column: its column in a table: its name, or ``name_<joint>``, unless the reader derives it from other columns.
         of_joints: whether each joint has one.
-        instead: what else tells it, in words.
-        unknown: the value of poses of which it is not known; None if there is no such value.
+        instead: another source of it, in words.
+        unknown: the value for poses where it is unknown; None if there is no such value.
         has_own_zero: whether each set-up of instrument and target has its own zero.
-        label: what it is, in words, with the joint as ``{}``; default: its name.
-        shown: unit of an axis on which it is drawn, where that is another one.
+        label: description in words, with the joint as ``{}``; default: its name.
+        shown: unit in plots, if different.
     """
 
     quantity: str
@@ -42,7 +41,7 @@ class Variable:
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """What is recorded of N poses; what is not is None."""
+    """Recorded variables of N poses; None if not recorded."""
 
     approach: Annotated[
         np.ndarray | None,
@@ -70,22 +69,22 @@ class Recorded:
     """Velocity of each joint [rad/s], prismatic [m/s], shape (N, n); None where poses were held."""
 
     def recorded(self) -> dict[str, np.ndarray | None]:
-        """Return all of it by name."""
+        """Return all variables by name."""
         return {name: getattr(self, name) for name in RECORDED}
 
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """How N poses of a moving arm go on about their times, as far as what is read of them depends on it.
+    """Motion of an arm about the times of N poses, as far as readings depend on it.
 
     Attributes:
-        inertial: shape (N, n, 6), the loads of inertia on its joints, as ``pincal.Conditions`` has them; None for none.
-        q: shape (N, K, n), joint positions at K moments about each time [rad or m]; None where a reading is of one moment.
+        inertial: shape (N, n, 6), inertial loads on the joints, as in ``pincal.Conditions``; None for none.
+        q: shape (N, K, n), joint positions at K moments about each time [rad or m]; None where readings are instantaneous.
         velocity: shape (N, K, n), velocities there.
-        loads: shape (N, K, n, 6), loads of inertia there; None for none.
-        clock: what was added to the instrument's stamps [s], and by which they drift [1], about their middle [s].
-        delay: of an IMU, by how much the stamps of its rates were taken to be too early [s].
-        scatter: of an IMU, the noise of forces [m/s^2] and of rates [rad/s] by what they scatter within a row's window.
+        loads: shape (N, K, n, 6), inertial loads there; None for none.
+        clock: offset added to the instrument's stamps [s], their drift [1], and the stamp about which they drift [s].
+        delay: time by which an IMU's stamps of rates were assumed to be too early [s].
+        scatter: noise of an IMU's forces [m/s^2] and rates [rad/s] by their scatter within the windows of rows.
     """
 
     inertial: np.ndarray | None = None
@@ -110,7 +109,7 @@ class Moving:
         return replace(self, inertial=inertial, q=q, velocity=velocity, loads=loads)
 
     def joined(self, others: Sequence[Moving]) -> Moving:
-        """Return this and others of the same session, one after the other."""
+        """Return this motion concatenated with others of the same session."""
         parts = zip(*(each._arrays for each in (self, *others)), strict=True)
         inertial, q, velocity, loads = (None if part[0] is None else np.concatenate(part) for part in parts)
         return replace(self, inertial=inertial, q=q, velocity=velocity, loads=loads)
@@ -119,4 +118,4 @@ class Moving:
 _HINTS = get_type_hints(Recorded, include_extras=True)
 RECORDED: Mapping[str, Variable] = {each.name: _HINTS[each.name].__metadata__[0] for each in fields(Recorded)}
 RECORDABLE = {"approach": RECORDED["approach"], "payload": Variable("mass", "kg", "payload"), **RECORDED}
-"""All variables that an effect may follow beside positions of joints and moments; a payload of 0 is one, too."""
+"""All variables on which an effect may depend in addition to joint positions and moments, including a payload of 0."""

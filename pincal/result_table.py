@@ -1,4 +1,4 @@
-"""Tables of results: built once as data, shown on a terminal, on a page, in a notebook, or handed to other programs."""
+"""Tables of results as data, for terminals, web pages, notebooks and other programs."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ RowTone = Literal["", "good", "care", "bad", "mute"]
 
 
 class Kind(Enum):
-    """What a column holds, which decides how it is aligned and wrapped."""
+    """Contents of a column, which determine alignment and wrapping."""
 
     TEXT = "text"
     LABEL = "label"
-    """Short text that is never wrapped."""
+    """Short text, never wrapped."""
     NAME = "name"
-    """Names from files: of any length, wrapped anywhere."""
+    """Names from files, of any length, wrapped anywhere."""
     NUMBER = "number"
     STATUS = "status"
     """Short text in the colour of its row."""
     REMARK = "remark"
-    """Long text that several rows may share: numbered footnotes on a terminal, a column elsewhere."""
+    """Long text, often the same in several rows: numbered footnotes on a terminal, a column elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class Column:
 
     Attributes:
         name: the heading.
-        unit: of all its numbers, shown beside the heading; empty where rows differ or have none.
-        kind: decides alignment and wrapping.
-        show: turns a cell of the column into text.
+        unit: of all its numbers, shown in the heading; empty where rows differ or have none.
+        kind: determines alignment and wrapping.
+        show: formats a cell as text.
     """
 
     name: str
@@ -56,13 +56,13 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """The name, with the unit if there is one."""
+        """Name and unit."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
-# Columns of plain text.
+# Width of plain text.
 _WIDTH = 100
-# Names of joints and parameters are not broken up to this part of the width.
+# Names are not broken up to this fraction of the width.
 _NARROWEST = 4
 _STYLES: dict[str, str] = {"": "", "good": "", "care": "yellow", "bad": "red", "mute": "dim"}
 _CLASSES = {Kind.LABEL: "nw", Kind.NAME: "name", Kind.NUMBER: "n", Kind.STATUS: "nw status", Kind.REMARK: "wide mute"}
@@ -73,11 +73,11 @@ class Table:
     """A table of results.
 
     Attributes:
-        title: what it shows.
-        columns: what each column holds.
+        title: its title.
+        columns: its columns.
         rows: cells as data, one tuple per row, as long as ``columns``.
         notes: remarks on the whole table, one paragraph each.
-        tones: how each row is to be taken; empty for no difference.
+        tones: emphasis of each row; empty for none.
 
     Example:
         >>> from pincal.units import fixed
@@ -107,7 +107,7 @@ class Table:
         return replace(self, columns=tuple(self.columns[i] for i in kept), rows=rows)
 
     def texts(self) -> list[list[str]]:
-        """Return every cell as it is shown."""
+        """Return all cells as formatted text."""
         return [[column.show(cell) for column, cell in zip(self.columns, row, strict=True)] for row in self.rows]
 
     def records(self) -> list[dict[str, Any]]:
@@ -126,7 +126,7 @@ class Table:
         return written.getvalue()
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return the data as a pandas frame; pandas has to be installed."""
+        """Return the data as a pandas frame; needs pandas."""
         import pandas
 
         return pandas.DataFrame(self.records(), columns=[column.heading for column in self.columns])
@@ -139,10 +139,10 @@ class Table:
         return polars.DataFrame(columns, strict=False)
 
     def to_html(self, *, caption: bool = True) -> str:
-        """Return the table as an HTML element, all text in it escaped.
+        """Return the table as an HTML element with all text escaped.
 
         Args:
-            caption: whether the title stands above the table.
+            caption: whether to show the title above the table.
         """
         title = html.escape(one_line(self.title))
         out = [f'<div class="scroll" tabindex="0" role="region" aria-label="{title}"><table>']
@@ -155,7 +155,7 @@ class Table:
         return "\n".join(out)
 
     def __html__(self) -> str:
-        """Return the table for a template, which has a heading of its own for it."""
+        """Return the table without a caption, for a template with its own heading."""
         return self.to_html(caption=False)
 
     def _repr_html_(self) -> str:
@@ -170,7 +170,7 @@ class Table:
         return "\n".join(line.rstrip() for line in written.get().splitlines()).strip("\n")
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
-        """Yield the table for a terminal: lines and colours there, plain text elsewhere; remarks as footnotes."""
+        """Yield the table with remarks as footnotes: with lines and colours on a terminal, as plain text elsewhere."""
         yield from _rendered(self, width=options.max_width, is_terminal=console.is_terminal)
 
 
@@ -198,7 +198,7 @@ def _rendered(table: Table, *, width: int, is_terminal: bool) -> Iterator[Render
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    # Head and body parted by hyphens, nothing else: text that other programs can read.
+    # Head and body separated by hyphens only, so that other programs can read the text.
     plain = Box("    \n    \n -- \n    \n    \n -- \n    \n    \n", ascii=True)
     drawn = RichTable(
         title=Text("\n" + one_line(table.title)),
@@ -209,7 +209,7 @@ def _rendered(table: Table, *, width: int, is_terminal: bool) -> Iterator[Render
     )
     shown = [i for i, column in enumerate(table.columns) if column.kind is not Kind.REMARK]
     texts = table.texts()
-    # Headings of many columns, such as one per joint, are broken at underscores rather than cut off, and units stand below
+    # Headings of many columns, such as one per joint, are broken at underscores rather than truncated, and before units
     # where the cells need the space.
     is_wide = sum(len(table.columns[i].heading) + 2 for i in shown) > width
     is_full = sum(max(map(len, [table.columns[i].heading, *(row[i] for row in texts)])) + 3 for i in shown) > width
@@ -224,7 +224,7 @@ def _rendered(table: Table, *, width: int, is_terminal: bool) -> Iterator[Render
             min_width=min(max(words, default=0), width // _NARROWEST) if column.kind is Kind.NAME else None,
             overflow="fold",
         )
-    # Remarks are footnotes, numbered as they first occur.
+    # Footnotes, numbered in the order of first occurrence.
     remarks = [" ".join(row[i] for i in range(len(row)) if i not in shown and row[i]) for row in texts]
     footnotes = {remark: f"({i})" for i, remark in enumerate(dict.fromkeys(filter(None, remarks)), 1)}
     for row, remark, tone in zip(texts, remarks, table.tones or [""] * len(table), strict=True):
@@ -237,7 +237,7 @@ def _rendered(table: Table, *, width: int, is_terminal: bool) -> Iterator[Render
 
 
 def hanging(mark: str, text: str) -> RenderableType:
-    """Return a paragraph for a terminal whose lines stand clear of its mark."""
+    """Return a paragraph for a terminal with a hanging indent behind its mark."""
     from rich.table import Table as RichTable
     from rich.text import Text
 

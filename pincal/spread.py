@@ -1,9 +1,9 @@
-"""One function over many items, wherever there are workers: here, in other processes, on a cluster.
+"""Parallel evaluation of a function over many items, in this process, in others or on a cluster.
 
-Any ``concurrent.futures`` executor does: a pool of threads or processes, ``mpi4py.futures.MPIPoolExecutor``, or a Dask
-cluster by its ``client.get_executor()``. What a function holds, often a whole calibration, goes to each worker once, not
-with each item. Results come in the order of the items and are the same wherever they were made, to the last bit, if the
-function depends on its item alone: a draw brings its own seed.
+Any ``concurrent.futures`` executor can be used: a pool of threads or processes, ``mpi4py.futures.MPIPoolExecutor``, or a
+Dask cluster by its ``client.get_executor()``. The data of a function, often a whole calibration, are sent to each worker
+once, not with each item. Results are in the order of the items and identical to the last bit on all workers if the function
+depends only on its item: a draw has its own seed.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from pincal.plugins import load_plugin, loaded_plugins
 _T = TypeVar("_T")
 _R = TypeVar("_R")
 
-# What a worker keeps of what it was sent: the present work, and what it began before.
+# Functions that a worker keeps: the current one, and earlier ones.
 _KEPT = 4
-# A pool with a dead process does nothing more. A cluster goes on, unless its scheduler is gone, or several workers died at
-# one task, which Dask calls by this name.
+# A pool with a dead process is broken. A cluster continues, unless its scheduler is gone, or several workers died at one
+# task, for which Dask raises this error.
 _BROKEN = (BrokenExecutor, CancelledError)
 _GIVEN_UP = ("KilledWorker",)
-# How often a wait for workers is interrupted to see whether it is still wanted [s].
+# Interval at which a wait for workers can be interrupted [s].
 _GLANCE = 0.3
 
 log = logging.getLogger(__name__)
@@ -49,16 +49,16 @@ log = logging.getLogger(__name__)
 def spread(
     function: Callable[[_T], _R], items: Iterable[_T], *, label: str, executor: Executor | None = None
 ) -> Iterator[_R]:
-    """Return a function's results in the order of the items; an executor begins all before the first is asked for.
+    """Return a function's results in the order of the items; with an executor, all tasks are submitted at once.
 
     Args:
-        function: what is to be done, with all that it needs but its item; picklable, if the executor needs that.
-        items: small things: numbers, names, seeds.
-        label: what one item is called in the log, such as "draw".
-        executor: does the work; default: here, one after the other.
+        function: the function with all its data; picklable, if the executor needs that.
+        items: small arguments: numbers, names, seeds.
+        label: name of an item in the log, such as "draw".
+        executor: runs the tasks; default: this process, one after the other.
 
     Raises:
-        WorkersLostError: if workers died and nobody could go on with their work.
+        WorkersLostError: if workers died and no others could continue.
         BadInputError: if workers lack what the function needs.
 
     Example:
@@ -67,11 +67,11 @@ def spread(
     """
     tasks = list(items)
     begun = map(function, tasks) if executor is None else _Sender(function, executor, label).begun(function, tasks, label)
-    return _told(begun, label, len(tasks))
+    return _logged(begun, label, len(tasks))
 
 
 def wake(executor: Executor, count: int, module: str) -> None:
-    """Have the workers of so many tasks begin and load a module, which takes processes seconds, before there are the tasks.
+    """Start the workers for ``count`` tasks and load a module, which takes processes seconds, in advance.
 
     Example:
         >>> with ThreadPoolExecutor(1) as pool:
@@ -83,9 +83,9 @@ def wake(executor: Executor, count: int, module: str) -> None:
 
 
 def end_with_parent() -> None:
-    """Have this process end once the one that started it is gone, however that ended: for the initializer of a pool.
+    """End this process when its parent has ended in any way: an initializer for a pool.
 
-    A worker of ``concurrent.futures`` waits for its next task for ever, as it holds both ends of the pipe of tasks.
+    Otherwise a worker of ``concurrent.futures`` waits forever for its next task, as it holds both ends of the pipe.
 
     Example:
         >>> from concurrent.futures import ProcessPoolExecutor
@@ -101,7 +101,7 @@ def end_with_parent() -> None:
 
 
 class _Deaf(SpawnProcess):
-    """A worker that leaves Ctrl-C, which a terminal sends to all, to the process that started it."""
+    """A worker that ignores Ctrl-C, which a terminal sends to all processes."""
 
     def start(self) -> None:
         if not hasattr(signal, "pthread_sigmask"):
@@ -115,7 +115,7 @@ class _Deaf(SpawnProcess):
 
 @contextmanager
 def own_processes() -> Iterator[Executor]:
-    """Yield an executor of processes of this machine; after an error or an interruption they end at once.
+    """Yield an executor of local processes, which are terminated after an error or an interruption.
 
     Example:
         >>> with own_processes() as executor:
@@ -125,14 +125,14 @@ def own_processes() -> Iterator[Executor]:
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import active_children
 
-    # A process that is forked from one with threads may hang.
+    # A process forked from one with threads may hang.
     context = SpawnContext()
     context.Process = _Deaf  # type: ignore[misc]
     executor = ProcessPoolExecutor(mp_context=context, initializer=end_with_parent)
     try:
         yield executor
     except BaseException:
-        # Nobody waits for what they do; and an import that is interrupted may fail as any other.
+        # Their results are not needed, and an interrupted import may fail in any way.
         for process in active_children():
             process.terminate()
         raise
@@ -144,25 +144,25 @@ def _end_after(sentinel: int) -> None:
     from multiprocessing.connection import wait
 
     wait([sentinel])
-    # Nobody is left to hear of anything, and what runs in other threads can't be stopped otherwise.
+    # No process is left for messages, and other threads can't be stopped otherwise.
     os._exit(1)
 
 
-def _told(results: Iterator[_R], label: str, of: int) -> Iterator[_R]:
-    """Yield results, and log how many there are."""
+def _logged(results: Iterator[_R], label: str, of: int) -> Iterator[_R]:
+    """Yield results, and log their count."""
     for done, result in enumerate(results, 1):
         log.info("%s %d of %d", label, done, of, extra={"done": done, "of": of})
         yield result
 
 
 def spread_again(function: Callable[[_T], _R], items: Iterable[_T], *, label: str, executor: Executor) -> Iterator[_R]:
-    """Return what :func:`spread` does, of a function that is called again: workers have it for as long as it lives here.
+    """Return the results of :func:`spread` for a function in repeated use: workers keep it as long as it exists here.
 
     Args:
-        function: compared by identity, as objects are that define no equality of their own.
-        items: small things.
-        label: what one item is called if workers die.
-        executor: does the work.
+        function: identified by ``id``, as objects without their own equality.
+        items: small arguments.
+        label: name of an item in errors.
+        executor: runs the tasks.
     """
     known = _AT_WORKERS.setdefault(function, [])
     sender = next((one for one in known if one.executor is executor), None)
@@ -173,11 +173,11 @@ def spread_again(function: Callable[[_T], _R], items: Iterable[_T], *, label: st
 
 
 class _Sender:
-    """A function where the workers of an executor find it; here it may die meanwhile."""
+    """A function at the workers of an executor, without a reference to it here."""
 
     def __init__(self, function: Callable[[Any], Any], executor: Executor, label: str) -> None:
         self.executor = executor
-        # Of an executor that Dask's ``Client.get_executor`` made, the client.
+        # The client of an executor from Dask's ``Client.get_executor``.
         of_dask = type(executor).__module__ == "distributed.cfexecutor"
         self._client, self._file = vars(executor)["_client"] if of_dask else None, None
         if isinstance(executor, ThreadPoolExecutor):
@@ -189,7 +189,7 @@ class _Sender:
         self._held = _Sent(uuid.uuid4().hex, loaded_plugins(), self._file.path)
 
     def begun(self, function: Callable[[_T], _R], tasks: Sequence[_T], label: str) -> Iterator[_R]:
-        """Submit all tasks."""
+        """Submit all tasks and return their results."""
         if isinstance(self.executor, ThreadPoolExecutor):
             return self.executor.map(function, tasks)
         if self._client is not None:
@@ -198,16 +198,16 @@ class _Sender:
             return _results([self.executor.submit(_call, self._held, task) for task in tasks], label, self._file)
 
 
-# What is called again, and where its workers find it.
+# Functions in repeated use, and their senders.
 _AT_WORKERS: weakref.WeakKeyDictionary[Callable[[Any], Any], list[_Sender]] = weakref.WeakKeyDictionary()
 
 
 def _results(futures: Sequence[Future[_R]], label: str, *needed: object) -> Iterator[_R]:
-    """Yield results; what the tasks need lives for as long as there are some to come."""
+    """Yield results; ``needed`` objects are kept alive meanwhile."""
     try:
         for future in futures:
             with _losses(label):
-                # A wait without an end outlasts Ctrl-C where a library has it restart system calls, as polars does.
+                # An unlimited wait ignores Ctrl-C where a library makes signals restart system calls, as polars does.
                 while not future.done():
                     with suppress(TimeoutError):
                         future.exception(timeout=_GLANCE)
@@ -220,26 +220,26 @@ def _results(futures: Sequence[Future[_R]], label: str, *needed: object) -> Iter
 
 @contextmanager
 def _losses(label: str) -> Iterator[None]:
-    """Say what to do when workers were lost."""
+    """Convert errors of lost workers, with advice."""
     try:
         yield
     except Exception as error:
         if not isinstance(error, _BROKEN) and type(error).__name__ not in _GIVEN_UP:
             raise
         raise WorkersLostError(
-            f"{label}: workers died, most often for want of memory; try fewer at once, or a Dask cluster, which outlives "
-            'the death of one. A script that starts processes needs its own code under if __name__ == "__main__"'
+            f"{label}: workers died, usually for lack of memory; use fewer at once, or a Dask cluster, which survives the "
+            'loss of one. A script that starts processes needs its own code under if __name__ == "__main__"'
         ) from error
 
 
 @dataclass(frozen=True)
 class _Sent:
-    """A function on its way to workers.
+    """A function sent to workers.
 
     Attributes:
-        name: of this function, in every process.
-        plugins: modules that its classes may come from.
-        content: pickled, or the file where that stands.
+        name: unique identifier in all processes.
+        plugins: modules that may define its classes.
+        content: the pickled function, or the file with it.
     """
 
     name: str
@@ -247,7 +247,7 @@ class _Sent:
     content: bytes | Path = field(compare=False)
 
     def itself(self) -> _Sent:
-        """Return it: the task by which a cluster has it, and has it again when the workers that had it are dead."""
+        """Return itself: the task by which a cluster gets it, again if the workers with it have died."""
         return self
 
 
@@ -258,22 +258,22 @@ def _call(sent: _Sent, item: Any) -> Any:
 
 @lru_cache(maxsize=_KEPT)
 def _received(sent: _Sent) -> Callable[[Any], Any]:
-    """Return the function that was sent to this process, read when it is first called."""
+    """Return the function that was sent to this process, read on its first call."""
     for name in sent.plugins:
         load_plugin(name)
     try:
         content = sent.content if isinstance(sent.content, bytes) else sent.content.read_bytes()
     except FileNotFoundError as error:
         raise BadInputError(
-            f"{platform.node()}: no file {error.filename}; workers on other machines need a folder for temporary "
-            "files that all of them see: set TMPDIR"
+            f"{platform.node()}: no file {error.filename}; workers on other machines need a shared folder for temporary "
+            "files: set TMPDIR"
         ) from error
     found: Callable[[Any], Any] = pickle.loads(content)
     return found
 
 
 class _File:
-    """A temporary file that lives as long as this object."""
+    """A temporary file that exists as long as this object."""
 
     def __init__(self, content: bytes) -> None:
         place, path = tempfile.mkstemp(prefix="pincal-", suffix=".pickle")
@@ -284,10 +284,10 @@ class _File:
 
 
 def _held_by_dask(client: Any, function: Callable[[Any], Any]) -> Any:
-    """Give a function to a Dask cluster, by its client: futures of its executor wait for ever for what is lost."""
+    """Send a function to a Dask cluster by its client, as futures of its executor wait forever for lost data."""
     import cloudpickle
 
     sent = _Sent(uuid.uuid4().hex, loaded_plugins(), cloudpickle.dumps(function))
-    # A task and not scattered, as what only workers have is lost with them; Dask warns of tasks that hold much.
+    # A task, as scattered data are lost with their workers; Dask warns of large tasks.
     with warnings.catch_warnings(action="ignore", category=UserWarning):
         return client.submit(_Sent.itself, sent, pure=False)

@@ -1,6 +1,6 @@
-"""Units in which people write and read quantities, and the formatting of numbers; the only home of such conversion factors.
+"""Units for input and output, and the formatting of numbers; the only place with conversion factors.
 
-The library computes in SI units throughout. Factors enter where a number is read or shown.
+The library computes in SI units throughout; factors are applied where a number is read or shown.
 """
 
 from __future__ import annotations
@@ -13,56 +13,37 @@ if TYPE_CHECKING:
     import numpy as np
 
 LARGEST = 1e7
-"""Size beyond which no quantity of a robot cell in SI units can be meant.
+"""Largest plausible quantity of a robot cell in SI units.
 
-A coordinate [m] has no digit of a nanometre left there, as a double has 16 digits; some cells are placed in national grids,
-which go that far.
+Some cells are placed in national grids, which extend that far; beyond, a double does not resolve a nanometre.
 """
 SMALLEST = 1e-12
-"""Size below which no positive quantity in SI units can be meant: a picometre is a hundredth of an atom."""
+"""Smallest plausible positive quantity in SI units: a picometre is a hundredth of an atom."""
 
-SIZES = {
-    "m": 1.0,
-    "cm": 1e-2,
-    "mm": 1e-3,
-    "um": 1e-6,
-    "µm": 1e-6,
-    "in": 0.0254,
-    "rad": 1.0,
-    "mrad": 1e-3,
-    "urad": 1e-6,
-    "deg": math.pi / 180,
-    "°": math.pi / 180,
-    "kg": 1.0,
-    "g": 1e-3,
-    "lb": 0.45359237,
-    "s": 1.0,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "µs": 1e-6,
-    "ns": 1e-9,
-    "min": 60.0,
-    "h": 3600.0,
-    "degC": 1.0,
-    "°C": 1.0,
-    "K": 1.0,
-    "px": 1.0,
-    "m/s^2": 1.0,
-    "m/s²": 1.0,
-    "mm/s^2": 1e-3,
-    "rad/s": 1.0,
-    "mrad/s": 1e-3,
-    "deg/s": math.pi / 180,
-    "°/s": math.pi / 180,
-    "dps": math.pi / 180,
-    "mdeg/s": 1e-3 * math.pi / 180,
-    "mdps": 1e-3 * math.pi / 180,
-}
-"""Units in which values are given, each with its size in SI units (temperatures: in deg C)."""
 STANDARD_GRAVITY = 9.80665
-"""Size of gravity by which accelerations in units of g are meant [m/s^2]."""
-# Units that mean something else of this quantity.
+"""Gravity that defines units of g [m/s^2]."""
+_DEG = math.pi / 180
+_LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "in": 0.0254}
+_SIZES = {
+    "length": _LENGTHS,
+    "noise": {**_LENGTHS, "px": 1.0},
+    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": _DEG, "°": _DEG},
+    "mass": {"kg": 1.0, "g": 1e-3, "lb": 0.45359237},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+    "temperature": {"degC": 1.0, "°C": 1.0, "K": 1.0},
+    "pixel": {"px": 1.0},
+    "acceleration": {"m/s^2": 1.0, "m/s²": 1.0, "mm/s^2": 1e-3},
+    "angular rate": {"rad/s": 1.0, "mrad/s": 1e-3} | dict.fromkeys(("deg/s", "°/s", "dps"), _DEG),
+    "number": {},
+    "name": {},
+}
+_SIZES["angular rate"] |= dict.fromkeys(("mdeg/s", "mdps"), 1e-3 * _DEG)
+# Units with another meaning for this quantity.
 _SIZES_OF = {"acceleration": {"g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY}}
+SIZES = {unit: size for sizes in _SIZES.values() for unit, size in sizes.items()} | {"urad": 1e-6}
+"""Sizes of units in SI units (temperatures: in deg C)."""
+UNITS = {quantity: (*sizes, *_SIZES_OF.get(quantity, ())) for quantity, sizes in _SIZES.items()}
+"""The possible units of a column by its quantity, the SI unit first; without a unit in the header it is in SI units."""
 
 
 def unit_sizes(*units: str) -> dict[str, float]:
@@ -75,47 +56,32 @@ def unit_sizes(*units: str) -> dict[str, float]:
     return {unit: SIZES[unit] for unit in units}
 
 
-_LENGTHS = ("m", "mm", "cm", "um", "µm", "in")
-UNITS: dict[str, tuple[str, ...]] = {
-    "length": _LENGTHS,
-    "noise": (*_LENGTHS, "px"),
-    "angle": ("rad", "mrad", "deg", "°"),
-    "mass": ("kg", "g", "lb"),
-    "time": ("s", "ms", "us", "µs", "ns", "min", "h"),
-    "temperature": ("degC", "°C", "K"),
-    "pixel": ("px",),
-    "acceleration": ("m/s^2", "m/s²", "mm/s^2", "g", "mg"),
-    "angular rate": ("rad/s", "mrad/s", "deg/s", "°/s", "dps", "mdeg/s", "mdps"),
-    "number": (),
-    "name": (),
-}
-"""The units that a column may have, by what it holds, the SI unit first; what has no unit in the header is in SI units."""
-# What is added to a value in SI units' size.
+# Offsets of units, added after scaling.
 _OFFSETS = {"K": -273.15}
-# What has its own size: counts, indices and times, which some clocks count from 1970 in nanoseconds; the most of it.
-_OF_OWN_SIZE, _LARGEST_COUNT = ("time", "number", "name"), 1e20
+# Quantities of any size, such as counts and times, which some clocks count in nanoseconds from 1970; their limit.
+_UNBOUNDED, _LARGEST_COUNT = ("time", "number", "name"), 1e20
 
 
 def is_possible(values: np.ndarray, quantity: str) -> np.ndarray:
-    """Return which values of a quantity in SI units can be meant: finite ones, no larger than anything about a robot is."""
+    """Return which values of a quantity in SI units are plausible: finite, and no larger than anything about a robot."""
     import numpy as np
 
-    return np.asarray(np.abs(values) <= (_LARGEST_COUNT if quantity in _OF_OWN_SIZE else LARGEST))
+    return np.asarray(np.abs(values) <= (_LARGEST_COUNT if quantity in _UNBOUNDED else LARGEST))
 
 
 def expected_number(quantity: str) -> str:
-    """Return in words which values can be meant.
+    """Return in words which values are plausible.
 
     Example:
         >>> expected_number("length"), expected_number("time")
         ('a finite number (at most 1e+07 m)', 'a finite number (at most 1e+20)')
     """
-    most = (_LARGEST_COUNT, "") if quantity in _OF_OWN_SIZE else (LARGEST, f" {UNITS[quantity][0]}")
+    most = (_LARGEST_COUNT, "") if quantity in _UNBOUNDED else (LARGEST, f" {UNITS[quantity][0]}")
     return "a finite number (at most {:g}{})".format(*most)
 
 
 def size_of(unit: str, quantity: str = "") -> float:
-    """Return the size of a unit in SI units where it is one of some quantity; an unknown one is taken for SI.
+    """Return the size of a unit of a quantity in SI units; an unknown one counts as SI.
 
     Example:
         >>> size_of("g"), size_of("g", "acceleration")
@@ -136,14 +102,14 @@ def in_unit(values: np.ndarray, unit: str) -> np.ndarray:
     return values if (size, offset) == (1.0, 0.0) else (values - offset) / size
 
 
-# Size of gravity [m/s^2] that can be meant if it is not zero: from what is left in orbit to a hundred times that on earth.
+# Plausible gravity other than zero [m/s^2], from orbit to a hundred times that on earth.
 _LEAST_GRAVITY, _MOST_GRAVITY = 1e-6, 1e3
 GRAVITIES = f"0 0 0, or a vector of {_LEAST_GRAVITY:g} to {_MOST_GRAVITY:g} m/s^2"
-"""Which gravity can be meant, in words."""
+"""Plausible gravity in words."""
 
 
 def is_gravity(vector: Sequence[float]) -> bool:
-    """Return whether a vector [m/s^2] can be the gravity of a robot.
+    """Return whether a vector is a plausible gravity [m/s^2].
 
     Example:
         >>> is_gravity((0.0, 0.0, -9.81)), is_gravity((0.0, 0.0, 1e-300)), is_gravity((0.0, 0.0, 0.0))
@@ -154,7 +120,7 @@ def is_gravity(vector: Sequence[float]) -> bool:
 
 
 def plain_number(text: str) -> float:
-    """Return the number that a text is in decimal digits; Python alone would also take ``1_0`` or Arabic digits for one.
+    """Return a number written in decimal digits; Python alone would also accept ``1_0`` or Arabic digits.
 
     Raises:
         ValueError: for any other text.
@@ -169,7 +135,7 @@ def plain_number(text: str) -> float:
 
 
 def plain_numbers(words: Iterable[str]) -> list[float]:
-    """Return the numbers that words are, as :func:`plain_number` reads each; none if some word is no number."""
+    """Return words as numbers, see :func:`plain_number`; none if some word is not a number."""
     try:
         return [plain_number(word) for word in words]
     except ValueError:
@@ -177,10 +143,10 @@ def plain_numbers(words: Iterable[str]) -> list[float]:
 
 
 def size_in(text: str, unit: str) -> float:
-    """Return a size that is written with a unit, or with none, in another unit of the same kind.
+    """Return a number with or without a unit as a number in another unit of the same kind.
 
     Raises:
-        ValueError: for what is no such size.
+        ValueError: for other text.
 
     Example:
         >>> size_in("0.5mm", "m"), size_in("0.2 urad/Nm", "rad/(N m)"), size_in("inf", "rad")
@@ -201,20 +167,20 @@ def size_in(text: str, unit: str) -> float:
 
 
 class Unit(NamedTuple):
-    """A unit for display: the factor by which an SI value is multiplied, and its symbol."""
+    """A unit for display: the factor on an SI value, and the symbol."""
 
     factor: float
     name: str
 
 
-# SI unit -> unit in which calibration parameters and errors are read.
+# SI unit -> unit in which calibration parameters and errors are shown.
 _READABLE = {
     "m": Unit(1e3, "mm"),
     "rad": Unit(1e3, "mrad"),
     "px": Unit(1.0, "px"),
     "rad/(N m)": Unit(1e6, "µrad/(N m)"),
 }
-# SI unit -> unit in which small effects of a robot are read.
+# SI unit -> unit in which small effects of a robot are shown.
 _SMALL = {
     "rad": Unit(1e6, "µrad"),
     "m": Unit(1e6, "µm"),
@@ -231,7 +197,7 @@ _SMALL = {
 
 
 def readable_unit(unit: str) -> Unit:
-    """Return the unit in which parameters and errors given in an SI unit are read; an unknown unit stays as it is.
+    """Return the unit for showing parameters and errors given in an SI unit; an unknown unit is unchanged.
 
     Example:
         >>> readable_unit("m"), readable_unit("kg")
@@ -241,7 +207,7 @@ def readable_unit(unit: str) -> Unit:
 
 
 def small_unit(unit: str) -> Unit:
-    """Return the unit in which small effects given in an SI unit are read; an unknown unit stays as it is.
+    """Return the unit for showing small effects given in an SI unit; an unknown unit is unchanged.
 
     Example:
         >>> small_unit("rad/K")
@@ -305,7 +271,7 @@ def show_plainly(value: Any) -> str:
 
 
 def fixed(places: int) -> Callable[[Any], str]:
-    """Return what shows a number with so many decimal places.
+    """Return a function that formats a number with so many decimal places.
 
     Example:
         >>> fixed(2)(1.005), fixed(2)(None), fixed(2)("")
@@ -315,12 +281,12 @@ def fixed(places: int) -> Callable[[Any], str]:
 
 
 def show_percent(share: float | None) -> str:
-    """Return a share of one in percent."""
+    """Return a fraction in percent."""
     return "-" if share is None else f"{100 * share:z.0f} %"
 
 
 def show_value(quantity: Quantity | None) -> str:
-    """Return a quantity in its readable unit, the unit left out.
+    """Return a quantity in its readable unit, without the unit.
 
     Example:
         >>> show_value(Quantity(0.0123456, "m")), show_value(Quantity(1.5e-6, "1/K")), show_value(Quantity(0.0, "kg"))
@@ -330,7 +296,7 @@ def show_value(quantity: Quantity | None) -> str:
 
 
 def show_sigma(quantity: Quantity | None) -> str:
-    """Return a standard deviation in its readable unit to two digits, the unit left out.
+    """Return a standard deviation in its readable unit to two digits, without the unit.
 
     Example:
         >>> show_sigma(Quantity(1.234e-5, "rad")), show_sigma(None)

@@ -87,7 +87,7 @@ def test_a_broken_pool_says_what_to_do() -> None:
     """A process that is killed takes its pool with it; so does the next work that is given to it."""
     with ProcessPoolExecutor(1, mp_context=get_context("fork")) as executor:
         for _ in range(2):
-            with pytest.raises(WorkersLostError, match=r"^draw: workers died, most often for want of memory; try fewer"):
+            with pytest.raises(WorkersLostError, match=r"^draw: workers died, usually for lack of memory; use fewer"):
                 list(spread(die, range(3), label="draw", executor=executor))
 
 

@@ -1,11 +1,12 @@
-"""A camera in the robot's hand that sees named points of an object that stands still, in space or in its image.
+"""Cameras: in the hand, observing named points of a fixed object in space or in the image, or fixed, observing the tool.
 
-The target on the tool is the camera's frame (z along the view, x to the right, y down), the instrument's frame that of the
-object. Where no point of the object is known, its points are found in the robot's base frame (paper, section IV.A).
+For a camera in the hand the target on the tool is the camera's frame (z along the view, x right, y down), and the
+instrument's frame is the object's. If no point of the object is known, points are found in the robot's base frame (paper,
+section IV.A).
 
-Where it starts: P - R_i (W c_i + t) = p_i with the point c_i in the camera's frame, P that in the base frame, is linear in P
-and in the camera's place t, W on the tool. P is eliminated by taking each point's rows about their mean. An image lacks the
-depth of c_i: :mod:`pincal.measure.lens` lays the lines of sight so that they meet in the points.
+Starts: P - R_i (W c_i + t) = p_i, with a point c_i in the camera's frame and P in the base frame, is linear in P and in the
+camera's pose t, W on the tool. P is eliminated by subtracting the mean over each point's rows. An image lacks the depth of
+c_i: :mod:`pincal.measure.lens` finds the pose at which lines of sight intersect in the points.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import nearest_rotation, transform
 
 PIXEL = Field("pixel", ("u", "v"), "pixel")
-# Rows that the first search looks at, for a fixed camera of each target.
+# Rows in the search for a start, per target for a fixed camera.
 _SAMPLE = 300
 
 
@@ -37,7 +38,7 @@ class Images(Additive, KnownParameters):
 
     Attributes:
         pixel: the images, shape (N, 2) [px].
-        setup: what is known of the camera.
+        setup: with the camera, if it is known.
     """
 
     blocks: ClassVar[tuple[Block, ...]] = (Block("image", "px", 2, rounding=1e-9, noise=0.1, axes="uv"),)
@@ -50,7 +51,7 @@ class Images(Additive, KnownParameters):
     @property
     @final
     def known_parameters(self) -> np.ndarray:
-        """The camera's parameters where it is known, and always those that a usual lens does not have."""
+        """The camera's parameters if it is known, and always those of unusual lenses."""
         fixed = self.setup.lens_fixed()
         return np.append(np.zeros(len(self.parameters) - len(fixed), bool), fixed)
 
@@ -73,7 +74,7 @@ class Images(Additive, KnownParameters):
 
 @dataclass(frozen=True)
 class CameraSensor(PointSensor):
-    """Readings of a camera, each of one point; ``has_scale`` states whether they determine its distance."""
+    """Readings of a camera, each of one point; ``has_scale`` if they determine its distance."""
 
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
     twist_rows: ClassVar[int] = 6
@@ -89,7 +90,7 @@ class CameraSensor(PointSensor):
 
     @final
     def unobservable_with(self, known: int) -> Iterator[str]:
-        """Yield where the object stands, if none of its points is known, and what else is open then."""
+        """Yield the pose of the object, if none of its points is known, and the scale, if images do not determine it."""
         if not known:
             yield (
                 "the points of the calibration object are unknown, so they are identified in the robot's base frame; "
@@ -106,7 +107,7 @@ class CameraSensor(PointSensor):
 
     @final
     def seen_motion(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return how each row's point moves in the camera's frame, shape (P, 3, N)."""
+        """Return the motion of each row's point in the camera's frame, shape (P, 3, N)."""
         away = (self.points.positions(own)[self.index] - poses[:, :, 3]).T
         shift, turn = motion[:, :3], motion[:, 3:]
         moved = np.empty(shift.shape)
@@ -140,7 +141,7 @@ class CameraPointSensor(CameraSensor, Additive, Plausible):
         return np.asarray(-np.einsum("nij,jn->ni", poses[:, :, :3], residuals))
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield the camera's place in the hand in which the points of the object stand still."""
+        """Yield the camera's pose in the hand at which the points of the object are fixed."""
         p, R, c = tips[:, :, 3], tips[:, :, :3], self.camera_point
         products = np.einsum("nab,nc->nabc", R, c).reshape(len(p), 3, 9)
         A = np.concatenate([products, R], axis=2)
@@ -184,13 +185,13 @@ class CameraPixelSensor(CameraSensor, Images):
         return np.concatenate([moved, self.by_points(by_place), by_lens.transpose(2, 1, 0)])
 
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the part across the view, at the distance of the point."""
+        """Return the component across the view, at the distance of the point."""
         depth, lens = np.maximum(self.seen(poses, own)[:, 2], NEAREST), self.lens(own)
         across = np.stack([residuals[0] / lens.fx * depth, residuals[1] / lens.fy * depth, 0.0 * depth])
         return np.asarray(-np.einsum("nij,jn->ni", poses[:, :, :3], across))
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield the best places and focal lengths of the camera."""
+        """Yield the best poses and focal lengths of the camera."""
         rows = sample_rows(len(self), _SAMPLE, self.groups)
         nominal, known = self.setup.lens_values, self.setup.lens
         views = self.index, len(self.points.names), tips, self.pixel
@@ -230,7 +231,7 @@ class FixedCameraSensor(Images, OwnParameters):
         return self.least_displacement(residuals, poses, own)
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield where the camera sees the tips, then the targets, which the images place on the tool if they can."""
+        """Yield the pose by images of the tips, then of the targets, if the images determine their positions on the tool."""
         rows = sample_rows(len(self), _SAMPLE, target)
         lens, tips, target, pixel = self.setup.lens, tips[rows], target[rows], self.pixel[rows]
         if lens is not None:
@@ -250,7 +251,7 @@ class FixedCameraSensor(Images, OwnParameters):
         yield "images do not determine the scale, which relies on the nominal lengths of the arm"
 
     def _start(self, M: np.ndarray, tools: np.ndarray) -> Extrinsics:
-        """Return where all stands for a camera matrix from the robot's base, shape (3, 4)."""
+        """Return the poses for a camera matrix from the robot's base, shape (3, 4)."""
         from scipy.linalg import rq
 
         nominal = self.setup.lens_values
@@ -268,12 +269,12 @@ class FixedCameraSensor(Images, OwnParameters):
 
 def _each_times(matrices: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return the matrix of each row, shape (N, a, b), times columns, shape (P, b, N): shape (P, a, N)."""
-    # Eight times as fast by rows that stand side by side.
+    # Eight times as fast with contiguous rows.
     return np.asarray(np.einsum("abn,pbn->pan", np.ascontiguousarray(matrices.transpose(1, 2, 0)), columns))
 
 
 def _matrix(p: np.ndarray, image: np.ndarray, columns: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the matrix that projects points to their images, and with it what multiplies further columns.
+    """Return the matrix that projects points to their images, and the coefficients of further columns.
 
     Args:
         p: shape (N, 3), points in the robot's base frame.
@@ -281,8 +282,8 @@ def _matrix(p: np.ndarray, image: np.ndarray, columns: np.ndarray | None = None)
         columns: shape (N, 9 T), rotations of the tip, target by target.
 
     Returns:
-        Shape (3, 4), of a right-handed camera before which the points lie; shape (T, 3, 3, 3), [a, c, d] multiplies the
-        element [c, d] of the rotation in row a. The latter is None without columns, or if there are too few rows for them.
+        Shape (3, 4), for a right-handed camera with the points in front of it; shape (T, 3, 3, 3), [a, c, d] multiplies
+        element [c, d] of the rotation in row a, None without columns or with too few rows for them.
     """
     n, middle = len(p), image.mean(axis=0)
     width, size = np.abs(image - middle).max(), np.abs(p).max()

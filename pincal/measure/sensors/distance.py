@@ -1,6 +1,6 @@
-r"""Distances to a target: from the instrument's own point, or from several named anchors, such as those of a ball-bar.
+r"""Distances to a target from the instrument, or from several named anchors, such as those of a ball-bar.
 
-Where it starts: with the nominal arm's poses (R_i, p_i), c the vector from the instrument's point to the base, and the tool
+Starts: with the nominal arm's poses (R_i, p_i), c the vector from the instrument's point to the base, and the tool
 t, d_i^2 = |p_i|^2 + 2 p_i.c + 2 (R_i^T p_i).t + 2 c^T R_i t + const is linear in c, t and c (x) t.
 """
 
@@ -26,9 +26,9 @@ from pincal.robot.se3 import transform
 DISTANCE = Field("distance", ("distance",), "length", POSITIVE)
 _NO_BASE = "distances do not determine the pose of the base, only the arm relative to its anchors"
 
-# A laser tracker reaches no further.
+# Range of laser trackers [m].
 _MOST_DISTANCE_M = 100.0
-# Distances that all stay below this share of the reach are deviations, or in another unit.
+# Distances below this fraction of the reach are deviations, or in another unit.
 _LEAST = 1e-3
 
 
@@ -47,7 +47,7 @@ class Distances(Additive, Plausible):
 
     @abstractmethod
     def lines(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the lines of sight, from where a distance begins to the target, shape (3, N) [m]."""
+        """Return the lines of sight, from the origin of each distance to the target, shape (3, N) [m]."""
 
     @final
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -55,14 +55,14 @@ class Distances(Additive, Plausible):
 
     @final
     def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the motion along the line of sight, of the target and of where the distance begins."""
+        """Return the motion of both ends along the line of sight."""
         direction = self._direction(poses, own)
         along, by_own = np.einsum("in,pin->pn", direction, motion)[:, None], self.by_own(direction)
         return np.concatenate([along, by_own]) if len(by_own) else along
 
     @abstractmethod
     def by_own(self, direction: np.ndarray) -> np.ndarray:
-        """Return the derivative by the sensor's own parameters, shape (own, 1, N), for lines of sight of length 1."""
+        """Return the derivative with respect to own parameters, shape (own, 1, N), for lines of sight of length 1."""
 
     @final
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -95,7 +95,8 @@ class Distances(Additive, Plausible):
 class DistanceSensor(Distances, Simulatable):
     """1D: the distance, shape (N,) [m], from the instrument's point to the target.
 
-    The instrument's frame stands at this point and is parallel to the robot's base: a distance sees no orientation.
+    The instrument's frame has its origin at this point and is parallel to the robot's base, as distances determine no
+    orientation.
     """
 
     fields: ClassVar[tuple[Field, ...]] = (DISTANCE,)
@@ -118,7 +119,7 @@ class DistanceSensor(Distances, Simulatable):
         return np.zeros((0, 1, direction.shape[1]))
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield where the base is with the targets at the tip, then both as the distances have them."""
+        """Yield the base for targets at the tip, then base and targets by the distances."""
         return _starts(self.distance, tips, target, n_targets)
 
     def unobservable(self) -> Iterator[str]:
@@ -142,7 +143,7 @@ class PointDistances(Distances, PointSensor):
         return self.by_points(-direction[:, None])
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield the anchors about which the distances close, each found by itself; the tool where all agree."""
+        """Yield anchors by their own distances, with the tool as the mean over the anchors."""
         found = [
             list(_starts(self.distance[rows], tips[rows], target[rows], n_targets)) if rows.any() else []
             for rows in (self.index == k for k in range(len(self.points.names)))
@@ -156,14 +157,14 @@ class PointDistances(Distances, PointSensor):
 
 @dataclass(frozen=True)
 class AnchoredDistanceSensor(PointDistances):
-    """1D: distances, shape (N,) [m], each from a named anchor to the target; a ball-bar's length is one, too."""
+    """1D: distances, shape (N,) [m], each from a named anchor to the target, such as the length of a ball-bar."""
 
     fields: ClassVar[tuple[Field, ...]] = (DISTANCE, Field("anchor", ("anchor",), "name"))
     names_points: ClassVar[str | None] = "anchor"
     thing: ClassVar[str] = "an anchor"
 
     def unobservable_with(self, known: int) -> Iterator[str]:
-        """Yield the place of the base where no anchor is known, and what one anchor alone leaves open."""
+        """Yield the pose of the base if no anchor is known, and a note on single anchors."""
         if not known:
             yield _NO_BASE
         if len(self.points.names) == 1:
@@ -174,7 +175,7 @@ class AnchoredDistanceSensor(PointDistances):
 
 
 def _starts(d: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-    """Yield where all stands by distances ``d``, shape (N,), from one point; tools at the tip, then as measured."""
+    """Yield the poses by distances ``d`` from one point, shape (N,); tools at the tip, then as measured."""
     p, R = tips[:, :, 3], tips[:, :, :3]
     tools = np.tile(np.eye(4), (n_targets, 1, 1))
     squares = (d**2 - np.einsum("ni,ni->n", p, p))[:, None]

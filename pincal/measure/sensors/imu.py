@@ -1,4 +1,4 @@
-r"""Readings of an IMU on the tool: specific force and angular rate, from the poses about each moment.
+r"""Readings of an IMU on the tool: specific force and angular rate, by finite differences of poses.
 
 In a level frame, whose z points against gravity, the target is the IMU and its pose :math:`(R, p)` a function of time. Poses
 at :math:`t - h, t, t + h` give
@@ -7,15 +7,15 @@ at :math:`t - h, t, t + h` give
           \omega = \mathrm{vee} \frac{S_+ - S_-}{2 h}, \quad \dot\omega = \mathrm{vee} \frac{S_+ + S_-}{h^2},
           \quad S_\pm = R_0^T R_\pm ,
 
-vee that of the antisymmetric part. So whatever moves the target by its pose moves it here, too: each effect has its columns
-from the motions of these poses. With :math:`\delta_\pm = R_0^T (d\varphi_\pm - d\varphi_0)`,
+vee being that of the antisymmetric part. So the columns of each effect follow from the motions of these poses. With
+:math:`\delta_\pm = R_0^T (d\varphi_\pm - d\varphi_0)`,
 
 .. math:: df = R_0^T \left( \frac{dp_+ - 2 dp_0 + dp_-}{h^2} - d\varphi_0 \times (a + g e_z) \right), \quad
           d\omega = \frac{T_+ \delta_+ - T_- \delta_-}{2 h}, \quad d\dot\omega = \frac{T_+ \delta_+ + T_- \delta_-}{h^2},
           \quad T = \tfrac{1}{2} (\mathrm{tr}(S) I - S) .
 
-A row is a mean over a window that is a Gaussian in time, as the readings are filtered; it is summed over a few moments
-(Gauss-Hermite). An IMU reads :math:`(I + C_a) f + b_a` and :math:`(I + C_w)(\omega + \delta \dot\omega) + b_w`.
+A row is the mean over a Gaussian window in time, by which the readings are filtered, evaluated by Gauss-Hermite quadrature.
+An IMU reads :math:`(I + C_a) f + b_a` and :math:`(I + C_w)(\omega + \delta \dot\omega) + b_w`.
 """
 
 from __future__ import annotations
@@ -38,23 +38,23 @@ from pincal.units import STANDARD_GRAVITY
 
 FORCE = Field("specific_force", ("ax", "ay", "az"), "acceleration")
 RATE = Field("angular_rate", ("wx", "wy", "wz"), "angular rate")
-# Step of the differences [s]: of motions of 5 Hz they are right to 5e-6, and rounding makes 1e-8 m/s^2.
+# Step of the differences [s]: accurate to 5e-6 for motions of 5 Hz, with rounding errors of 1e-8 m/s^2.
 _STEP = 2.5e-4
-# Moments of a window: exact for polynomials of degree 5 in time.
+# Quadrature nodes of a window: exact for polynomials of degree 5 in time.
 _MOMENTS = 3
-# What low-cost IMUs are off by: scale and misalignment [1], biases [m/s^2, rad/s], delay of the gyroscope [s].
+# Errors of low-cost IMUs: scale and misalignment [1], biases [m/s^2, rad/s], delay of the gyroscope [s].
 _SCALE, _FORCE_BIAS, _RATE_BIAS, _DELAY = 0.02, 0.5, 0.02, 0.02
-# The accelerometer's rotation is that of the mount, so its matrix is triangular.
+# Rotation of the accelerometer is part of the mount, so its matrix is triangular.
 _OF_FORCE = [(i, j) for i in range(3) for j in range(i + 1)]
 _OF_RATE = [(i, j) for i in range(3) for j in range(3)]
 
 
 @dataclass(frozen=True)
 class Window:
-    """A Gaussian window in time, and when about its middle poses are needed.
+    """A Gaussian window in time with its quadrature nodes.
 
     Attributes:
-        width: standard deviation [s]; 0 for a reading of one moment.
+        width: standard deviation [s]; 0 for an instantaneous reading.
     """
 
     width: float
@@ -68,18 +68,18 @@ class Window:
 
     @property
     def weights(self) -> np.ndarray:
-        """Of its moments, shape (K,)."""
+        """Weights of the nodes, shape (K,)."""
         return self._rule[1]
 
     @property
     def offsets(self) -> np.ndarray:
-        """When poses are needed, from the middle, shape (3 K,) [s]: before, at and after each moment."""
+        """Times at which poses are needed, from the middle, shape (3 K,) [s]: before, at and after each node."""
         return np.asarray((self._rule[0][:, None] + np.array([-_STEP, 0.0, _STEP])).ravel())
 
 
 @dataclass(frozen=True)
 class Inertial:
-    """What an ideal IMU reads in N windows, each of shape (N, 3).
+    """Readings of an ideal IMU in N windows, each of shape (N, 3).
 
     Attributes:
         force: specific force [m/s^2].
@@ -93,12 +93,12 @@ class Inertial:
 
     @classmethod
     def of(cls, poses: np.ndarray, window: Window, gravity: float = STANDARD_GRAVITY) -> Inertial:
-        """Return what the poses of windows give.
+        """Return the readings for poses in windows.
 
         Args:
-            poses: shape (N O, 3, 4), of each row those at the O offsets of the window, in a level frame.
+            poses: shape (N O, 3, 4), at the O offsets of each row's window, in a level frame.
             window: the window.
-            gravity: size of gravity [m/s^2].
+            gravity: magnitude of gravity [m/s^2].
         """
         whole = _triples(poses, window)
         weights = window.weights[None, :, None]
@@ -106,12 +106,12 @@ class Inertial:
 
 
 def _triples(poses: np.ndarray, window: Window) -> np.ndarray:
-    """Return the poses of N rows, K moments, before, at and after, shape (N, K, 3, 3, 4)."""
+    """Return the poses of N rows at K nodes, before, at and after each, shape (N, K, 3, 3, 4)."""
     return poses.reshape(-1, len(window.weights), 3, 3, 4)
 
 
 def _ideal(poses: np.ndarray, gravity: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return force, rate and turning at all moments, shape (N, K, 3) each."""
+    """Return force, rate and turning at all nodes, shape (N, K, 3) each."""
     R0, upward = poses[:, :, 1, :, :3], _upward(poses, gravity)
     before, after = _relative(poses)
     force = np.einsum("nkba,nkb->nka", R0, upward)
@@ -119,16 +119,16 @@ def _ideal(poses: np.ndarray, gravity: float) -> tuple[np.ndarray, np.ndarray, n
 
 
 def _upward(poses: np.ndarray, gravity: float) -> np.ndarray:
-    """Return acceleration less gravity, shape (N, K, 3), in the level frame."""
+    """Return acceleration minus gravity, shape (N, K, 3), in the level frame."""
     p = poses[..., 3]
-    # Differences of neighbours first, so that far away nothing is lost.
+    # Differences of neighbours first, so that no digits are lost far from the origin.
     found = ((p[:, :, 2] - p[:, :, 1]) - (p[:, :, 1] - p[:, :, 0])) / _STEP**2
     found[..., 2] += gravity
     return np.asarray(found)
 
 
 def _relative(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rotations before and after a moment in the axes at this moment, shape (N, K, 3, 3) each."""
+    """Return the rotations before and after each node in its axes, shape (N, K, 3, 3) each."""
     back = poses[:, :, 1, :, :3].swapaxes(-1, -2)
     return back @ poses[:, :, 0, :, :3], back @ poses[:, :, 2, :, :3]
 
@@ -163,7 +163,7 @@ def _maps(poses: np.ndarray, gravity: float) -> np.ndarray:
 
 
 def imu_parameters() -> tuple[Parameter, ...]:
-    """Return what an IMU may be off by: scale and misalignment, biases, delay of the gyroscope."""
+    """Return the errors of an IMU as parameters: scale and misalignment, biases, delay of the gyroscope."""
     found = [(f"acc_{'xyz'[i]}{'xyz'[j]}", "1", _SCALE) for i, j in _OF_FORCE]
     found += [(f"acc_bias_{axis}", "m/s^2", _FORCE_BIAS) for axis in "xyz"]
     found += [(f"gyro_{'xyz'[i]}{'xyz'[j]}", "1", _SCALE) for i, j in _OF_RATE]
@@ -174,14 +174,14 @@ def imu_parameters() -> tuple[Parameter, ...]:
 
 @dataclass(frozen=True)
 class ImuErrors:
-    """What an IMU makes of ideal readings.
+    """Errors of an IMU.
 
     Attributes:
         acc: shape (3, 3), I + C_a.
         acc_bias: shape (3,) [m/s^2].
         gyro: shape (3, 3), I + C_w.
         gyro_bias: shape (3,) [rad/s].
-        delay: by which the gyroscope's stamps are too early [s].
+        delay: time by which the gyroscope's stamps are too early [s].
     """
 
     acc: np.ndarray
@@ -192,14 +192,14 @@ class ImuErrors:
 
     @classmethod
     def of(cls, own: np.ndarray) -> ImuErrors:
-        """Return the errors of values of :func:`imu_parameters`, shape (22,)."""
+        """Return the errors for values of :func:`imu_parameters`, shape (22,)."""
         acc, gyro = np.eye(3), np.eye(3) + own[9:18].reshape(3, 3)
         for value, place in zip(own[:6], _OF_FORCE, strict=True):
             acc[place] += value
         return cls(acc, own[6:9], gyro, own[18:21], float(own[21]))
 
     def readings(self, ideal: Inertial) -> np.ndarray:
-        """Return what is read, shape (6, N): specific force [m/s^2], angular rate [rad/s]."""
+        """Return the readings with errors, shape (6, N): specific force [m/s^2], angular rate [rad/s]."""
         force = self.acc @ ideal.force.T + self.acc_bias[:, None]
         rate = self.gyro @ (ideal.rate + self.delay * ideal.turning).T + self.gyro_bias[:, None]
         return np.concatenate([force, rate])
@@ -207,19 +207,19 @@ class ImuErrors:
     def columns(
         self, poses: np.ndarray, motion: np.ndarray, window: Window, gravity: float = STANDARD_GRAVITY
     ) -> np.ndarray:
-        """Return the derivatives of the readings by P parameters that move the IMU, shape (P, 6, N).
+        """Return the derivatives of the readings with respect to P parameters that move the IMU, shape (P, 6, N).
 
         Args:
             poses: shape (N O, 3, 4), as in :meth:`Inertial.of`.
-            motion: shape (P, 6, N O), motion and turning of the poses by parameter, in the level frame's axes.
+            motion: shape (P, 6, N O), translation and rotation of the poses per parameter, in the level frame's axes.
             window: the window.
-            gravity: size of gravity [m/s^2].
+            gravity: magnitude of gravity [m/s^2].
         """
         maps = _maps(_triples(poses, window), gravity) * window.weights[None, :, None, None, None]
         later = maps[:, :, 3:6] + self.delay * maps[:, :, 6:]
         read = [np.einsum("ab,nkbqm->mnkqa", M, of) for M, of in ((self.acc, maps[:, :, :3]), (self.gyro, later))]
         shape = len(motion), len(maps), len(window.offsets)
-        # One linear map a row from each component of all motions of its poses, which are not put into another order for it.
+        # One linear map per row for each component of the motions of its poses, without reordering them.
         by_pose = np.concatenate(read, axis=-1).reshape(6, *shape[1:], 6)
         moves, columns = motion.reshape(shape[0], 6, *shape[1:]), np.zeros((shape[1], shape[0], 6))
         for component, by_component in enumerate(by_pose):
@@ -227,7 +227,7 @@ class ImuErrors:
         return np.ascontiguousarray(columns.transpose(1, 2, 0))
 
     def own_columns(self, ideal: Inertial) -> np.ndarray:
-        """Return derivatives of the readings by the errors, shape (22, 6, N)."""
+        """Return the derivatives of the readings with respect to the errors, shape (22, 6, N)."""
         later, out = ideal.rate + self.delay * ideal.turning, np.zeros((22, 6, len(ideal.rate)))
         for p, (i, j) in enumerate(_OF_FORCE):
             out[p, i] = ideal.force[:, j]
@@ -243,7 +243,7 @@ class ImuErrors:
 class ImuSensor(Sensor, OwnParameters):
     """IMU on the tool: specific force, shape (N, 3) [m/s^2], and angular rate, shape (N, 3) [rad/s], in windows of its log.
 
-    The instrument's frame is level, its z against gravity; the target is the IMU.
+    The instrument's frame is level, with z opposite to gravity; the target is the IMU.
     """
 
     kind: ClassVar[str] = "imu"
@@ -292,15 +292,15 @@ class ImuSensor(Sensor, OwnParameters):
         return np.concatenate([errors.columns(poses, motion, window), errors.own_columns(Inertial.of(poses, window))])
 
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return nothing: acceleration and rate tell no place."""
+        """Return zeros: acceleration and rate determine no position."""
         return np.zeros((len(self), 3))
 
     def _window(self, poses: np.ndarray) -> Window:
-        """Return a window with as many moments as these poses have; its width is in them."""
+        """Return a window with as many nodes as these poses have; their offsets contain its width."""
         return Window(float(len(poses) > 3 * len(self)))
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield the mount by which rates follow those of the tip; lever arm and upward direction from the forces."""
+        """Yield the mount by the rates of IMU and tip, with the lever arm and the upward direction by the forces."""
         window = self._window(tips)
         ideal, R = Inertial.of(tips, window, 0.0), tips[len(window.offsets) // 2 :: len(window.offsets), :, :3]
         centred = [rate - rate.mean(axis=0) for rate in (ideal.rate, self.rate)]
@@ -315,6 +315,6 @@ class ImuSensor(Sensor, OwnParameters):
 
     def unobservable(self) -> Iterator[str]:
         yield (
-            "an IMU does not tell where the robot stands nor which way it faces, the zeros of the first and the last joint, "
-            "those of parallel joints one by one, nor lengths, which are held as in the URDF unless other rows tell them"
+            "an IMU does not determine the position and heading of the robot, the zeros of the first and the last joint, "
+            "those of parallel joints separately, nor lengths, which are held as in the URDF unless other rows give them"
         )

@@ -1,9 +1,9 @@
-r"""Planes that stand still at unknown places: a probe touches them, or a dial gauge reads its distance from them.
+r"""Fixed planes of unknown pose: a probe touches them, or a dial gauge measures its distance from them.
 
 A plane is n.x = d in the robot's base frame; the probe's tip at x reads (n.x - d) / |n|, zero where it touches. A ball of
-some radius and the sign of a dial are in d and n. The length of n means nothing and is held at 1.
+some radius and the sign of a dial are absorbed in d and n. The length of n is arbitrary and constrained to 1.
 
-Where it starts: with the nominal arm's poses (R_i, p_i) and the tip t on the tool, n.p_i + (n (x) t):R_i - d = s r_i is
+Starts: with the nominal arm's poses (R_i, p_i) and the tip t on the tool, n.p_i + (n (x) t):R_i - d = s r_i is
 linear in n, n (x) t, d and s up to one factor.
 """
 
@@ -27,11 +27,11 @@ from pincal.robot.se3 import transform
 
 PLANE = Field("plane", ("plane",), "name")
 _SYMBOLS = ("nx", "ny", "nz", "d")
-# How well a normal is kept at length 1: tighter than anything measured, and loose enough to turn.
+# Tolerance of the length of a normal: tighter than measurements, and loose enough to let it rotate.
 _LENGTH = 1e-5
-# Three readings place a plane.
+# Three readings determine a plane; more are redundant.
 _FEWEST = 4
-_ROUNDS = 20  # of the search for a start where there are few rows: planes, then tips, then planes ...
+_ROUNDS = 20  # Alternations between planes and tips in the search for a start with few rows.
 
 
 @dataclass(frozen=True)
@@ -61,11 +61,7 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
     @classmethod
     @final
     def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the readings of a table.
-
-        Raises:
-            MeasurementError: for a plane that has a place, or that the setup does not have.
-        """
+        """Return the readings of a table; refuse a plane with a known position, or that the setup does not have."""
         points = setup.named()
         index = index_of(table, points)
         if points.known[index].any():
@@ -93,7 +89,7 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
 
     @final
     def facts(self, own: np.ndarray) -> Constraints:
-        """Return that normals have the length 1."""
+        """Return the constraints that normals have the length 1."""
         normals = own.reshape(-1, 4)[:, :3]
         length = np.linalg.norm(normals, axis=1)
         jacobian = np.zeros((len(self.planes), 4, len(self.planes)))
@@ -103,7 +99,7 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
 
     @final
     def unusable_rows(self) -> Iterator[Excluded]:
-        """Yield planes with too few readings: they only place it."""
+        """Yield planes with too few readings to do more than locate them."""
         rows, listed = poor_groups(np.array(self.planes)[self.index], _FEWEST)
         reason = f"are of a plane with fewer than {_FEWEST} readings, which only determine its pose ({listed})"
         yield Excluded(rows, reason, f"{_FEWEST} readings and more of a plane, in other poses")
@@ -138,7 +134,7 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
         return np.asarray(residuals[0][:, None] * normal / length[:, None])
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield the planes through the tips, then with the probe where it fits all planes best."""
+        """Yield the planes through the tips, then with the probe at its best fit to all planes."""
         yield Extrinsics(np.eye(4), np.tile(np.eye(4), (n_targets, 1, 1)), self._through(tips[:, :, 3]))
         tools = transform(np.eye(3), self._probes(tips, target, n_targets))
         for _ in range(_ROUNDS):
@@ -164,7 +160,7 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
         return np.asarray(tips[:, :, 3] + np.einsum("nij,nj->ni", tips[:, :, :3], tools[target, :3, 3]))
 
     def _through(self, ends: np.ndarray) -> np.ndarray:
-        """Return the planes from which points, shape (N, 3), have the distances that were read, shape (4 planes,)."""
+        """Return the planes at the measured distances from points, shape (N, 3), as shape (4 planes,)."""
         own = np.tile([0.0, 0.0, 1.0, 0.0], (len(self.planes), 1))
         for k in range(len(self.planes)):
             x, reading = ends[self.index == k], self.reading[self.index == k]
@@ -183,7 +179,7 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
         return own.ravel()
 
     def _probes(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> np.ndarray:
-        """Return where the probes are on the tool, shape (targets, 3), zero where no plane has enough rows."""
+        """Return the positions of the probes on the tool, shape (targets, 3), zero if no plane has enough rows."""
         total, count = np.zeros((n_targets, 3)), 0
         for k in range(len(self.planes)):
             here = self.index == k

@@ -22,19 +22,19 @@ from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.se3 import align, exponentials, nearest_rotation, rotation_matrices, transform
 
-# Share of the rows beyond the limits from which on the column, not the row, is at fault.
+# Share of rows beyond the limits above which the column, not the row, is at fault.
 _MANY = 0.2
 # Farthest distance of a target from the flange [m].
 _TOOL_REACH_M = 2.0
 
 
 def span_m(reach_m: float) -> float:
-    """Return how far apart two targets can be at most [m], for a flange that reaches so far from the base."""
+    """Return the largest distance of two targets [m], for the reach of the flange from the base."""
     return 2 * (reach_m + _TOOL_REACH_M)
 
 
 def check_spread(table: TableRows, points: np.ndarray, *, label: str, reach_m: float) -> float:
-    """Return the distance between (nearly) the farthest points [m]; refuse more than the arm can span.
+    """Return the approximate diameter of points [m]; refuse more than the arm can span.
 
     Args:
         table: the table, for messages.
@@ -48,7 +48,7 @@ def check_spread(table: TableRows, points: np.ndarray, *, label: str, reach_m: f
     most = span_m(reach_m)
     from_centre = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     worst = int(from_centre.argmax())
-    # From the farthest point on, the diameter is at most twice what this finds, and never less.
+    # The diameter is between this and twice this.
     spread = float(np.linalg.norm(points - points[worst], axis=1).max())
     if spread <= most:
         return spread
@@ -64,13 +64,13 @@ _PAIRS = ((0, 1), (1, 2), (0, 2))
 
 
 def _mirrored(positions: np.ndarray, *, axes: tuple[int, ...]) -> np.ndarray:
-    """Return positions with two axes swapped, or one turned round."""
+    """Return positions with two axes swapped, or one reversed."""
     found = positions.copy()
     found[:, axes] = positions[:, axes[::-1]] if len(axes) == 2 else -positions[:, axes]
     return found
 
 
-# Positions alone do not show which of these mirrors it is; with orientations they do.
+# Positions alone do not distinguish these reflections; orientations do.
 _OR = "or the frame is left-handed"
 _SWAPS = ((f"the columns {'xyz'[i]!r} and {'xyz'[j]!r} look swapped, {_OR}", (i, j)) for i, j in _PAIRS)
 _TURNS = ((f"the column {axis!r} looks inverted in sign, {_OR}", (i,)) for i, axis in enumerate("xyz"))
@@ -82,14 +82,14 @@ POSITION = Field(
     mirror=partial(_mirrored, axes=(1,)),
 )
 
-# Joints whose median range [rad, m] exceeds this move the target visibly.
+# Median range of the joints [rad, m] above which the target moves visibly.
 _MOVED = 0.5
-# A target that moves by less than this share of the reach does not take part in the motion of the arm.
+# A target that moves by less than this fraction of the reach does not follow the arm.
 _LEAST_SPREAD = 1e-3
 
 
 class PlausiblePositions(Plausible):
-    """Readings with a position, which is farther apart than the arm can span, or hardly moves, in a wrong unit."""
+    """Readings with positions, which exceed the span of the arm, or hardly move, in a wrong unit."""
 
     @classmethod
     @final
@@ -99,7 +99,7 @@ class PlausiblePositions(Plausible):
             return
         text = f"{table.source}: the joints move, but the positions stay within {spread * 1000:.3g} mm"
         unit = next((table.units[name] for name in POSITION.columns if name in table.units), "m")
-        # Metres under [mm] shrink the whole workspace, at most as wide as the arm can span, a thousandfold.
+        # Metres under [mm] shrink the whole workspace by a factor of 1000.
         if unit != "m" and spread <= _LEAST_SPREAD * span_m(reach_m):
             raise MeasurementError(f"{text}; values in metres under `x [{unit}]`? Then write `x [m]` in the header")
         if spread < _LEAST_SPREAD * reach_m:
@@ -139,7 +139,7 @@ class PositionSensor(PlausiblePositions, Additive, Simulatable):
         return residuals.T
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield the base laid onto the tips, then onto the targets, which the readings place on the tool if they can."""
+        """Yield the base fitted to the tips, then to the targets, if the readings determine their positions on the tool."""
         m, p, R = self.position, tips[:, :, 3], tips[:, :, :3]
         tools = np.tile(np.eye(4), (n_targets, 1, 1))
         columns = by_target(R.reshape(-1, 9), target, n_targets)
@@ -157,7 +157,7 @@ class PositionSensor(PlausiblePositions, Additive, Simulatable):
         yield from ()
 
 
-# A quaternion written with four decimals is off by less; a wrong column is off by more.
+# Tolerance of the norm, above the rounding of four decimals and below the effect of a wrong column.
 _TOLERANCE = 0.01
 QUATERNION = Field(
     "quaternion",
@@ -173,7 +173,7 @@ QUATERNION = Field(
             lambda value: value[:, [1, 2, 3, 0]] * [-1.0, -1.0, -1.0, 1.0],
         ),
     ),
-    # A mirror keeps the axis of a rotation as a vector and turns the angle round.
+    # A reflection reverses the axis of a rotation as a pseudovector.
     mirror=lambda value: value * [-1.0, 1.0, -1.0, 1.0],
 )
 
@@ -218,7 +218,7 @@ class PoseSensor(PlausiblePositions, Sensor, Simulatable):
         return residuals[:3].T
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield base and tools as the orientations, then the positions, have them."""
+        """Yield base and tools, with rotations by the orientations, then translations by the positions."""
         tools = np.tile(np.eye(4), (n_targets, 1, 1))
         blocks = np.zeros((9 + 9 * n_targets, 9 + 9 * n_targets))
         for t in range(n_targets):
@@ -245,16 +245,16 @@ class PoseSensor(PlausiblePositions, Sensor, Simulatable):
 
 
 def _rotation_equations(tips: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Rows of R R_i - R_m,i Y = 0 in the unknowns R and Y = X^T, each row-major, shape (9 N, 18)."""
+    """Return the rows of R R_i - R_m,i Y = 0 in the unknowns R and Y = X^T, each row-major, shape (9 N, 18)."""
     eye = np.eye(3)
     left = np.einsum("ac,ndb->nabcd", eye, tips)  # d(R R_i)[a, b] / d R[c, d]
     right = -np.einsum("nac,bd->nabcd", measured, eye)  # d(R_m Y)[a, b] / d Y[c, d]
     return np.concatenate([left.reshape(-1, 9), right.reshape(-1, 9)], axis=1)
 
 
-# Below this angle [rad] series are exact to rounding.
+# Angle below which series are exact to rounding [rad].
 _SMALL = 1e-3
-# Poses worked on at once, so that what is needed of them stays in the cache.
+# Poses processed at once, so that their data fit into the cache.
 _TILE = 512
 
 
@@ -302,9 +302,9 @@ def turns(measured: np.ndarray, poses: np.ndarray) -> np.ndarray:
 
 @compiled(nogil=True)
 def turned(turn: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Return motions, shape (D, 6, N), with their rotations as they change rotation vectors of residuals, shape (3, N).
+    """Return motions, shape (D, 6, N), with rotations converted to changes of rotation vectors ``turn``, shape (3, N).
 
-    These change by the inverse right Jacobian: log(exp(phi) exp(-w)) = phi - J_r^-1 w + O(w^2) [Sola et al. 2018, Eq. 144].
+    These are by the inverse right Jacobian: log(exp(phi) exp(-w)) = phi - J_r^-1 w + O(w^2) [Sola et al. 2018, Eq. 144].
     """
     n_columns, _, n = motion.shape
     out, rows = np.empty(motion.shape), np.empty((3, 3, _TILE))
@@ -327,7 +327,7 @@ def turned(turn: np.ndarray, motion: np.ndarray) -> np.ndarray:
             rows[1, 2, i], rows[2, 1, i] = factor * y * z - 0.5 * x, factor * y * z + 0.5 * x
         for d in range(n_columns):
             out[d, :3, first:end] = motion[d, :3, first:end]
-            # As slices: loops over these are vectorised.
+            # Loops over slices are vectorised.
             u, v, w = motion[d, 3, first:end], motion[d, 4, first:end], motion[d, 5, first:end]
             for i in range(3):
                 a, b, c, to = rows[i, 0], rows[i, 1], rows[i, 2], out[d, 3 + i, first:end]

@@ -1,12 +1,12 @@
 """Contacts without any instrument: of the tool point with sockets, and between points of two links of the robot.
 
-The tool point is held in sockets, so that its distance from a socket is zero. Of links, balls touch, at a known distance of
-their centres, or points coincide: each row names two points, each ``LINK:NAME``, and their distance. The path leads
-from the first link to the second then: what is "base" and "tool" elsewhere are the two links, and the points are places on
-them, which do not move. A point that several tables or pairs of links have in common is the same one.
+The tool point is held in sockets, so that its distance from a socket is zero. Between links, balls touch at a known distance
+of their centres, or points coincide: each row names two points, ``LINK:NAME`` each, and their distance. The path leads from
+the first link to the second, which take the roles of base and tool, and the points are fixed to them. Points of the same
+name in several tables or pairs of links are the same.
 
-Where it starts: a point P that stands still and a tool t satisfy P - R_i t = p_i, linear in P and t, with the nominal arm's
-poses (R_i, p_i). P is eliminated by taking each point's rows about their mean.
+Starts: a fixed point P and a tool t satisfy P - R_i t = p_i, linear in P and t, with the nominal arm's poses (R_i, p_i). P
+is eliminated by subtracting the mean over each point's rows.
 """
 
 from __future__ import annotations
@@ -34,11 +34,10 @@ _SCALE = "contacts without a known length do not determine the scale of the robo
 class Coincidences(PointSensor):
     """3D: coincidence of the target with a named point.
 
-    Rows of a point that ``points`` do not know (``index`` -1 and below, one number for each) are judged by their distance
-    from their own mean: how well the model keeps the target in one place.
+    Rows of a point that is not among ``points`` (``index`` -1, -2, ...) are judged by their distance from their own mean.
 
     Attributes:
-        shift: shape (N, 3), how far each row's target sits off its point [m]; None if nowhere.
+        shift: shape (N, 3), offset of each row's target from its point [m]; None for zero.
     """
 
     blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3),)
@@ -68,7 +67,7 @@ class Coincidences(PointSensor):
         return np.asarray(found if self.shift is None else found + self.shift.T)
 
     def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the motion of the tool point, and minus that of the socket."""
+        """Return the motion of the tool point minus the socket's."""
         if self.is_whole and len(motion):
             motion = motion - np.stack([self._about_means(column, np.zeros_like(column)) for column in motion])
         by_place = np.zeros((3, 3, len(self)))
@@ -79,7 +78,7 @@ class Coincidences(PointSensor):
         return residuals.T
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield the tool points at the tip, then those that keep best still in their sockets."""
+        """Yield tool points at the tip, then those that move least in their sockets."""
         p, R = tips[:, :, 3], tips[:, :, :3]
         columns = by_target(R, target, n_targets)
         offsets = solved(-centred(columns, self.index), centred(p, self.index))
@@ -87,7 +86,7 @@ class Coincidences(PointSensor):
         yield self.start_at_means(p + columns @ offsets, transform(np.eye(3), offsets.reshape(n_targets, 3)))
 
     def _about_means(self, values: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """Put the mean of ``values``, shape (3, N), in place of what is not known."""
+        """Return ``place``, shape (3, N), with unknown points at the mean of their rows' ``values``, shape (3, N)."""
         for unknown in np.unique(self.index[self.index < 0]):
             rows = self.index == unknown
             place[:, rows] = values[:, rows].mean(axis=1, keepdims=True)
@@ -108,7 +107,7 @@ class ContactSensor(Coincidences, Simulatable):
 
     @classmethod
     def simulated(cls, poses: np.ndarray, places: np.ndarray | None = None) -> Self:
-        """Return the contacts of poses in sockets of unknown position, called socket_1, socket_2, ..."""
+        """Return contacts in sockets of unknown position, named socket_1, socket_2, ..."""
         assert places is not None, "contacts need places"
         points = poses[:, :, 3]
         index = np.linalg.norm(points[:, None] - places, axis=2).argmin(axis=1)
@@ -125,10 +124,10 @@ class ContactSensor(Coincidences, Simulatable):
 
 
 def between_links(table: Any) -> Any:
-    """Return a table of contacts with the links of their points, the second point as the target.
+    """Return a table of contacts with the links of their points, and the second point as the target.
 
     Raises:
-        MeasurementError: for a point that is not LINK:NAME, or two of one link.
+        MeasurementError: for a point that is not LINK:NAME, or two points of one link.
     """
     links = []
     for field in (FIRST, SECOND):
@@ -155,7 +154,7 @@ class LinkDistanceSensor(PointDistances, Divided):
 
     @classmethod
     def parts(cls, table: Any) -> Iterator[tuple[str, Any]]:
-        """Yield contacts at a distance, and those of points that coincide, which are read in three directions."""
+        """Yield contacts at a distance, and coincidences, which are readings in three directions."""
         whole, distance = between_links(table), table.array("distance")
         if (apart := distance > 0.0).any():
             yield "distance", whole.select(apart)
@@ -167,7 +166,7 @@ class LinkDistanceSensor(PointDistances, Divided):
             )
 
     def unobservable_with(self, known: int) -> Iterator[str]:
-        """Yield nothing: the distance of the contact is a length, and the points belong to the robot."""
+        """Yield nothing: distances determine the scale, and the points belong to the robot."""
         yield from ()
 
 
