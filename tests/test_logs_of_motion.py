@@ -238,7 +238,7 @@ def test_readings_of_something_else_are_left_out(logs: Tables, tmp_path: Path) -
     rows = np.sort(rng.choice(np.arange(600, 1800, 6), 40, replace=False))
     tables["tracker"]["z"][rows] += rng.choice([-0.8, 0.8], 40)
     clean, jumps = (laid(read(tmp_path, each)[0]) for each in (logs, tables))
-    assert "tracker.csv: 40 of 2400 rows" in jumps[2] and "jump off those beside them" in jumps[2]
+    assert "tracker.csv: 40 of 2400 rows" in jumps[2] and "are outliers" in jumps[2]
     assert "tracker.csv" not in clean[2] and jumps[1] == clean[1] - 40
     assert jumps[0] == pytest.approx(clean[0], abs=1e-4)
 
@@ -268,7 +268,7 @@ def test_sensors_of_an_imu_that_are_read_no_more_are_left_out(logs: Tables, tmp_
         tables["imu"][name][rows] = 0.0
     session, told = read(tmp_path, tables)
     assert session.imu is not None
-    match = re.search(r"imu\.csv: (\d+) of 4\d\d\d rows, the first in line \d+, hold the same forces or rates", told)
+    match = re.search(r"imu\.csv: (\d+) of 4\d\d\d rows, the first in line \d+, have constant forces or rates", told)
     assert match is not None and int(match[1]) == pytest.approx(rows.sum(), abs=6)
     assert np.abs(session.imu.readings["angular_rate"]).min(axis=1).max() > 0.0
 
@@ -293,7 +293,7 @@ def test_joints_that_are_interrupted_go_on_behind_the_gap(logs: Tables, tmp_path
     turning = JOINTS[5]
     tables["joints"][turning] = np.mod(true[:, 5] - true[2000, 5], 2.0 * np.pi) - np.pi
     session, told = read(tmp_path, tables)
-    assert f"{turning} jumps by a full turn; it is taken to turn on there" in told
+    assert f"{turning} jumps by a revolution; it is assumed to continue" in told
     assert np.abs(np.diff(session.joints.readings["q"][:, 5])).max() < 0.1
 
 
@@ -315,7 +315,7 @@ def appended(table: Table) -> None:
 
 
 MISTAKEN: dict[str, tuple[Callable[[Table], None], str]] = {
-    "sign": (reversed_sign, r"follow these joints with the sign of joint_5 turned \(--sign joint_5\)"),
+    "sign": (reversed_sign, r"follow these joints with the sign of joint_5 changed \(--sign joint_5\)"),
     "order": (exchanged, "none does with the columns joint_2 and joint_3 swapped; exchange their names"),
     "degrees": (in_degrees, r'"joint_\d": .* rad looks like degrees; write `joint_\d \[deg\]`'),
     "another zero from midway on": (
@@ -353,11 +353,11 @@ def in_bursts(table: Table, within: float = 1e-4, lost: int = 5) -> None:
 
 
 WRONG: dict[str, tuple[Callable[[Table], None], str]] = {
-    "components of another order": (rolled, "orientations do not turn as the arm does.* they would in the order w x y z"),
-    "poses the other way round": (inverted, "poses are those of the instrument as the target sees it; .*: invert them"),
+    "components of another order": (rolled, "orientations do not follow the arm.* they would in the order w x y z"),
+    "poses the other way round": (inverted, "poses are of the instrument in the target's frame; .*: invert them"),
     "a clock that jumps": (stepped, r"about line 130\d: its clock, or that of the joints, jumps by about \d+ ms at 2\d"),
     "a clock that was set late": (unset, r"line 52: time jumps from -?\d.* to 1600000000\.\d* s"),
-    "stamps of arrival": (in_bursts, "rows come in bursts, mostly 0.0001 s apart, on the average 0.01. s.* some are lost"),
+    "stamps of arrival": (in_bursts, "rows are in bursts, mostly 0.0001 s apart, on average 0.01. s.* some are lost"),
 }
 
 
@@ -379,7 +379,7 @@ def test_stamps_of_packets_are_those_of_their_samples_again(logs: Tables, which:
     in_bursts(tables[which], within, 0)
     session, told = read(tmp_path, tables)
     found = session.joints if which == "joints" else session.tracker
-    assert found is not None and f"{which}.csv: " in told and "those of their arrival; samples are taken to be" in told
+    assert found is not None and f"{which}.csv: " in told and "those of their arrival; samples are assumed to be" in told
     late = found.time - logs[which]["time"]
     assert np.ptp(late) < 4e-4 and late.mean() == pytest.approx(4.0 * within, abs=4e-4)
     assert len(found) == len(logs[which]["time"])
@@ -394,7 +394,7 @@ def test_stamps_of_arrival_are_told_from_those_of_two_devices(logs: Tables, tmp_
     tables["tracker"]["time"] += np.random.default_rng(0).exponential(0.01, len(tables["tracker"]["time"]))
     session, told = read(tmp_path, tables)
     assert session.tracker is not None and "joints.csv" not in told
-    assert re.search(r"tracker.csv: time runs back \d+ times, by 0.0\d+ s or less: .* taken to be 16.66", told)
+    assert re.search(r"tracker.csv: time runs back \d+ times, by 0.0\d+ s or less: .* assumed to be 16.66", told)
     np.testing.assert_array_equal(session.joints.time, pairs)
     assert np.ptp(session.tracker.time - logs["tracker"]["time"]) < 5e-4
 
@@ -410,7 +410,7 @@ def test_rows_that_are_written_late_or_twice_are_put_in_order(logs: Tables, tmp_
     for name in tables:
         stream = getattr(session, name)
         np.testing.assert_array_equal(stream.time, logs[name]["time"])
-        assert f"{name}.csv: 300 rows stand twice" in told and re.search(rf"{name}.csv: \d+ rows, .* late and are put", told)
+        assert f"{name}.csv: 300 rows occur twice" in told and re.search(rf"{name}.csv: \d+ rows, .* late and are put", told)
 
 
 def test_an_imu_that_is_polled_at_nearly_its_own_rate_is_told(logs: Tables, tmp_path: Path) -> None:
@@ -434,7 +434,7 @@ def test_what_was_interpolated_is_no_reading(logs: Tables, digits: int, tmp_path
         tracker[axis][600:780] = np.interp(np.arange(600, 780), [599, 780], tracker[axis][[599, 780]])
         tracker[axis] = np.round(tracker[axis], digits)
     session, told = read(tmp_path, tables)
-    assert "180 of 2400 rows, the first in line 602, lie evenly on straight lines" in told and "straight" not in clean[1]
+    assert "180 of 2400 rows, the first in line 602, are evenly spaced on straight" in told and "straight" not in clean[1]
     assert session.tracker is not None and len(session.tracker) == len(tracker["time"]) - 180
     straight = np.outer(np.arange(500) * 5e-3, [1.0, 0.3, 0.0]) + 3e-5 * np.random.default_rng(0).standard_normal((500, 3))
     assert not interpolated(np.vstack([np.cumsum(straight, axis=0), straight])).any()

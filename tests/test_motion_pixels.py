@@ -104,9 +104,9 @@ Corrupt = Callable[[Stream], dict[str, np.ndarray]]
 BAD: dict[str, tuple[Corrupt, str]] = {
     "axes swapped": (
         lambda s: {"pixel": s.readings["pixel"][:, ::-1]},
-        "images are those of a mirrored arm.*swap two of u v",
+        "images are mirrored relative to the arm.*swap two of u v",
     ),
-    "another motion": (lambda s: {"pixel": s.readings["pixel"][::-1]}, "images do not change as these joints move"),
+    "another motion": (lambda s: {"pixel": s.readings["pixel"][::-1]}, "images do not follow these joints"),
 }
 
 
@@ -137,7 +137,7 @@ def test_what_is_held_is_no_stream(hand: tuple[Path, Session]) -> None:
     """A socket holds the tool point while the arm stands; what to give instead is said."""
     stream = seen_of(hand[1])
     held = Stream("held.csv", stream.time, {"socket": np.full(len(stream), "a")}, {})
-    with pytest.raises(MeasurementError, match=r"held.csv: socket in motion; expected .* a table of its own"):
+    with pytest.raises(MeasurementError, match=r"held.csv: socket in motion; expected .* a separate table"):
         session_tables(ROBOT, [replace(hand[1], tracker=held)])
 
 

@@ -198,10 +198,10 @@ AT_THE_DOOR: dict[str, tuple[Corrupt, str]] = {
     ),
     "milliseconds": (change("joints", "time", lambda t: 1e3 * t), r"joints.csv: a row every 10 s.*write `time \[ms\]`"),
     "a clock that was set": (change("imu", "time", set_back), "imu.csv, line 2002: .* before and after a clock"),
-    "packets of which one is lost": (lost_packet, r"those of packets, .* about line \d+ .* as where some are lost"),
+    "packets of which one is lost": (lost_packet, r"those of packets, .* about line \d+ .* as when some are lost"),
     "g": (scale("imu", "a", 1.0 / 9.80665), r"0.9\d* m/s\^2.*looks like \[g\]: write `ax \[g\]`"),
-    "gravity taken out": (scale("imu", "a", 0.2), "gravity was taken out; log raw accelerations"),
-    "a frozen axis": (change("imu", "wy", freeze), "column 'wy' stands still for 3.99 s while others change"),
+    "gravity taken out": (scale("imu", "a", 0.2), "gravity was removed; log raw accelerations"),
+    "a frozen axis": (change("imu", "wy", freeze), "column 'wy' is constant for 3.99 s while others change"),
     "a range that is too small": (
         change("imu", "wx", lambda w: np.clip(w, -0.25, 0.25)),
         "column 'wx' is cut off at 0.25 in .. % of the rows; choose a larger range",
@@ -234,13 +234,13 @@ ON_THE_MOTION: dict[str, tuple[Corrupt, str]] = {
     "rates of a thousandth": (scale("imu", "w", 180e3 / np.pi), r"looks like .mdeg/s.: write `wx \[mdeg/s\]`"),
     "counts": (scale("imu", "w", 16.4 * 180.0 / np.pi), "rates are 9.*, 9.*, 9.* times those of the arm along three axes"),
     "degrees": (scale("imu", "w", 180.0 / np.pi), r"57.* times those of the arm; looks like .deg.s.: write `wx \[deg/s\]`"),
-    "a mirrored IMU": (mirror, "mirrored arm, its frame is left-handed.*turn the sign of one axis"),
+    "a mirrored IMU": (mirror, "mirrored relative to the arm, in a left-handed frame.*change the sign of one axis"),
     "axes of the accelerometer": (swap, "frames of ax ay az and wx wy wz are 90 deg apart"),
-    "the other sign of gravity": (scale("imu", "a", -1.0), r"the other sign: a resting IMU reads \+9.8 upwards"),
+    "the other sign of gravity": (scale("imu", "a", -1.0), r"the wrong sign: an IMU at rest reads \+9.8 upwards"),
     "a mirrored accelerometer": (change("imu", "az", lambda a: -a), "specific forces are mirrored"),
     "an IMU that slipped": (slip, "turned on its mount by [34]. mrad at about 1[5-9].* s of its clock; fasten it"),
     "millimetres": (scale("tracker", "", 1e3), r"1e\+03 times as far as the arm; looks like \[mm\]"),
-    "a mirrored tracker": (change("tracker", "y", lambda y: -y), "positions are those of a mirrored arm"),
+    "a mirrored tracker": (change("tracker", "y", lambda y: -y), "positions are mirrored relative to the arm"),
 }
 
 
@@ -373,7 +373,7 @@ def test_missing_columns_are_named(logs: tuple[dict[str, Table], ImuSetup], tmp_
     """An IMU without rates, a tracker without readings, joints without time; two files of one stream."""
     cases = {
         "imu": ({"time", "ax", "ay", "az"}, "no columns wx wy wz"),
-        "tracker": ({"time"}, "no readings; expected such as x y z"),
+        "tracker": ({"time"}, "no readings; expected columns such as x y z"),
         "joints": (set(JOINTS), "no column time"),
     }
     for k, (name, (kept, said)) in enumerate(cases.items()):

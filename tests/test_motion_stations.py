@@ -337,9 +337,9 @@ def test_causes_are_not_looked_for_by_an_imu_alone(day: Path, tmp_path: Path, ca
 @pytest.mark.parametrize(
     ("count", "header", "words"),
     [
-        pytest.param(2400, "distance", "distances do not change as these joints move", marks=pytest.mark.long),
-        (999, "distance", "distances of 9.98 s of motion do not tell the offset"),
-        (999, "distance,anchor", "distances of 9.98 s of motion"),
+        pytest.param(2400, "distance", "distances do not follow these joints", marks=pytest.mark.long),
+        (999, "distance", "distances over 9.98 s of motion do not determine the offset"),
+        (999, "distance,anchor", "distances over 9.98 s of motion"),
     ],
 )
 def test_an_instrument_that_does_not_follow_the_motion_is_refused(
@@ -422,5 +422,5 @@ def test_distances_are_read_in_motion(tmp_path: Path) -> None:
     assert abs(offset - true["offset"] - true["drift"] * (table.moving.middle - true["middle"])) < 4.0 * sigma < 1e-4
     assert drift == pytest.approx(1e-3, abs=2e-6)
     shutil.copy(tmp_path / "other" / "tracker.csv", tmp_path / "day" / "tracker.csv")
-    with pytest.raises(MeasurementError, match="distances do not change as these joints move"):
+    with pytest.raises(MeasurementError, match="distances do not follow these joints"):
         pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, tmp_path / "day")])

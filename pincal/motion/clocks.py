@@ -1,9 +1,9 @@
-r"""Clocks of instruments against that of the joints: found by what both see of one motion.
+r"""Offset and drift of instruments' clocks relative to the joints' clock, from a common motion.
 
-First speeds are correlated over all offsets. Then a reading y of each stamp t is a linear function of what the nominal arm
-has at :math:`t + \tau_0 + \tau_1 (t - t_m)`, whatever way the instrument stands: an IMU's rates of the flange's rates, a
-tracker's positions of the flange's pose. Offset and drift follow by Gauss-Newton with the linear part projected out (Kaufman
-1975), over stretches that grow, so that a clock of any drift is caught. A fit of the arm refines them
+First speeds are correlated over all offsets. Then the reading y at each stamp t is linear in features of the nominal arm at
+:math:`t + \tau_0 + \tau_1 (t - t_m)`, for any pose of the instrument: an IMU's rates in the flange's rates, a tracker's
+positions in the flange's pose. Offset and drift follow by Gauss-Newton with the linear part projected out (Kaufman 1975),
+over growing intervals, so that any drift is found. A fit of the arm refines them
 (:class:`pincal.model.catalogue.InstrumentClock`).
 """
 
@@ -14,34 +14,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-# Samples a second at which speeds are compared, and the part of the shorter log that has to overlap.
+# Sampling rate at which speeds are compared [Hz], and the fraction of the shorter log that has to overlap.
 _RATE, _OVERLAP = 50.0, 0.3
-# Correlation of speeds below which they are of different motions; and by which the best offset has to beat one that is
-# farther from it than this [s].
+# Correlation of speeds below which motions are different; and its least margin over offsets that differ by more than this
+# [s].
 _SAME_MOTION, _CLEAR, _APART = 0.6, 0.03, 1.0
-# First stretch that is aligned [s], rows of it and of those that follow at most, of the whole, steps at most, and the change
-# that is none [s].
+# First interval that is aligned [s], most rows of intervals and of the whole, most steps, and the change that counts as
+# convergence [s].
 _FIRST, _SOME, _ROWS, _STEPS, _SETTLED = 60.0, 1_500, 6_000, 20, 1e-6
 CLEARLY = 6.0
-"""How many times its own scatter something has to be before it is taken for what it seems."""
-# Part of what the block tells of a clock that tells most, from which on one is looked at.
+"""Significance, in standard deviations, at which an effect is accepted."""
+# Information of a block on the clock, relative to the best one, from which it is used.
 _MOVES = 0.05
-# Rows of a block in which a clock is looked at by itself, blocks at most, those on either side of a jump at least, and turns
-# to find its row.
-_BLOCK, _BLOCKS, _BESIDE, _TURNS = 40, 40, 3, 5
-# Step by which what the arm does is differentiated [s].
+# Rows per block, most blocks, fewest blocks on either side of a jump, and iterations to find its row.
+_BLOCK, _BLOCKS, _EITHER_SIDE, _TURNS = 40, 40, 3, 5
+# Step of the numerical differentiation of features [s].
 _STEP = 1e-3
 
 
 @dataclass(frozen=True)
 class Clock:
-    """A clock by that of the joints: its stamp t is their time t + offset + drift (t - middle).
+    """A clock relative to the joints' clock: its stamp t is their time t + offset + drift (t - middle).
 
     Attributes:
         offset: [s].
         drift: [1].
         middle: stamp at which the offset holds [s].
-        sigma: standard deviations of offset [s] and drift [1], infinite where they are only guessed.
+        sigma: standard deviations of offset [s] and drift [1], infinite for guesses.
 
     Example:
         >>> Clock(0.5, 1e-3, 100.0).to_joints(np.array([100.0, 200.0])).tolist()
@@ -58,16 +57,16 @@ class Clock:
         return np.asarray(time + self.offset + self.drift * (time - self.middle))
 
     def moved(self, offset: float, drift: float) -> Clock:
-        """Return the clock after a change by what a fit found."""
+        """Return the clock with a change of offset [s] and drift [1]."""
         return replace(self, offset=self.offset + offset, drift=self.drift + drift)
 
 
 @dataclass(frozen=True)
 class SpeedMatch:
-    """What two logs of speeds have in common.
+    """Match of two logs of speeds.
 
     Attributes:
-        offset: what to add to the second's times [s].
+        offset: time to be added to the second log's times [s].
         likeness: correlation of the speeds there, at most 1.
         rival: the best correlation at another offset.
     """
@@ -78,21 +77,21 @@ class SpeedMatch:
 
     @property
     def is_same(self) -> bool:
-        """Whether both are of one motion."""
+        """Whether both are of the same motion."""
         return self.likeness >= _SAME_MOTION
 
     @property
     def is_clear(self) -> bool:
-        """Whether no other offset would do as well, as one does where a motion repeats."""
+        """Whether no other offset matches as well, as happens in a motion that repeats."""
         return self.rival < self.likeness - _CLEAR
 
 
 def correlate(time: np.ndarray, speed: np.ndarray, other_time: np.ndarray, other: np.ndarray) -> SpeedMatch:
-    """Return by how much the times of one log of speeds are off against another's.
+    """Return the offset between the clocks of two logs of speeds, by their correlation.
 
     Args:
         time: shape (N,), increasing [s].
-        speed: shape (N,), of any unit.
+        speed: shape (N,), in any unit.
         other_time: shape (M,) [s].
         other: shape (M,).
     """
@@ -114,7 +113,7 @@ def correlate(time: np.ndarray, speed: np.ndarray, other_time: np.ndarray, other
 
 
 def _resampled(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return means of values about times that are evenly apart, shape (K,)."""
+    """Return means of values about evenly spaced times, shape (K,)."""
     grid = np.arange(time[0], time[-1], 1.0 / _RATE)
     sums = np.concatenate([[0.0], np.cumsum(values)])
     ends = np.searchsorted(time, [grid - 0.5 / _RATE, grid + 0.5 / _RATE])
@@ -125,11 +124,11 @@ def _resampled(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Jump:
-    """By how much a clock jumps where that explains best what is left.
+    """The jump of a clock that best explains the residuals.
 
     Attributes:
-        size: what is to be added to later stamps beside earlier ones [s].
-        sigma: standard deviation of the size, by how readings of shorter stretches differ [s].
+        size: time to be added to later stamps relative to earlier ones [s].
+        sigma: standard deviation of the size, by the scatter between blocks [s].
         time: stamp of the first reading after it [s].
     """
 
@@ -140,25 +139,25 @@ class Jump:
     def __str__(self) -> str:
         return (
             f"its clock, or that of the joints, jumps by about {1e3 * abs(self.size):.2g} ms at {self.time:.6g} s of its "
-            "stamps, as where frames are counted and one is lost, or samples polled at nearly their own rate and one is "
-            "missed; give the parts before and after as sessions of their own, or log the device's own stamps"
+            "stamps, as when a counted frame is lost, or a sample is missed by polling at nearly the rate of the device; "
+            "give the parts before and after as separate sessions, or log the device's own stamps"
         )
 
     def is_sure(self, least: float) -> bool:
-        """Return whether the clock surely jumps, and by more than so much [s]."""
+        """Return whether the jump is significant and larger than ``least`` [s]."""
         return abs(self.size) > max(least, CLEARLY * self.sigma)
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """A clock, and how readings then follow from what the arm does.
+    """A clock, and the linear map from features of the arm to readings.
 
     Attributes:
         clock: the clock.
         matrix: shape (m, k), readings by features.
         constant: shape (m,).
-        scatter: shape (m,), standard deviation of what is left.
-        jump: of the clock, if it does.
+        scatter: shape (m,), standard deviation of the residuals.
+        jump: the likeliest jump of the clock.
     """
 
     clock: Clock
@@ -175,14 +174,14 @@ def aligned(
     covers: Callable[[np.ndarray], np.ndarray],
     start: Clock,
 ) -> Alignment:
-    """Return the clock by which readings follow features of the motion linearly.
+    """Return the clock by which readings are linear in features of the motion.
 
     Args:
         time: stamps of the readings, shape (N,) [s].
         readings: shape (N, m).
-        features: of times of the joints, shape (M,) [s], and of which readings they are, shape (M,): shape (M, k).
-        covers: at which of such times they are known, shape (N,).
-        start: the clock, to some tenths of a second; where its drift is known, the whole is aligned at once.
+        features: returns features, shape (M, k), for times of the joints' clock, shape (M,) [s], and indices of readings.
+        covers: returns at which of such times they are known.
+        start: the clock, to some tenths of a second; if its drift is known, the whole is aligned at once.
     """
     clock, known = start, covers(start.to_joints(time))
     begin, end = time[known].min(), time[known].max()
@@ -213,52 +212,54 @@ def _aligned(
         A, ahead, behind = (np.column_stack([features(at + s, seen), np.ones(len(at))]) for s in (0.0, _STEP, -_STEP))
         Q = np.linalg.qr(A)[0]
         solution = np.linalg.lstsq(A, y, rcond=1e-12)[0]
-        left = y - A @ solution
+        rest = y - A @ solution
         rate = ((ahead - behind) / (2.0 * _STEP)) @ solution
-        columns = [way - Q @ (Q.T @ way) for way in (rate, rate * since[:, None])]
-        scatter = np.sqrt(np.sum(left**2, axis=0) / max(len(y) - A.shape[1] - 1, 1))
+        columns = [change - Q @ (Q.T @ change) for change in (rate, rate * since[:, None])]
+        scatter = np.sqrt(np.sum(rest**2, axis=0) / max(len(y) - A.shape[1] - 1, 1))
         weights = 1.0 / np.maximum(scatter, 1e-12 * np.abs(y).max(initial=1e-300))
         J = np.column_stack([(column * weights).ravel() for column in columns])
         H = J.T @ J
-        step = np.linalg.solve(H, J.T @ (left * weights).ravel())
+        step = np.linalg.solve(H, J.T @ (rest * weights).ravel())
         sigma = np.sqrt(np.diag(np.linalg.inv(H)))
         clock = replace(clock.moved(*step.tolist()), sigma=(float(sigma[0]), float(sigma[1])))
         if abs(step[0]) < _SETTLED and abs(step[1]) * np.ptp(since) < _SETTLED:
             break
     clocks = np.linalg.qr(J)[0]
 
-    def beside(steps: np.ndarray) -> np.ndarray:
+    def unexplained(steps: np.ndarray) -> np.ndarray:
         flat = (steps - np.tensordot(Q, np.tensordot(Q.T, steps, axes=1), axes=1)).reshape(J.shape[0], -1)
         return np.asarray((flat - clocks @ (clocks.T @ flat)).reshape(steps.shape))
 
-    jump = likeliest_jump(since + clock.middle, left * weights, rate * weights, beside)
+    jump = likeliest_jump(since + clock.middle, rest * weights, rate * weights, unexplained)
     return Alignment(clock, solution[:-1].T, solution[-1], scatter, jump)
 
 
-def likeliest_jump(time: np.ndarray, left: np.ndarray, rate: np.ndarray, beside: Callable[[np.ndarray], np.ndarray]) -> Jump:
-    """Return the jump of a clock that explains best what is left of readings beside all that else was fitted to them.
+def likeliest_jump(
+    time: np.ndarray, residuals: np.ndarray, rate: np.ndarray, unexplained: Callable[[np.ndarray], np.ndarray]
+) -> Jump:
+    """Return the jump of a clock that best explains residuals, conditional on all other fitted parameters.
 
     Args:
         time: stamps, shape (N,) [s].
-        left: of the readings, shape (N, m), in units of their noise.
-        rate: how fast they change, shape (N, m), in the same units [1/s].
-        beside: what of columns, shape (N, m, K), nothing else that was fitted explains, an offset and a drift among it.
+        residuals: of the readings, shape (N, m), in units of their noise.
+        rate: derivatives of the readings by time, shape (N, m), in the same units [1/s].
+        unexplained: projects columns, shape (N, m, K), onto the complement of the fitted parameters with offset and drift.
     """
     parts = np.array_split(np.argsort(time, kind="stable"), min(max(len(time) // _BLOCK, 1), _BLOCKS))
-    # An arm that rests tells nothing of a clock.
+    # An arm at rest carries no information on a clock.
     squares = [float(np.sum(rate[part] ** 2)) for part in parts]
     parts = [part for part, size in zip(parts, squares, strict=True) if size > _MOVES * max(squares)]
-    if len(parts) < 2 * _BESIDE:
+    if len(parts) < 2 * _EITHER_SIDE:
         return Jump(0.0, np.inf, float(time.min()))
-    left, reach = beside(left[:, :, None])[:, :, 0], float(np.ptp(time)) / len(parts)
-    tried = np.array([time[part[0]] for part in parts[_BESIDE : len(parts) - _BESIDE + 1]])
+    residuals, reach = unexplained(residuals[:, :, None])[:, :, 0], float(np.ptp(time)) / len(parts)
+    tried = np.array([time[part[0]] for part in parts[_EITHER_SIDE : len(parts) - _EITHER_SIDE + 1]])
     for _ in range(_TURNS):
-        steps = beside(rate[:, :, None] * (time[:, None] >= tried)[:, None])
+        steps = unexplained(rate[:, :, None] * (time[:, None] >= tried)[:, None])
         known = np.maximum(np.sum(steps**2, axis=(0, 1)), 1e-9 * sum(squares))
-        k = int(np.argmax(np.tensordot(left, steps, axes=((0, 1), (0, 1))) ** 2 / known))
-        size = float(np.sum(left * steps[:, :, k]) / known[k])
-        rest = left - size * steps[:, :, k]
-        # Of the readings near it the first that is better off after it.
+        k = int(np.argmax(np.tensordot(residuals, steps, axes=((0, 1), (0, 1))) ** 2 / known))
+        size = float(np.sum(residuals * steps[:, :, k]) / known[k])
+        rest = residuals - size * steps[:, :, k]
+        # The first of the readings near it that fits better after the jump.
         near = np.flatnonzero(np.abs(time - tried[k]) <= reach)
         near = near[np.argsort(time[near], kind="stable")]
         after = rest[near] - size * rate[near] * (time[near] < tried[k])[:, None]
@@ -266,6 +267,6 @@ def likeliest_jump(time: np.ndarray, left: np.ndarray, rate: np.ndarray, beside:
         begins, tried = float(tried[k]), time[near[[int(np.argmax(gained))]]]
         if tried[0] == begins:
             break
-    # What is left then is not independent from reading to reading, but from part to part.
+    # Residuals are independent between parts, not between readings.
     scatter = sum(float(np.sum(rate[part] * rest[part]) ** 2 / np.sum(rate[part] ** 2)) for part in parts)
     return Jump(size, float(np.sqrt(scatter / (len(parts) - 3) / known[k])), begins)

@@ -1,4 +1,4 @@
-"""Readings of an IMU as rows: filtered where they were read, with the noise of the vibration there."""
+"""Readings of an IMU as rows: filtered, with the noise due to vibration at each."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 
 from pincal.measure.sensors.imu import Window
 
-# Rows are so many widths of the window apart: what is between two of them is in both.
+# Spacing of rows in widths of the window, so that adjacent windows overlap.
 APART = 2.5
-# How far a window reaches, and the gap that it may have, in widths.
+# Half length of a window, and the longest gap in it, in widths.
 _REACH, _GAP = 4.0, 1.25
-# Time over which the size of vibrations is averaged [s].
+# Time over which the vibration level is averaged [s].
 _LOCAL = 1.0
 
 
@@ -24,8 +24,7 @@ class ImuRows:
     Attributes:
         time: middle of each window by the IMU's clock, shape (N,) [s].
         readings: specific force [m/s^2] and angular rate [rad/s], shape (6, N).
-        sigma: standard deviation of white noise as large as the vibration about each window leaves, shape (2, N), of a
-            component of either.
+        sigma: standard deviation of a component of force and rate by the vibration about each window, shape (2, N).
         window: the filter.
     """
 
@@ -39,14 +38,14 @@ class ImuRows:
 
     @classmethod
     def of(cls, time: np.ndarray, force: np.ndarray, rate: np.ndarray, window: Window, *, delay: float = 0.0) -> ImuRows:
-        """Filter readings by a Gaussian window about times that are evenly apart; where many are missing there is no row.
+        """Filter readings by a Gaussian window about evenly spaced times, without rows in gaps.
 
         Args:
             time: shape (T,), increasing [s].
             force: shape (T, 3) [m/s^2].
             rate: shape (T, 3) [rad/s].
             window: the filter.
-            delay: by which the rate's stamps are too early [s].
+            delay: time by which the rate's stamps are too early [s].
         """
         middles = np.arange(time[0] + _REACH * window.width, time[-1] - _REACH * window.width, APART * window.width)
         of_force, found = _filters(time, middles, window)
@@ -61,7 +60,7 @@ class ImuRows:
 
 
 def _filters(time: np.ndarray, middles: np.ndarray, window: Window) -> tuple[Any, np.ndarray]:
-    """Return the weights of readings in rows, sparse of shape (N, T), and which rows miss none, shape (N,)."""
+    """Return the weights of readings in rows, sparse, shape (N, T), and which rows are outside gaps, shape (N,)."""
     from scipy.sparse import csr_array
 
     reach = _REACH * window.width
@@ -69,13 +68,13 @@ def _filters(time: np.ndarray, middles: np.ndarray, window: Window) -> tuple[Any
     count = last - first
     starts = np.concatenate([[0], np.cumsum(count)])
     columns = np.arange(starts[-1]) - np.repeat(starts[:-1] - first, count)
-    # Of an integral over time: each reading stands for the time about it, so that stamps may come unevenly.
+    # Weights of an integral over time, so that stamps may be uneven.
     cells = np.gradient(time) if len(time) > 1 else np.ones(len(time))
     away = (time[columns] - np.repeat(middles, count)) / window.width
     F = csr_array((cells[columns] * np.exp(-0.5 * away**2), columns, starts), shape=(len(middles), len(time)))
-    # Moments of the window are those of a Gaussian, so that the mean of a parabola is exact.
+    # The window has the moments of a Gaussian, so that the mean of a parabola is exact.
     gram = _moments(F, away)
-    # In a gap there is nothing to weigh; such rows are not found.
+    # There are no weights in a gap; such rows are not returned.
     gram[count < 3] = np.eye(3)
     factors = np.linalg.solve(
         gram + 1e-12 * np.eye(3) * gram[:, :1, :1], np.tile([[1.0], [0.0], [1.0]], (len(middles), 1, 1))
@@ -90,7 +89,7 @@ def _filters(time: np.ndarray, middles: np.ndarray, window: Window) -> tuple[Any
 
 
 def _moments(F: Any, away: np.ndarray) -> np.ndarray:
-    """Return sums over the weights of rows times powers of how far readings are away, shape (N, 3, 3)."""
+    """Return sums of weights times powers of the distance from the middle, shape (N, 3, 3)."""
     powers, sums = F.copy(), []
     for order in range(5):
         powers.data = F.data * away**order
@@ -99,19 +98,19 @@ def _moments(F: Any, away: np.ndarray) -> np.ndarray:
 
 
 def _noise(F: Any, time: np.ndarray, middles: np.ndarray, values: np.ndarray, width: float) -> np.ndarray:
-    """Return the standard deviation of rows by what readings scatter about a parabola in each window, shape (N,)."""
+    """Return the standard deviation of rows by the scatter about a parabola in each window, shape (N,)."""
     away = (time[F.indices] - np.repeat(middles, np.diff(F.indptr))) / width
     powers, along, gram = F.copy(), [], _moments(F, away)
     for order in range(3):
         powers.data = F.data * away**order
         along.append(powers @ values)
     moments = np.stack(along, axis=1)
-    # A window of few readings has no parabola of its own.
+    # A parabola is not determined in a window of few readings.
     solved = np.linalg.solve(gram + 1e-9 * np.eye(3), moments)
     variance = np.maximum(F @ values**2 - np.sum(moments * solved, axis=1), 0.0).mean(axis=1)
     powers.data = F.data**2
     share = powers.sum(axis=1)
-    # What the parabola takes of white noise: the mean of 1 + t^2 + (t^2 - 1)^2 / 2 over the square of the window.
+    # Share of white noise that the parabola absorbs: the mean of 1 + t^2 + (t^2 - 1)^2 / 2 over the squared window.
     variance /= np.maximum(1.0 - 1.875 * share, 0.1)
     size = max(round(_LOCAL / (APART * width)), 1)
     kernel = np.ones(size)

@@ -1,8 +1,8 @@
-r"""Joint positions as functions of time: splines of degree 5 through what encoders read, with velocities and more.
+r"""Joint positions as functions of time: splines of degree 5 fitted to encoder readings, with derivatives.
 
 The splines have uniform knots and are fitted by least squares, so that memory and time are linear in the length of a log.
-How close the knots are is chosen by generalised cross-validation (Craven and Wahba 1979): for a regression spline of K
-coefficients through N readings it is N RSS / (N - K)^2, here the geometric mean over the joints.
+The spacing of the knots is chosen by generalised cross-validation (Craven and Wahba 1979): N RSS / (N - K)^2 for a
+regression spline of K coefficients fitted to N readings, here the geometric mean over the joints.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 DEGREE = 5
 """Degree of the splines: their jerk is continuous."""
-# Knots a second that are tried: a real arm's IMU and tracker fits were the same from 4 to 20.
+# Knots per second that are tried: fits of a real arm with IMU and tracker were the same from 4 to 20.
 _TRIED = (4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
-# Readings between two knots at least, and those by which knots are chosen.
+# Fewest readings per knot, and most readings by which knots are chosen.
 _PER_KNOT, _MOST = 2.0, 6_000
-# Intervals between knots that a spline may bridge without a reading, and within which its ends are not to be trusted.
+# Longest gap bridged by a spline, and unreliable length at its ends, in intervals between knots.
 _BRIDGED, _ENDS = 2.0, 3.0
-# Readings worked on at once; part of the largest square that is added to all, so that none is zero.
+# Readings processed at once; relative ridge of the normal equations.
 _PIECE, _RIDGE = 50_000, 1e-14
-# Readings off the spline by less than this are rounding of the numbers [rad or m].
+# Residuals below this are rounding of the numbers [rad or m].
 _ROUNDING = 1e-12
 
 
@@ -41,7 +41,7 @@ class JointPath:
         parts: the splines, each of n columns, between longer gaps of the log.
         spacing: time between two knots [s].
         scatter: standard deviation of the readings about the splines, shape (n,) [rad or m].
-        origin: the time from which the splines count [s].
+        origin: time origin of the splines [s].
     """
 
     parts: tuple[BSpline, ...]
@@ -51,11 +51,13 @@ class JointPath:
 
     def __repr__(self) -> str:
         begin, end = self.span
-        return f"JointPath({len(self.scatter)} joints, {begin:.6g} s to {end:.6g} s, {1.0 / self.spacing:g} knots a second)"
+        return (
+            f"JointPath({len(self.scatter)} joints, {begin:.6g} s to {end:.6g} s, {1.0 / self.spacing:g} knots per second)"
+        )
 
     @classmethod
     def through(cls, time: np.ndarray, q: np.ndarray, *, knots_per_second: float | None = None) -> JointPath:
-        """Return the path through readings of the joints.
+        """Return the path fitted to readings of the joints.
 
         Args:
             time: shape (N,), strictly increasing [s].
@@ -63,7 +65,7 @@ class JointPath:
             knots_per_second: of the splines; default: by generalised cross-validation.
 
         Raises:
-            MeasurementError: for times that do not increase, or a log without a stretch that a spline can follow.
+            MeasurementError: for times that do not increase, or a log without a stretch long enough for a spline.
 
         Example:
             >>> time = np.linspace(0.0, 10.0, 1001)
@@ -87,7 +89,7 @@ class JointPath:
         return cls(tuple(fits), 1.0 / rate, np.sqrt(np.sum(squares, axis=0) / max(freedom, 1)), float(time[0]))
 
     def mapped(self, matrix: np.ndarray, offsets: np.ndarray | float = 0.0) -> JointPath:
-        """Return the path of joints that are linear in these, shape (n, n), plus offsets, shape (n,) [rad or m]."""
+        """Return the path of linear functions of the joints, shape (n, n), plus offsets, shape (n,) [rad or m]."""
         from scipy.interpolate import BSpline
 
         parts = tuple(BSpline(part.t, part.c @ matrix.T + offsets, part.k) for part in self.parts)
@@ -99,14 +101,14 @@ class JointPath:
         return self.origin + float(self.parts[0].t[0]), self.origin + float(self.parts[-1].t[-1])
 
     def grid(self, step: float) -> np.ndarray:
-        """Return times that are so far apart [s], but for those in and beside gaps of the log, shape (K,)."""
+        """Return times at intervals of ``step`` [s], except in and near gaps of the log, shape (K,)."""
         times = np.arange(*self.span, step)
         kept = np.flatnonzero(self.covers(times))
         inner = np.arange(kept[0], kept[-1] + 1) if len(kept) else kept
         return np.delete(times, np.setdiff1d(inner, kept))
 
     def covers(self, time: np.ndarray, margin: float = 0.0) -> np.ndarray:
-        """Return at which times, shape (N,), and those nearer than a margin [s], the splines can be trusted, shape (N,)."""
+        """Return at which times, shape (N,), the splines are reliable over a margin on both sides [s], shape (N,)."""
         inside = np.zeros(np.shape(time), bool)
         away = margin + _ENDS * self.spacing
         for part in self.parts:
@@ -115,16 +117,16 @@ class JointPath:
         return inside
 
     def at(self, time: np.ndarray, order: int = 0, *, offsets: np.ndarray | None = None) -> np.ndarray:
-        """Return positions of the joints, or derivatives, shape (N, n); those of the nearest part at times that none covers.
+        """Return positions of the joints, or derivatives, shape (N, n), extrapolated at times that no part covers.
 
         Args:
             time: shape (N,) [s].
             order: 0 for positions [rad or m], 1 for velocities, 2 for accelerations, 3 for jerks.
-            offsets: moments about each time that are asked for instead, shape (O,) [s], which gives (N O, n).
+            offsets: times relative to each ``time`` at which to evaluate instead, shape (O,) [s]; gives (N O, n).
         """
         own = np.asarray(time, float) - self.origin
         if offsets is not None:
-            # Added here: a stamp since 1970 is rounded to 0.2 us, which second differences make 1 m/s^2 of.
+            # After subtraction of the origin: rounding of stamps since 1970 to 0.2 us would cause 1 m/s^2.
             own = (own[:, None] + offsets).ravel()
         if len(self.parts) == 1:
             return np.asarray(self.parts[0](own, order))
@@ -137,7 +139,7 @@ class JointPath:
 
 
 def _spline(time: np.ndarray, q: np.ndarray, rate: float) -> BSpline:
-    """Return the spline through readings with about so many knots a second, by banded normal equations."""
+    """Return the spline of about ``rate`` knots per second fitted to readings, by banded normal equations."""
     from scipy.interpolate import BSpline
     from scipy.linalg import solveh_banded
 
@@ -146,7 +148,7 @@ def _spline(time: np.ndarray, q: np.ndarray, rate: float) -> BSpline:
     knots = np.concatenate([[time[0]] * DEGREE, inner, [time[-1]] * DEGREE])
     size = len(knots) - DEGREE - 1
     bands, right = np.zeros((DEGREE + 1, size)), np.zeros((size, q.shape[1]))
-    # scipy's own make_lsq_spline takes a time that grows with the square of the readings.
+    # The time of scipy's make_lsq_spline grows with the square of the number of readings.
     for start in range(0, len(time), _PIECE):
         B = BSpline.design_matrix(time[start : start + _PIECE], knots, DEGREE)
         gram = B.T @ B
@@ -158,7 +160,7 @@ def _spline(time: np.ndarray, q: np.ndarray, rate: float) -> BSpline:
 
 
 def _stretches(time: np.ndarray, spacing: float) -> Iterator[slice]:
-    """Yield the readings between gaps that no spline can bridge, as far as there are enough."""
+    """Yield the stretches of sufficient length between gaps that no spline can bridge."""
     ends = [0, *(np.flatnonzero(np.diff(time) > _BRIDGED * spacing) + 1).tolist(), len(time)]
     for a, b in pairwise(ends):
         is_long = b - a > 1 and time[b - 1] - time[a] > 2.0 * _ENDS * spacing
@@ -167,7 +169,7 @@ def _stretches(time: np.ndarray, spacing: float) -> Iterator[slice]:
 
 
 def _chosen_rate(time: np.ndarray, q: np.ndarray) -> float:
-    """Return how many knots a second predict left-out readings best."""
+    """Return the knots per second that predict left-out readings best."""
     steps = np.diff(time)
     most = 1.0 / (_PER_KNOT * float(np.median(steps)))
     tried = [rate for rate in _TRIED if rate <= most] or [most]
@@ -175,14 +177,14 @@ def _chosen_rate(time: np.ndarray, q: np.ndarray) -> float:
     best = tried[int(np.argmin(scores))]
     if best == tried[-1] < _TRIED[-1]:
         warn(
-            f"the joints are logged at {1.0 / float(np.median(steps)):.3g} Hz, too slowly to tell how smooth their motion "
-            f"is; their path has {best:.3g} knots a second"
+            f"the joints are logged at {1.0 / float(np.median(steps)):.3g} Hz, too slowly to determine the smoothness of "
+            f"their motion; their path has {best:.3g} knots per second"
         )
     return best
 
 
 def _cross_validation(time: np.ndarray, q: np.ndarray, rate: float) -> float:
-    """Return the logarithm of the mean square error of left-out readings, the mean over joints, by parts of a log."""
+    """Return the logarithm of the mean square error of left-out readings, averaged over joints, on parts of a log."""
     total, freedom, squares = 0, 0, np.zeros(q.shape[1])
     for part in _samples(time, 1.0 / rate):
         fit = _spline(time[part], q[part], rate)
@@ -195,7 +197,7 @@ def _cross_validation(time: np.ndarray, q: np.ndarray, rate: float) -> float:
 
 
 def _samples(time: np.ndarray, spacing: float) -> Iterator[slice]:
-    """Yield parts of a log, at its beginning, amid it and at its end, that are long enough to tell how smooth it is."""
+    """Yield parts from the beginning, middle and end of a log, long enough to determine its smoothness."""
     found = list(_stretches(time, spacing))
     if not found:
         return

@@ -1,4 +1,4 @@
-"""An arm in motion: the conditions of its poses at any time, as its joints were logged, with the loads of its inertia."""
+"""An arm in motion: the conditions of its poses at any time of the joints' log, with inertial loads."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pincal.motion.joint_path import DEGREE, JointPath
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation, shortest_turn, translation
 
-# Loads of inertia are worked out so many times between two knots of the joints, and are smooth between.
+# Interpolation points of inertial loads per knot of the joints.
 _PER_KNOT = 4
 # Columns of DhFrames.parameters.
 _D, _A, _ALPHA = 3, 4, 5
@@ -30,7 +30,7 @@ class MovingArm:
         path: the positions of its joints.
         payload: mass at the tip [kg].
         payload_centre: its centre of mass in the tip frame [m].
-        loads: of inertia, 6 n functions of time, see :func:`inertial_loads`; None for none.
+        loads: inertial loads, 6 n functions of time, see :func:`inertial_loads`; None for none.
     """
 
     robot: Robot
@@ -43,7 +43,7 @@ class MovingArm:
     def of(
         cls, robot: Robot, path: JointPath, *, payload: float = 0.0, payload_centre: Iterable[float] = (0.0, 0.0, 0.0)
     ) -> MovingArm:
-        """Return the arm with the loads of its inertia."""
+        """Return the arm with its inertial loads."""
         from scipy.interpolate import make_interp_spline
 
         x, y, z = payload_centre
@@ -64,11 +64,11 @@ class MovingArm:
         return cls(robot, path, payload, (x, y, z), loads)
 
     def conditions(self, time: np.ndarray, offsets: np.ndarray | None = None) -> Conditions:
-        """Return the conditions of the poses at some times, and of those at further moments about each.
+        """Return the conditions of the poses at times, or at offsets from each.
 
         Args:
             time: by the joints' clock, shape (N,) [s].
-            offsets: shape (O,) [s]; default: those times alone. Rows of one time follow each other, and all have this time.
+            offsets: shape (O,) [s]; default: none. Rows of one time are consecutive and all have this time.
         """
         at = np.asarray(time, float) if offsets is None else np.repeat(np.asarray(time, float), len(offsets))
         return Conditions(
@@ -82,11 +82,11 @@ class MovingArm:
         )
 
     def tips(self, time: np.ndarray) -> np.ndarray:
-        """Return where the nominal tip is at some times, shape (N, 3, 4), in the base frame."""
+        """Return the poses of the nominal tip at times, shape (N, 3, 4), in the base frame."""
         return Model(Chain.of(self.robot), ()).predict(np.zeros(0), Conditions.at(self.path.at(time)))
 
     def ideal(self, time: np.ndarray, window: Window | None = None) -> Inertial:
-        """Return what an ideal IMU at the nominal tip would read at some times, or in windows about them."""
+        """Return the readings of an ideal IMU at the nominal tip at times, or in windows about them."""
         window = Window(0.0) if window is None else window
         chain = level_chain(Chain.of(self.robot))
         poses = Model(chain, ()).predict(np.zeros(0), Conditions.at(self.path.at(time, offsets=window.offsets)))
@@ -94,7 +94,7 @@ class MovingArm:
 
 
 def level_chain(chain: Chain) -> Chain:
-    """Return a chain whose instrument's frame is level: its z points against gravity."""
+    """Return a chain whose instrument's frame is level, with z opposite to gravity."""
     size = float(np.linalg.norm(chain.gravity))
     turned = shortest_turn(chain.gravity / size, np.array([0.0, 0.0, -1.0]))[:3, :3]
     return chain.with_references(turned, chain.tool_rotations)
@@ -109,10 +109,10 @@ def inertial_loads(
     payload: np.ndarray | None = None,
     payload_centre: np.ndarray | None = None,
 ) -> np.ndarray | None:
-    """Return the loads of inertia on the nominal arm, as ``Conditions.inertial`` takes them (Luh, Walker, Paul 1980).
+    """Return the inertial loads on the nominal arm, as for ``Conditions.inertial`` (Luh, Walker, Paul 1980).
 
     Args:
-        robot: the arm; masses and moments of inertia are those of its URDF.
+        robot: the arm, with masses and moments of inertia from its URDF.
         q: joint positions [rad], prismatic [m], shape (N, n).
         velocity: their velocities, shape (N, n).
         acceleration: their accelerations, shape (N, n).
@@ -121,7 +121,7 @@ def inertial_loads(
 
     Returns:
         Force [N] and moment [N m] on each joint, in the axes behind its motion and about the origin of the frame before,
-        shape (N, n, 6); None if the URDF does not say what all links weigh.
+        shape (N, n, 6); None if the URDF lacks masses of links.
     """
     import pinocchio as pin
 
@@ -155,9 +155,9 @@ def _about_frames_before(robot: Robot, q: np.ndarray, wrenches: np.ndarray) -> n
     """Return wrenches in the URDF's joint frames, shape (N, n, 6), about and along the frames behind the joints' motion."""
     out = np.empty_like(wrenches)
     for k, row in enumerate(robot.frames.parameters):
-        way = translation(row[_A], 0.0, row[_D]) @ rotation("x", row[_ALPHA]) @ robot.T_link_joint[k]
-        force, moment = wrenches[:, k, :3] @ way[:3, :3].T, wrenches[:, k, 3:] @ way[:3, :3].T
-        lever = np.tile(way[:3, 3], (len(q), 1))
+        T = translation(row[_A], 0.0, row[_D]) @ rotation("x", row[_ALPHA]) @ robot.T_link_joint[k]
+        force, moment = wrenches[:, k, :3] @ T[:3, :3].T, wrenches[:, k, 3:] @ T[:3, :3].T
+        lever = np.tile(T[:3, 3], (len(q), 1))
         if robot.joint_types[k] == "prismatic":
             lever[:, 2] += q[:, k]
         out[:, k, :3], out[:, k, 3:] = force, moment + np.cross(lever, force)

@@ -1,7 +1,7 @@
-"""Streams of an arm that moves: its joints, an IMU, an instrument, each by the stamps of its own clock.
+"""Sessions: streams of joints, an IMU and an instrument in motion, each with the stamps of its own clock.
 
-What can't be right is refused when it is read, or told with what to do. What only the arm can tell, such as rates in other
-units or a mirrored IMU, is found when a stream is laid onto the motion (:mod:`pincal.motion.starts`).
+Impossible values are refused on reading. Faults that only show relative to the arm, such as rates in other units or a
+mirrored IMU, are found when a stream is aligned with the motion (:mod:`pincal.motion.starts`).
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from pincal.motion.stream import Stream, checked_imu, checked_joints, interpolat
 from pincal.robot.robot import Robot
 
 STREAMS = ("joints", "imu", "tracker")
-"""What a session has, by the names of its files."""
+"""The streams of a session, by the names of their files."""
 
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """What was logged of one motion.
+    """The logs of one motion.
 
     Attributes:
         name: of the session.
-        joints: positions of the robot's joints, as the URDF has them; "payload" beside "q" where a load was carried [kg].
+        joints: positions "q" of the URDF's joints, with "payload" where a load was carried [kg].
         imu: an IMU on the tool; None without one.
-        tracker: an instrument that reads the tool; None without one.
+        tracker: an instrument that observes the tool; None without one.
     """
 
     name: str
@@ -50,12 +50,12 @@ class Session:
 
     @property
     def payload(self) -> float:
-        """Mass that was carried at the tip [kg]."""
+        """Mass carried at the tip [kg]."""
         return float(self.joints.readings["payload"][0]) if "payload" in self.joints.readings else 0.0
 
 
 def joints_of_session(path: str | os.PathLike[str]) -> Path | None:
-    """Return the log of the joints of a session, a folder or a recording of ROS with an IMU; None for anything else."""
+    """Return the log of the joints of a session, a folder or a recording of ROS with an IMU; None for other paths."""
     path = Path(path)
     if is_bag(path):
         return path if path.exists() and "imu" in open_streams(path) else None
@@ -68,10 +68,10 @@ def read_session(robot: Robot, folder: str | os.PathLike[str], **options: Any) -
     Args:
         robot: the robot.
         folder: the folder.
-        options: how tables are to be read: ``columns`` and ``ignore``, see :class:`pincal.measure.fields.TableOptions`.
+        options: ``columns`` and ``ignore``, see :class:`pincal.measure.fields.TableOptions`.
 
     Raises:
-        MeasurementError: for a file that is missing or can't be read, or a stream that can't be right.
+        MeasurementError: for a file that is missing or can't be read, or an impossible stream.
     """
     folder = Path(folder)
     if is_bag(folder):
@@ -104,38 +104,38 @@ def read_streams(
     name: str = "",
     **options: Any,
 ) -> Session:
-    """Read the streams of a session, each a table with a column ``time``, or a recording of ROS that has its topic.
+    """Read the streams of a session, each a table with a column ``time``, or a recording of ROS with its topic.
 
     Args:
         robot: the robot.
-        joints: table of the joints; a recording may have the others as well.
+        joints: table of the joints; a recording may contain the others as well.
         imu: table of an IMU, ``ax ay az wx wy wz``.
         tracker: table of an instrument's readings.
         name: of the session.
-        options: as :func:`read_session` takes them.
+        options: as for :func:`read_session`.
 
     Raises:
         MeasurementError: as there.
     """
-    said = TableOptions(**options)
+    given = TableOptions(**options)
     places = {
         what: Path(path) for what, path in (("joints", joints), ("imu", imu), ("tracker", tracker)) if path is not None
     }
-    recorded = {path: open_streams(path, ignore=said.ignore) for path in set(places.values()) if is_bag(path)}
+    recorded = {path: open_streams(path, ignore=given.ignore) for path in set(places.values()) if is_bag(path)}
     for what in STREAMS[1:]:
         if what not in places and what in recorded.get(places["joints"], {}):
             places[what] = places["joints"]
-    sheets = {what: _sheet(what, path, recorded.get(path), robot, said) for what, path in places.items()}
+    sheets = {what: _sheet(what, path, recorded.get(path), robot, given) for what, path in places.items()}
     every = [label for sheet in sheets.values() for label in sheet.labels]
     found = {}
     for what, sheet in sheets.items():
-        # What a name means is said once for all files.
+        # The meaning of a name is given once for all files.
         own = {
             name: meaning
-            for name, meaning in said.columns.items()
+            for name, meaning in given.columns.items()
             if any(is_named(label, name) for label in sheet.labels) or not any(is_named(label, name) for label in every)
         }
-        cells = cells_of(sheet, _schema(robot, what, replace(said, columns=own)), is_part=True)
+        cells = cells_of(sheet, _schema(robot, what, replace(given, columns=own)), is_part=True)
         path = places[what]
         found[what] = _checked(what, f"{name}/{path.name}" if name and path.stem != name else path.name, cells)
     found["joints"] = _checked_joints(robot, found["joints"])
@@ -145,26 +145,26 @@ def read_streams(
     return Session(name, **found)
 
 
-def _sheet(what: str, path: Path, recorded: Mapping[str, Sheet] | None, robot: Robot, said: TableOptions) -> Sheet:
-    """Return the sheet of a stream; a table of joints alone is no log that is cut into held poses."""
+def _sheet(what: str, path: Path, recorded: Mapping[str, Sheet] | None, robot: Robot, options: TableOptions) -> Sheet:
+    """Return the sheet of a stream, by the topic of a recording or as a table."""
     if recorded is not None:
         if what not in recorded:
             raise MeasurementError(f"{path.name}: no topic of {what}; give a table, or a recording that has it")
         return recorded[what]
     with typed_errors(path):
-        return open_sheet(path, ignore=said.ignore, joints=robot.joint_names if what == "joints" else ())
+        return open_sheet(path, ignore=options.ignore, joints=robot.joint_names if what == "joints" else ())
 
 
-def _schema(robot: Robot, what: str, said: TableOptions) -> Schema:
-    """Return what the table of a stream may hold; further columns are left out."""
+def _schema(robot: Robot, what: str, options: TableOptions) -> Schema:
+    """Return the possible contents of a stream; further columns are left out."""
     fields = {"joints": (CONDITIONS["time"], CONDITIONS["payload"]), "imu": (FORCE, RATE, CONDITIONS["time"])}
     known = tuple(field for field in known_fields().values() if field not in (FORCE, RATE))
-    schema = Schema(fields.get(what, known), options=said, is_stream=True)
+    schema = Schema(fields.get(what, known), options=options, is_stream=True)
     return schema.of_robot(robot) if what == "joints" else schema
 
 
 def _checked(what: str, source: str, cells: Cells) -> Stream:
-    """Return a stream that can be right, or say what is wrong with it."""
+    """Return a valid stream, or raise an error."""
     arrays, fields = dict(cells.arrays), tuple[Field, ...]()
     time = arrays.pop("time", None)
     listed = columns_listed(cells.sheet.labels)
@@ -186,34 +186,33 @@ def _checked(what: str, source: str, cells: Cells) -> Stream:
         if np.ptp(load) > 0.0:
             raise MeasurementError(
                 f"{source}: payload from {load.min():g} to {load.max():g} kg; expected one load carried along a path: give "
-                "the parts as sessions of their own"
+                "the parts as separate sessions"
             )
     else:
         check_fields(arrays, source=source)
         sensor = sensor_class(arrays)
         if sensor is None:
             raise MeasurementError(
-                f"{source}: no readings; expected such as x y z, or x y z qx qy qz qw; {listed}: name them "
+                f"{source}: no readings; expected columns such as x y z, or x y z qx qy qz qw; {listed}: name them "
                 "(--columns 'NAME=x,...')"
             )
         fields = sensor.fields
         kept = [*(field.name for field in fields), "target"]
         arrays = {name: arrays[name] for name in kept if name in arrays}
-    stream = Stream(source, time, arrays, cells.units, cells.rows)
-    stream = in_order(stream)
+    stream = in_order(Stream(source, time, arrays, cells.units, cells.rows))
     if what == "tracker" and not fields[0].is_name:
         values = stream.readings[fields[0].name].reshape(len(stream), -1)
         stream = stream.without(np.all(values == 0.0, axis=1), f"read exactly 0 in {fields[0]}: the target was lost")
         if not stream.things.any():
             lost = interpolated(stream.readings[fields[0].name].reshape(len(stream), -1))
             stream = stream.without(
-                lost, "lie evenly on straight lines: the target was lost, and what is between interpolated"
+                lost, "are evenly spaced on straight lines: the target was lost, and they are interpolated"
             )
     return checked_imu(stream) if what == "imu" else stream
 
 
 def _checked_joints(robot: Robot, joints: Stream) -> Stream:
-    """Return the joints, in radians by all that is known of them, and without jumps."""
+    """Return the joints, with plausible values and without jumps."""
     table = measurements(robot, joints.readings["q"], rows=joints.lines, source=joints.name, units=joints.units)
     check_joint_values(table, robot.lower, robot.upper, robot.joint_types)
     return checked_joints(joints, robot.joint_names, np.array([kind == "revolute" for kind in robot.joint_types]))

@@ -1,7 +1,7 @@
-"""How streams lie on the motion of the arm before any fit: clocks, the mount of an IMU, where a tracker stands.
+"""Alignment of streams with the motion of the arm before any fit: clocks, the mount of an IMU, positions.
 
-All of it follows from the nominal arm, to a millisecond and some milliradians. On the way what only the arm can tell of a
-stream is found out: rates in degrees, a mirrored frame, axes that are swapped, an IMU of another session, one that slipped.
+It uses the nominal arm, and is accurate to a millisecond and some milliradians. Faults that only show relative to the arm
+are refused: rates in degrees, a mirrored frame, swapped axes, an IMU of another session, one that slipped.
 """
 
 from __future__ import annotations
@@ -21,36 +21,36 @@ from pincal.motion.stream import Stream
 from pincal.robot.se3 import nearest_rotation, rotation_vectors
 from pincal.units import size_of
 
-# Samples a second of the arm's speeds, and the window of rates that are compared with them [s].
+# Sampling interval of the arm's speeds, and the window of the rates compared with them [s].
 _GRID, _WIDTH = 0.02, 0.03
-# By how much lengths and rates may seem off before units are, by how much rates in another unit are off it, and how far a
-# drift is worth telling [1].
+# Largest scale error of lengths and rates in the right unit, tolerance for recognising another unit, and the drift above
+# which a warning is given [1].
 _SCALE, _UNIT, _DRIFT = 0.2, 0.05, 2e-4
-# Angle between the frames of accelerometer and gyroscope from which columns are mixed up [rad]; of a mount that slipped;
-# rows over which a mount is found, and the number of such blocks on a side of which the scatter is half unsure: errors of
-# the nominal arm turn the mount, too, in each move by another angle. Part of the usual speed from which on a row tells, and
-# of the most that a block turns across its main axis from which on it does.
-_TURNED, _SLIPPED, _BLOCK, _FEW, _TELLS = 0.2, 0.01, 40, 3, 0.1
-# Poses whose turns are compared.
+# Angle between the frames of accelerometer and gyroscope above which columns are mixed up [rad], and of a mount that
+# slipped; rows per block for finding a mount; blocks on one side for which the limit doubles, as errors of the nominal arm
+# rotate the mount as well, differently in each move; least speed of a row relative to the usual one, and least rotation of a
+# block across its main axis relative to the largest.
+_TURNED, _SLIPPED, _BLOCK, _FEW, _LEAST = 0.2, 0.01, 40, 3, 0.1
+# Poses whose orientations are compared.
 _SAMPLED = 400
-# Readings next to each other, and how far one is off their median, by how much all vary, before it is of something else.
+# Length of the median filter, and the deviation from it, relative to the standard deviation, that is an outlier.
 _NEIGHBOURS, _JUMP = 5, 0.2
-# What positions may be off after the best placement, of how far they move, before they are of another arm.
+# Largest rms deviation of positions after alignment, relative to their motion, for the same arm.
 _OFF = 0.1
-# Jump of a clock that the errors of a nominal arm do not make [s]; smaller ones are seen when it is calibrated.
+# Jump of a clock that exceeds the effect of errors of a nominal arm [s]; smaller ones are detected in the calibration.
 _JUMPS = 0.05
-# Shorter readings than this [s] hardly tell where in the motion they were taken.
+# Readings over a shorter time can hardly be located in the motion [s].
 SHORTEST = 20.0
 
 
 @dataclass(frozen=True)
 class ImuStart:
-    """How an IMU lies on the motion of an arm.
+    """Alignment of an IMU with the motion of an arm.
 
     Attributes:
         clock: of the IMU.
         mount: rotation from the IMU's frame to the tip, shape (3, 3).
-        rows: its filtered readings, as far as the joints were logged.
+        rows: its filtered readings while the joints were logged.
     """
 
     clock: Clock
@@ -59,19 +59,19 @@ class ImuStart:
 
 
 class OtherMotionError(MeasurementError):
-    """Readings that do not follow the joints: one or the other is of another motion, or not what it seems to be."""
+    """Readings that do not follow the joints: one of the streams is of another motion, or misinterpreted."""
 
 
 def start_imu(
     arm: MovingArm, imu: Stream, *, window: Window | None = None, others: Sequence[tuple[str, MovingArm]] = ()
 ) -> ImuStart:
-    """Lay the readings of an IMU onto the motion of an arm.
+    """Align the readings of an IMU with the motion of an arm.
 
     Args:
         arm: the arm on its path.
         imu: the stream.
         window: of the rows; default: of 30 ms.
-        others: arms of other sessions by name, to say whose an IMU is that is not of this one.
+        others: arms of other sessions by name, to find the right one of an IMU in the wrong session.
 
     Raises:
         MeasurementError: if it is not of this motion, is mirrored, or has its rates in another unit.
@@ -85,7 +85,7 @@ def start_imu(
         )
         raise OtherMotionError(
             f"{imu.name}: its rates do not follow these joints at any offset of the clocks; {whose} Expected an IMU on the "
-            "tool, logged while the joints were"
+            "tool, logged together with the joints"
         )
     _check_rates(imu, found)
     check_clock(imu, found)
@@ -97,10 +97,10 @@ def start_imu(
 
 
 def aligned_forces(arm: MovingArm, start: ImuStart) -> float:
-    """Return by how much the stamps of the rates of an IMU are too early for those of its forces, to a millisecond [s]."""
+    """Return the delay of an IMU's rates relative to its forces, to a millisecond [s]."""
 
     def features(at: np.ndarray, _: np.ndarray) -> np.ndarray:
-        # Linear in the mount's rotation, and in its lever arm.
+        # Forces are linear in the rotation of the mount, and in its lever arm.
         ideal = arm.ideal(at, start.rows.window)
         spin = np.einsum("na,nb->nab", ideal.rate, ideal.rate)[:, *np.triu_indices(3)]
         return np.hstack([ideal.force, ideal.turning, spin])
@@ -113,7 +113,7 @@ def aligned_forces(arm: MovingArm, start: ImuStart) -> float:
 
 
 def _turned(arm: MovingArm, imu: Stream, rows: ImuRows) -> Alignment | None:
-    """Return how rates follow those of an arm; None if they do not."""
+    """Return the alignment of rates with the arm's; None if they do not follow it."""
     match = _match(arm, imu, rows.time, np.linalg.norm(rows.readings[3:], axis=0), by_rate=True)
     if not match.is_same:
         return None
@@ -127,20 +127,20 @@ def _turned(arm: MovingArm, imu: Stream, rows: ImuRows) -> Alignment | None:
 
 
 def _match(arm: MovingArm, stream: Stream, time: np.ndarray, speed: np.ndarray, *, by_rate: bool) -> SpeedMatch:
-    """Return how speeds of a stream lie on those of the arm's tip, turning or moving."""
+    """Return the match of a stream's speeds with the rotation rate or speed of the arm's tip."""
     grid = arm.path.grid(_GRID)
     tips = arm.ideal(grid).rate if by_rate else np.gradient(arm.tips(grid)[:, :, 3], grid, axis=0)
     match = correlate(grid, np.linalg.norm(tips, axis=1), time, speed)
     if match.is_same and not match.is_clear:
         warn(
             f"{stream.name}: the motion repeats, so that its clock may be off by a period; start the logs together, or "
-            "begin with a motion that does not come again"
+            "begin with a motion that does not recur"
         )
     return match
 
 
 def _check_rates(imu: Stream, found: Alignment) -> None:
-    """Refuse rates whose linear map from the arm's is no rotation."""
+    """Refuse rates whose linear map from the arm's is not a rotation."""
     sizes = np.linalg.svd(found.matrix, compute_uv=False)
     if unit := _unit(sizes, _UNIT, "deg/s", "mdeg/s", "mrad/s"):
         raise MeasurementError(
@@ -150,17 +150,17 @@ def _check_rates(imu: Stream, found: Alignment) -> None:
     if np.any(np.abs(sizes - 1.0) > _SCALE):
         raise OtherMotionError(
             f"{imu.name}: rates are {', '.join(f'{size:.3g}' for size in sizes)} times those of the arm along three axes; "
-            "expected 1: look at units, and whether two columns are the same"
+            "expected 1: check units, and whether two columns are the same"
         )
     if np.linalg.det(found.matrix) < 0.0:
         raise MeasurementError(
-            f"{imu.name}: rates are those of a mirrored arm, its frame is left-handed; expected a right-handed frame: turn "
-            "the sign of one axis of ax ay az and of wx wy wz, or swap two columns of both"
+            f"{imu.name}: rates are mirrored relative to the arm, in a left-handed frame; expected a right-handed one: "
+            "change the sign of one axis of ax ay az and of wx wy wz, or swap two columns of both"
         )
 
 
 def _unit(sizes: np.ndarray, within: float, *units: str) -> str:
-    """Return the unit in which values are so many times too large; empty for none."""
+    """Return the unit that explains values ``sizes`` times too large; empty for none."""
     return next((unit for unit in units if np.all(np.abs(sizes * size_of(unit) - 1.0) < within)), "")
 
 
@@ -171,51 +171,53 @@ def _check_forces(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, moun
     M = np.linalg.lstsq(features, rows.readings[:3].T, rcond=None)[0][:3].T
     sizes = np.linalg.svd(M, compute_uv=False)
     if np.any(np.abs(sizes - 1.0) > _SCALE):
-        warn(f"{imu.name}: specific forces hardly tell their axes; drive so that the tool points to all sides")
+        warn(f"{imu.name}: specific forces hardly determine their axes; move so that the tool points in all directions")
         return
     if np.linalg.det(M) < 0.0:
         is_opposite = np.abs(nearest_rotation(-M) - np.eye(3)).max() < _TURNED
-        what = "have the other sign: a resting IMU reads +9.8 upwards" if is_opposite else "are mirrored"
+        what = "have the wrong sign: an IMU at rest reads +9.8 upwards" if is_opposite else "are mirrored"
         raise MeasurementError(
-            f"{imu.name}: specific forces {what}; turn the sign of {'ax, ay and az' if is_opposite else 'one of ax, ay, az'}"
+            f"{imu.name}: specific forces {what}; change the sign of {'ax, ay, az' if is_opposite else 'one of ax, ay, az'}"
         )
     turned = float(np.linalg.norm(rotation_vectors(nearest_rotation(M)[None])))
     if turned > _TURNED:
         raise MeasurementError(
             f"{imu.name}: the frames of ax ay az and wx wy wz are {np.degrees(turned):.0f} deg apart; expected one frame: "
-            "look at the order and the signs of the columns"
+            "check the order and the signs of the columns"
         )
 
 
 def _check_slip(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount: np.ndarray) -> None:
-    """Refuse an IMU whose mount turned while it was logged."""
+    """Refuse an IMU whose mount rotated while it was logged."""
     ideal = arm.ideal(clock.to_joints(rows.time), rows.window).rate @ mount
     bias = np.median(rows.readings[3:].T - ideal, axis=0)
-    # An arm that rests, or turns about one axis only, does not tell how the IMU is mounted.
+    # An arm at rest, or in rotation about a single axis, does not determine the mount.
     speed = np.linalg.norm(ideal, axis=1)
-    turning = np.flatnonzero(speed > _TELLS * float(np.sqrt(np.mean(speed**2))))
+    turning = np.flatnonzero(speed > _LEAST * float(np.sqrt(np.mean(speed**2))))
     blocks = [turning[k : k + _BLOCK] for k in range(0, len(turning) - _BLOCK + 1, _BLOCK)]
     across = [np.linalg.eigvalsh(ideal[b].T @ ideal[b])[:2].sum() for b in blocks]
-    blocks = [b for b, size in zip(blocks, across, strict=True) if size > _TELLS * max(across)]
+    blocks = [b for b, size in zip(blocks, across, strict=True) if size > _LEAST * max(across)]
     count = len(blocks)
     if count < 4:
         return
     turns = rotation_vectors(np.array([nearest_rotation((rows.readings[3:, b].T - bias).T @ ideal[b]) for b in blocks]))
     middles = [[np.median(part, axis=0) for part in (turns[:k], turns[k:])] for k in range(1, count)]
-    left = [np.linalg.norm(turns - np.repeat(pair, [k, count - k], axis=0), axis=1) for k, pair in enumerate(middles, 1)]
-    at = int(np.argmin([own.sum() for own in left])) + 1
-    best, scatter = float(np.linalg.norm(np.diff(middles[at - 1], axis=0))), 1.4826 * float(np.median(left[at - 1]))
+    residuals = [
+        np.linalg.norm(turns - np.repeat(pair, [k, count - k], axis=0), axis=1) for k, pair in enumerate(middles, 1)
+    ]
+    at = int(np.argmin([own.sum() for own in residuals])) + 1
+    best, scatter = float(np.linalg.norm(np.diff(middles[at - 1], axis=0))), 1.4826 * float(np.median(residuals[at - 1]))
     shorter = min(at, count - at)
     if best > max(_SLIPPED, CLEARLY * scatter / np.sqrt(shorter) * (1.0 + _FEW / shorter)):
         when = rows.time[blocks[at][0]]
         raise MeasurementError(
             f"{imu.name}: the IMU turned on its mount by {1e3 * best:.0f} mrad at about {when:.5g} s of its clock; "
-            "fasten it and drive again, or give the parts before and after as two sessions"
+            "fasten it and repeat the motion, or give the parts before and after as two sessions"
         )
 
 
 def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Clock:
-    """Lay positions that an instrument reads of the tool onto the motion of an arm; return its clock.
+    """Return the clock of an instrument by aligning positions of the tool with the motion of an arm.
 
     Args:
         arm: the arm on its path.
@@ -225,12 +227,12 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
     Raises:
         MeasurementError: if they are not of this motion, in another unit, or in a left-handed frame.
     """
-    # What jumps off its neighbours was read of something else.
+    # Outliers are readings of something else.
     if not (kept := steady(position)).all():
         tracker, position = tracker.select(kept), position[kept]
     smooth = max(round(0.02 * tracker.rate), 1)
     lasts = tracker.time[smooth:] - tracker.time[:-smooth]
-    # Stamps that jitter may be next to each other.
+    # Stamps with jitter may nearly coincide.
     moved = (position[smooth:] - position[:-smooth]) / np.maximum(lasts, 0.5 * np.median(lasts))[:, None]
     middles = 0.5 * (tracker.time[smooth:] + tracker.time[:-smooth])
     match = _match(arm, tracker, middles, np.linalg.norm(moved, axis=1), by_rate=False)
@@ -243,24 +245,20 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
     sizes = np.linalg.svd(found.matrix[:, :3], compute_uv=False)
     if np.any(np.abs(sizes - 1.0) > _SCALE):
         unit = _unit(sizes, _SCALE, "mm", "cm", "in")
-        cure = (
-            f"looks like [{unit}]: write `x [{unit}]` in the header" if unit else "look at its unit and at the robot's size"
-        )
+        cure = f"looks like [{unit}]: write `x [{unit}]` in the header" if unit else "check its unit and the robot's size"
         text = f"{tracker.name}: positions move {sizes.mean():.3g} times as far as the arm; {cure}"
         if not unit and np.ptp(tracker.time) < SHORTEST:
-            text = (
-                f"{text}; or are {np.ptp(tracker.time):.3g} s of it too short to be found in the motion? Log {SHORTEST:g} s"
-            )
+            text += f"; or are {np.ptp(tracker.time):.3g} s of it too short to be found in the motion? Log {SHORTEST:g} s"
         raise MeasurementError(text) if unit else OtherMotionError(text)
     if np.linalg.det(found.matrix[:, :3]) < 0.0:
         raise MeasurementError(
-            f"{tracker.name}: positions are those of a mirrored arm; expected a right-handed frame: swap two of x, y, z, or "
-            "turn the sign of one"
+            f"{tracker.name}: positions are mirrored relative to the arm; expected a right-handed frame: swap two of x, y, "
+            "z, or change the sign of one"
         )
-    left = float(np.linalg.norm(found.scatter))
-    if left > _OFF * float(np.linalg.norm(position.std(axis=0))):
+    rms = float(np.linalg.norm(found.scatter))
+    if rms > _OFF * float(np.linalg.norm(position.std(axis=0))):
         raise OtherMotionError(
-            f"{tracker.name}: after the best placement positions are off by {1e3 * left:.3g} mm rms; expected some mm: "
+            f"{tracker.name}: after the best placement positions are off by {1e3 * rms:.3g} mm rms; expected some mm: "
             "is it this arm, and is the target fixed to the tool?"
         )
     check_clock(tracker, found)
@@ -270,13 +268,13 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
 
 
 def _check_turns(arm: MovingArm, tracker: Stream, found: Alignment) -> None:
-    """Refuse orientations that do not turn as the arm does, with the order of their components in which they do."""
+    """Refuse orientations that do not follow the arm, naming an order of their components that does."""
     from scipy.spatial.transform import Rotation
 
     at = found.clock.to_joints(tracker.time)
     rows = np.flatnonzero(arm.path.covers(at))
     rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _SAMPLED)).astype(int)]
-    # From the axes of the instrument to those of the nominal tip, by where it is.
+    # From the axes of the instrument to those of the nominal tip, by the aligned positions.
     seen = np.swapaxes(arm.tips(at[rows])[:, :, :3], 1, 2) @ nearest_rotation(found.matrix[:, :3]).T
 
     def off(q: np.ndarray) -> float:
@@ -294,14 +292,14 @@ def _check_turns(arm: MovingArm, tracker: Stream, found: Alignment) -> None:
     }
     cures = [f"they would {words}" for words, other in others.items() if off(other) < _TURNED]
     raise MeasurementError(
-        f"{tracker.name}: orientations do not turn as the arm does, they are off by {np.degrees(off(quaternions)):.0f} deg; "
-        f"{(*cures, 'look at their convention (--orientation) and order')[0]}; or leave them out (--ignore, one by one): "
+        f"{tracker.name}: orientations do not follow the arm, they are off by {np.degrees(off(quaternions)):.0f} deg; "
+        f"{(*cures, 'check their convention (--orientation) and order')[0]}; or leave them out (--ignore, one by one): "
         "positions are enough"
     )
 
 
 def steady(values: np.ndarray) -> np.ndarray:
-    """Return which readings, shape (T, k), do not jump off their neighbours, shape (T,); all if most do."""
+    """Return which readings, shape (T, k), are no outliers among their neighbours, shape (T,); all if most are."""
     from scipy.signal import medfilt
 
     jump = np.abs(values - medfilt(values, (_NEIGHBOURS, 1))) / np.maximum(values.std(axis=0), 1e-300)
@@ -310,12 +308,12 @@ def steady(values: np.ndarray) -> np.ndarray:
 
 
 def _features(tips: np.ndarray) -> np.ndarray:
-    """Return what positions of a target are linear in, shape (N, 12): place and rotation of the tip."""
+    """Return the regressors of a target's positions, shape (N, 12): position and rotation of the tip."""
     return np.hstack([tips[:, :, 3], tips[:, :, :3].reshape(len(tips), 9)])
 
 
 def check_clock(stream: Stream, found: Alignment) -> None:
-    """Refuse a clock that jumps, and warn of one that runs at another rate than crystals do."""
+    """Refuse a clock that jumps, and warn of one with a drift larger than that of crystals."""
     clock, jump = found.clock, found.jump
     if jump.is_sure(_JUMPS):
         line = stream.lines[np.searchsorted(stream.time, jump.time)]
@@ -323,6 +321,6 @@ def check_clock(stream: Stream, found: Alignment) -> None:
     if abs(clock.drift) > max(_DRIFT, 5.0 * clock.sigma[1]):
         runs = "slowly" if clock.drift > 0.0 else "fast"
         warn(
-            f"{stream.name}: its clock runs {1e6 * abs(clock.drift):.0f} ppm too {runs} for that of the joints, which "
-            "is taken into account; do its stamps count frames of a rate that is assumed?"
+            f"{stream.name}: its clock runs {1e6 * abs(clock.drift):.0f} ppm too {runs} relative to the joints', which "
+            "is taken into account; do its stamps count frames at an assumed rate?"
         )

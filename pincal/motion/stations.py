@@ -1,7 +1,7 @@
-"""Stations of sessions in motion: tables of readings like any others, whose joints stand where the path has them then.
+"""Stations of sessions in motion: tables of readings with the joints interpolated on their path.
 
-The clock of each instrument is aligned by the nominal arm first, to some tenths of a millisecond; what is left of offset and
-drift, and how well they are known, is found with everything else (:class:`pincal.model.catalogue.InstrumentClock`).
+The clock of each instrument is first aligned by the nominal arm, to some tenths of a millisecond; corrections of offset and
+drift are fitted together with all other parameters (:class:`pincal.model.catalogue.InstrumentClock`).
 """
 
 from __future__ import annotations
@@ -29,27 +29,23 @@ from pincal.motion.stream import Stream
 from pincal.recorded import Moving
 from pincal.robot.robot import Robot
 
-# Standard deviation of the windows of an IMU's rows [s]; from 1 to 12 Hz made no difference on a real arm.
+# Standard deviation of the windows of an IMU's rows [s]; 1 to 12 Hz made no difference on a real arm.
 WIDTH = 0.03
-# Joints that change by less than this rest [rad, m]; over a whole log, and how few that move then say too little.
+# Range of a joint at rest [rad, m], that over a whole log, and the number of moving joints that is too small.
 _RESTS, _MOVED, _TOO_FEW = 3e-4, 1e-2, 2
-# Rows a second from which on no arm turns back so far within two of them that one seems to jump.
+# Sampling rate above which the motion within two samples is never an outlier [Hz].
 _FAST = 20.0
-# Smallest steps by which the reading of an instrument of few digits changes.
+# Largest change of a reading of few digits, in its smallest steps.
 _STEPS = 2.5
 
 
 def session_tables(robot: Robot, sessions: Sequence[Session]) -> dict[str, Measurements]:
-    """Return the tables of the stations of some sessions by their names, such as ``monday/imu``.
+    """Return the tables of the stations of sessions by name, such as ``monday/imu``.
 
-    A session with one instrument beside the joints gives a station of its own name.
-
-    Args:
-        robot: the robot.
-        sessions: what was logged, each of one motion.
+    A session with one instrument in addition to the joints gives a station of its name.
 
     Raises:
-        MeasurementError: for a stream that is not of its motion, or can't be right; see :mod:`pincal.motion.starts`.
+        MeasurementError: for a stream that is not of its motion, or impossible; see :mod:`pincal.motion.starts`.
     """
     arms = {session.name: MovingArm.of(robot, _path(session), payload=session.payload) for session in sessions}
     found = dict[str, Measurements]()
@@ -70,17 +66,17 @@ def session_tables(robot: Robot, sessions: Sequence[Session]) -> dict[str, Measu
         if wrong and moved.sum() <= min(_TOO_FEW, robot.n_joints - 1):
             names = ", ".join(name for name, moves in zip(robot.joint_names, moved, strict=True) if moves) or "none"
             raise MeasurementError(
-                f"{session.joints.name}: joints that moved: {names}; expected a path on which all do: by less, "
-                f"readings are not told from those of another motion ({wrong[0]})"
+                f"{session.joints.name}: joints that moved: {names}; expected a path on which all do, to distinguish "
+                f"readings from those of another motion ({wrong[0]})"
             )
         if wrong:
-            # Joints that one instrument follows are right.
+            # Joints are right if one instrument follows them.
             raise _at_fault(arm, session, wrong) if len(wrong) == len(there) else wrong[0]
     return found
 
 
 def _at_fault(arm: MovingArm, session: Session, wrong: Sequence[MeasurementError]) -> MeasurementError:
-    """Return the error that names the file at fault: the joints' where all follow other joints, or all but they."""
+    """Return an error that names the file at fault: the joints' if all readings follow others, or none follows these."""
     name = session.joints.name
     for words, path in _mistaken(arm):
         try:
@@ -93,21 +89,21 @@ def _at_fault(arm: MovingArm, session: Session, wrong: Sequence[MeasurementError
                     start_tracker(other, session.tracker)
         except MeasurementError:
             continue
-        return MeasurementError(f"{name}: the readings follow these joints {words}; they do not as they are ({wrong[0]})")
+        return MeasurementError(f"{name}: the readings follow these joints {words}, but not otherwise ({wrong[0]})")
     if session.imu is None or session.tracker is None or len(wrong) < 2:
         return wrong[0]
     return MeasurementError(
         f"{name}: neither {session.imu.name} nor {session.tracker.name} follows these joints; expected joints of the same "
-        f"motion: look at their session, unit, order, signs and zeros ({'; '.join(map(str, wrong))})"
+        f"motion: check their session, unit, order, signs and zeros ({'; '.join(map(str, wrong))})"
     )
 
 
 def _mistaken(arm: MovingArm) -> Iterator[tuple[str, JointPath]]:
-    """Yield in words how joints are often mistaken, and the path that is then meant."""
+    """Yield common mistakes in joints, in words, and the corrected path."""
     names, n = arm.robot.joint_names, arm.robot.n_joints
     one = np.eye(n)
     for i in range(n):
-        yield f"with the sign of {names[i]} turned (--sign {names[i]})", arm.path.mapped(one - 2.0 * np.diag(one[i]))
+        yield f"with the sign of {names[i]} changed (--sign {names[i]})", arm.path.mapped(one - 2.0 * np.diag(one[i]))
     for i, j in itertools.combinations(range(n), 2):
         order = np.arange(n)
         order[[i, j]] = j, i
@@ -131,12 +127,12 @@ def _imu_table(arm: MovingArm, imu: Stream, others: Sequence[tuple[str, MovingAr
     start = start_imu(arm, imu, window=Window(WIDTH), others=others)
     delay = aligned_forces(arm, start)
     rows = ImuRows.of(imu.time, imu.readings[FORCE.name], imu.readings[RATE.name], Window(WIDTH), delay=delay)
-    # The clock is that of the rates; by their delay it becomes that of the forces, at which the rows stand.
+    # From the clock of the rates to that of the forces, which rows have.
     clock = start.clock.moved(-delay, 0.0)
     at = clock.to_joints(rows.time)
     inside = arm.path.covers(at, 4.0 * WIDTH)
     rows, at = rows.select(inside), at[inside]
-    # Noise of both where the arm vibrates, relative to what is usual.
+    # Noise of both by vibration, relative to its median.
     scatter = np.median(rows.sigma, axis=1)
     sigma = np.sqrt(np.prod(rows.sigma / scatter[:, None], axis=0))
     readings = {FORCE.name: rows.readings[:3].T, RATE.name: rows.readings[3:].T, "sigma": sigma}
@@ -147,7 +143,7 @@ def _imu_table(arm: MovingArm, imu: Stream, others: Sequence[tuple[str, MovingAr
 
 
 def ideal_imu_table(arm: MovingArm) -> Measurements:
-    """Return what an ideal IMU at the nominal tip reads of a whole motion, as rows of :func:`session_tables`."""
+    """Return the readings of an ideal IMU at the nominal tip over a whole motion, as rows of :func:`session_tables`."""
     window, (begin, end) = Window(WIDTH), arm.path.span
     at = begin + np.arange(0.0, end - begin, APART * WIDTH)
     at = at[arm.path.covers(at, 4.0 * WIDTH)]
@@ -158,14 +154,13 @@ def ideal_imu_table(arm: MovingArm) -> Measurements:
 
 
 def start_tracker(arm: MovingArm, tracker: Stream) -> Clock:
-    """Return the clock of an instrument that reads an arm in motion.
+    """Return the clock of an instrument that observes an arm in motion.
 
     Raises:
         MeasurementError: for readings that do not change with the motion, or are not of it.
     """
     sensor = _sensor(tracker)
-    again = tracker.repeats
-    return start_readings(arm, tracker.select(~again) if again.any() else tracker, sensor)
+    return start_readings(arm, tracker.select(~tracker.repeats), sensor)
 
 
 def _sensor(tracker: Stream) -> type[Sensor]:
@@ -173,19 +168,19 @@ def _sensor(tracker: Stream) -> type[Sensor]:
     if sensor is None or sensor.fields[0].is_name or not sensor.reads_place:
         raise MeasurementError(
             f"{tracker.name}: {', '.join(tracker.readings)} in motion; expected readings that change with it, such as x y z "
-            "or distance, or u v with point or target; what is held, such as a point in a socket, is a table of its own"
+            "or distance, or u v with point or target; held poses, such as a point in a socket, need a separate table"
         )
     return sensor
 
 
 def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
-    clock = start_tracker(arm, tracker)
+    clock, name = start_tracker(arm, tracker), _sensor(tracker).fields[0].name
     again = tracker.repeats
     if again.any():
-        tracker = _without_stale(arm, tracker, clock, again, tracker.readings[_sensor(tracker).fields[0].name])
-    values = tracker.readings[_sensor(tracker).fields[0].name]
+        tracker = _without_stale(arm, tracker, clock, again, tracker.readings[name])
+    values = tracker.readings[name]
     if tracker.rate > _FAST and not tracker.things.any():
-        tracker = tracker.without(~steady(values.reshape(len(values), -1)), "jump off those beside them: of something else")
+        tracker = tracker.without(~steady(values.reshape(len(values), -1)), "are outliers: readings of something else")
     at = clock.to_joints(tracker.time)
     inside = arm.path.covers(at)
     readings = {name: values[inside] for name, values in tracker.readings.items()}
@@ -194,25 +189,25 @@ def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
 
 
 def _without_stale(arm: MovingArm, tracker: Stream, clock: Clock, again: np.ndarray, values: np.ndarray) -> Stream:
-    """Return what an instrument reads without rows that repeat the one before though the arm moves by more than it resolves.
+    """Return a stream without rows that repeat the one before although the arm moves by more than the resolution.
 
     Args:
         arm: the arm.
         tracker: the stream.
         clock: of the stream.
         again: which rows repeat the one before of the same thing, shape (T,).
-        values: the readings that matter, shape (T,) or (T, k).
+        values: the main readings, shape (T,) or (T, k).
     """
     order = np.argsort(tracker.things, kind="stable")
     q, values, again = arm.path.at(clock.to_joints(tracker.time))[order], values.reshape(len(order), -1)[order], again[order]
     starts = np.flatnonzero(~again)
     run = np.cumsum(~again) - 1
     moved = np.maximum.reduceat(np.abs(q - q[starts[run]]).max(axis=1), starts)
-    # One that resolves no more goes on by its smallest step.
+    # At its limit of resolution a reading changes by the smallest step.
     steps = np.abs(np.diff(values[starts], axis=0, append=np.inf))
     finest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
     is_stale = (moved > _RESTS) & np.any(steps > _STEPS * finest, axis=1)
-    # A target that is out of sight may be given another place; else the first row is what was seen last.
+    # A lost target may be reported at another position; else the first row is the last real reading.
     seen = np.append(starts[1:], len(q)) - starts == 1
     seen |= steady(values[starts])
     stale = np.zeros(len(q), bool)
@@ -231,7 +226,7 @@ def _table(
     *,
     offsets: np.ndarray | None = None,
 ) -> Measurements:
-    """Return the rows of a stream with the poses of the arm; their times are by its clock, and by that of the joints."""
+    """Return the rows of a stream with the poses of the arm; ``time`` is by its clock, ``at`` by the joints'."""
     n, robot, here = len(time), arm.robot, arm.conditions(at)
     moving = Moving(clock=(clock.offset, clock.drift, clock.middle), inertial=here.inertial)
     if offsets is not None:

@@ -1,4 +1,4 @@
-"""A stream: what one device logged of an arm that moves, and whether it can be right by itself."""
+"""A stream: the log of one device on a moving arm, and checks of its plausibility."""
 
 from __future__ import annotations
 
@@ -12,41 +12,41 @@ from pincal.errors import MeasurementError, warn
 from pincal.measure.sensors.imu import FORCE, RATE
 from pincal.units import STANDARD_GRAVITY
 
-# A gap is longer than so many samples.
+# Length of a gap in samples.
 _GAP = 3.0
 LONG_GAP = 0.2
-"""A gap of more than this is told [s]."""
-# Part of the rows that may be lost, by being doubled or cut off, before a stream is no good; by a target out of sight.
+"""Length of a gap that is reported [s]."""
+# Largest fraction of rows lost by repetition or clipping, and by a target out of sight.
 _FEW, _MOST = 0.05, 0.5
-# What gravity is in units in which logs have it, and by how much it may be off.
+# Gravity in units of logs, and the factor by which it may deviate.
 _GRAVITIES = {"g": 1.0, "mg": 1e3, "mm/s^2": 1e3 * STANDARD_GRAVITY}
 _NEAR = 1.5
-# Samples in a row at the same largest value from which an axis is cut off there, and times that this has to happen; those of
-# which once is enough.
+# Consecutive samples at the same extreme value that are clipped, occurrences needed, and samples of which one occurrence is
+# enough.
 _FLAT, _OFTEN, _LONG = 3, 3, 20
-# Rows in a row that lie on a straight line to rounding, which is a small part of what is usual: of decimals, or of single
-# precision.
+# Consecutive rows on a straight line that are interpolated; largest rounding relative to usual deviations; most decimals;
+# and rounding of single precision.
 _STRAIGHT, _EVEN, _DECIMALS, _SINGLE = 8, 0.1, 12, 2e-7
-# How far from a full turn a jump may be that is one [rad]; how many times the usual speed, and how many rad/s or m/s, no arm
-# reaches; part of the rows that repeat the one before from which on a log is faster than its controller.
+# Largest deviation of a jump from a revolution [rad]; speed that no arm reaches, relative to the usual one and in rad/s or
+# m/s; fraction of repeated rows above which a log is faster than its controller.
 _TURN, _SUDDEN, _OFTEN_SAME = 0.3, 5.0, 0.3
-# Time for which an axis may read the same while others move by so much of what they do altogether [s].
+# Longest time for which an axis may be constant [s], while others move by this multiple of their standard deviation.
 _FROZEN, _MOVES = 1.0, 0.5
-# Smallest steps of a sensor by which it does not change from one sample to the next after it stood still.
+# Change between samples after standing still, in smallest steps of a sensor, that is a jump.
 _JUMPS = 8.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Stream:
-    """Readings of one device, one after the other.
+    """Readings of one device in time.
 
     Attributes:
         name: of its file, for messages.
         time: by its own clock, shape (T,), increasing [s].
         readings: values in SI units, shape (T,) or (T, k) each: "q" of joints, "specific_force" and "angular_rate" of an
             IMU, of an instrument the fields of its sensor.
-        units: that the header gave, by column.
-        lines: of the file, shape (T,); default: one after the other below a header.
+        units: the units in the header, by column.
+        lines: of the file, shape (T,); default: consecutive below a header.
     """
 
     name: str
@@ -67,18 +67,18 @@ class Stream:
 
     @property
     def rate(self) -> float:
-        """Samples a second, gaps left out."""
+        """Samples per second, excluding gaps."""
         return 1.0 / float(np.median(self.steps))
 
     @property
     def steps(self) -> np.ndarray:
-        """From one stamp to the next that differs [s]."""
+        """Positive differences of consecutive stamps [s]."""
         steps = np.diff(self.time)
         return steps[steps > 0.0]
 
     @property
     def things(self) -> np.ndarray:
-        """What each row is about, such as a named point, as numbers from 0, shape (T,): one instant may tell of several."""
+        """Number of the target or named point of each row, from 0, shape (T,); several may have the same stamp."""
         found = np.zeros(len(self), int)
         for values in self.readings.values():
             if values.dtype.kind not in "fi":
@@ -88,7 +88,7 @@ class Stream:
 
     @property
     def repeats(self) -> np.ndarray:
-        """Which rows are exactly the one before of the same thing but for their time, shape (T,)."""
+        """Which rows equal the one before of the same thing except for their time, shape (T,)."""
         things = self.things
         order = np.argsort(things, kind="stable")
         values = np.column_stack([v[order] for v in self.readings.values() if v.dtype.kind == "f"])
@@ -102,10 +102,10 @@ class Stream:
         return replace(self, time=self.time[rows], readings=chosen, lines=self.lines[rows])
 
     def without(self, lost: np.ndarray, why: str) -> Stream:
-        """Return the stream without some rows (mask), which is said.
+        """Return the stream without the rows of a mask, with a warning.
 
         Raises:
-            MeasurementError: if that are most of them.
+            MeasurementError: if too little remains.
         """
         if not lost.any():
             return self
@@ -118,26 +118,26 @@ class Stream:
 
     @property
     def gap(self) -> float:
-        """Step that a gap is longer than [s]."""
+        """Longest step that is not a gap [s]."""
         return max(_GAP / self.rate, LONG_GAP)
 
     @property
     def covered(self) -> float:
-        """Time of which there are readings, gaps left out [s]."""
+        """Duration of the readings, excluding gaps [s]."""
         steps = self.steps
         return float(steps[steps <= self.gap].sum()) if len(steps) else 0.0
 
 
 def checked_joints(stream: Stream, names: Sequence[str], turning: np.ndarray) -> Stream:
-    """Return the stream of joints without what can't be: rows that a logger repeats, or that no arm is fast enough for.
+    """Return the stream of joints without impossible rows: repeated by the logger, or faster than any arm.
 
     Args:
         stream: with "q".
         names: of the joints.
-        turning: which are revolute, shape (n,); a jump of one by a full turn is none.
+        turning: which are revolute, shape (n,), and may jump by a revolution.
 
     Raises:
-        MeasurementError: for joints that jump and stay there.
+        MeasurementError: for joints that jump without returning.
     """
     stream = _unwrapped(_at_own_rate(stream), names, turning)
     q, usual = stream.readings["q"], np.maximum(np.diff(stream.time), float(np.median(stream.steps)))[:, None]
@@ -145,14 +145,14 @@ def checked_joints(stream: Stream, names: Sequence[str], turning: np.ndarray) ->
     speed = steps / usual
     jumps = np.flatnonzero(np.any(speed > _SUDDEN * np.maximum(np.quantile(speed, 0.99, axis=0), 1.0), axis=1))
     starts, ends, run = _still(q)
-    # Who goes on after standing still begins with the smallest steps, not with one that is larger than those that follow.
+    # A real motion starts with its smallest steps, not with one that is larger than those that follow.
     finest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
     for begin, end in zip(starts[ends - starts > _FLAT], ends[ends - starts > _FLAT], strict=True):
         after = steps[end : end + _FLAT].max(axis=0, initial=0.0)
         if end < len(q) and np.any(steps[end - 1] > _SUDDEN * after + _JUMPS * finest):
             lost[begin + 1 : end] = True
     for k in jumps:
-        # What stands still before it, from the second row on, and what does after it from the first.
+        # Repetitions before the jump, from the second row, and after it, from the first.
         lost[starts[run[k]] + 1 : k + 1] = True
         if ends[run[k + 1]] > k + 2:
             lost[k + 1 : ends[run[k + 1]]] = True
@@ -164,13 +164,13 @@ def checked_joints(stream: Stream, names: Sequence[str], turning: np.ndarray) ->
         raise MeasurementError(
             f"{stream.name}, line {stream.lines[k + 1]}: {names[j]} jumps by {q[k + 1, j] - q[k, j]:.3g} within "
             f"{usual[k, 0]:.2g} s and stays there; expected one motion: give logs that were appended to each other as "
-            "sessions of their own"
+            "separate sessions"
         )
     return stream.without(lost, "repeat the one before, or are off the motion, and end in a jump: the log was interrupted")
 
 
 def interpolated(values: np.ndarray) -> np.ndarray:
-    """Return which readings, shape (T, k), lie on straight lines between others, but for the rounding of their digits."""
+    """Return which readings, shape (T, k), are on straight lines between others, to the rounding of their digits."""
     off = np.zeros(values.shape)
     off[1:-1] = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
     moves = np.any(np.diff(values, axis=0, prepend=values[:1]) != 0.0, axis=1)
@@ -184,14 +184,14 @@ def interpolated(values: np.ndarray) -> np.ndarray:
 
 
 def _still(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return first and past the last row of each stretch in which nothing changes, and the stretch of each row."""
+    """Return begin and end of each stretch of constant rows, and the index of each row's stretch."""
     new = np.append(True, np.any(np.diff(values, axis=0) != 0.0, axis=1))
     starts = np.flatnonzero(new)
     return starts, np.append(starts[1:], len(values)), np.cumsum(new) - 1
 
 
 def _at_own_rate(stream: Stream) -> Stream:
-    """Return a log of joints without rows that repeat the one before because it is faster than their controller."""
+    """Return a log of joints without rows that repeat the one before, if it is faster than their controller."""
     starts, ends, run = _still(stream.readings["q"])
     again = (np.arange(len(stream)) > starts[run]) & (stream.time[ends - 1] - stream.time[starts] < 0.5 * LONG_GAP)[run]
     if again.mean() < _OFTEN_SAME:
@@ -202,27 +202,24 @@ def _at_own_rate(stream: Stream) -> Stream:
 
 
 def _unwrapped(stream: Stream, names: Sequence[str], turning: np.ndarray) -> Stream:
-    """Return joints that turn on where a log begins anew at half a turn."""
+    """Return joints that continue where a log wraps to the interval of a revolution."""
     steps = np.diff(stream.readings["q"], axis=0)
     turns = np.round(steps / (2.0 * np.pi))
     turns[(np.abs(steps - 2.0 * np.pi * turns) > _TURN) | ~turning] = 0.0
     if not turns.any():
         return stream
     k, j = np.argwhere(turns)[0].tolist()
-    warn(f"{stream.name}, line {stream.lines[k + 1]}: {names[j]} jumps by a full turn; it is taken to turn on there")
+    warn(f"{stream.name}, line {stream.lines[k + 1]}: {names[j]} jumps by a revolution; it is assumed to continue")
     q = stream.readings["q"].copy()
     q[1:] -= 2.0 * np.pi * np.cumsum(turns, axis=0)
     return replace(stream, readings={**stream.readings, "q": q})
 
 
 def checked_imu(stream: Stream) -> Stream:
-    """Return the stream of an IMU that can be right.
-
-    Samples that are cut off at the end of a range, or that repeat the one before because a log is faster than the device,
-    are left out.
+    """Return the plausible stream of an IMU, without clipped samples and repetitions in a log faster than the device.
 
     Raises:
-        MeasurementError: for accelerations in other units or without gravity, and for axes that are frozen or cut off.
+        MeasurementError: for accelerations in other units or without gravity, and for axes that are frozen or clipped.
     """
     force, rate = stream.readings[FORCE.name], stream.readings[RATE.name]
     _check_gravity(stream, float(np.median(np.linalg.norm(force, axis=1))))
@@ -235,8 +232,8 @@ def checked_imu(stream: Stream) -> Stream:
     elif again := int((repeats & ~held).sum()):
         warn(
             f"{stream.name}: {again} rows, the first in line {stream.lines[repeats & ~held][0]}, repeat the one before and "
-            "are left out: was it polled at nearly its own rate? Then stamps are up to a sample late, which counts as "
-            "noise; log its own stamps"
+            "are left out: was it polled at nearly its own rate? Then stamps are up to a sample late, which adds noise; "
+            "log its own stamps"
         )
     cut, ends = np.zeros(len(stream), bool), {column: _cut_off(values) for column, values in columns.items()}
     for column, values in columns.items():
@@ -251,17 +248,17 @@ def checked_imu(stream: Stream) -> Stream:
         beside = np.delete(force if k < 3 else rate, k % 3, axis=1)
         if stuck := _longest_stuck(stream.time, np.where(ends[column], np.nan, values), beside):
             raise MeasurementError(
-                f"{stream.name}: column {column!r} stands still for {stuck:.3g} s while others change; the axis is "
+                f"{stream.name}: column {column!r} is constant for {stuck:.3g} s while others change; the axis is "
                 "broken or not logged: repair the log, or leave that part out"
             )
     if cut.any():
         warn(f"{stream.name}: {int(cut.sum())} rows are cut off at the end of the IMU's range and are left out")
-    kept = stream.without(held, "hold the same forces or rates, which jump before or after: they were read no more")
+    kept = stream.without(held, "have constant forces or rates, which jump before or after: they were not updated")
     return kept.select(~(cut | repeats)[~held]) if np.any(cut | repeats) else kept
 
 
 def _held(values: np.ndarray) -> np.ndarray:
-    """Return which rows, shape (T,), are the same several times while what is before or after jumps by many of its steps."""
+    """Return which rows, shape (T,), are constant over several samples, with a jump of many steps before or after."""
     steps = np.abs(np.diff(values, axis=0))
     smallest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
     far = np.append(np.any(steps > _JUMPS * smallest, axis=1), False)
@@ -273,7 +270,7 @@ def _check_gravity(stream: Stream, size: float) -> None:
     """Refuse specific forces whose median can't be gravity."""
     if STANDARD_GRAVITY / _NEAR < size < _NEAR * STANDARD_GRAVITY:
         return
-    text = f"{stream.name}: specific forces of {size:.4g} m/s^2 in the median; expected about 9.8"
+    text = f"{stream.name}: median specific force of {size:.4g} m/s^2; expected about 9.8"
     for unit, gravity in _GRAVITIES.items():
         if gravity / _NEAR < size < _NEAR * gravity and "ax" not in stream.units:
             raise MeasurementError(
@@ -282,13 +279,13 @@ def _check_gravity(stream: Stream, size: float) -> None:
     if "ax" in stream.units:
         raise MeasurementError(f"{text}; values in another unit under [{stream.units['ax']}]?")
     if size < STANDARD_GRAVITY / 3.0:
-        raise MeasurementError(f"{text}: gravity was taken out; log raw accelerations")
+        raise MeasurementError(f"{text}: gravity was removed; log raw accelerations")
     is_raw = np.all(stream.readings[FORCE.name] == np.round(stream.readings[FORCE.name]))
-    raise MeasurementError(f"{text}; {'raw counts? Multiply all by their scales' if is_raw else 'look at its unit'}")
+    raise MeasurementError(f"{text}; {'raw counts? Multiply all by their scales' if is_raw else 'check its unit'}")
 
 
 def _longest_stuck(time: np.ndarray, values: np.ndarray, beside: np.ndarray) -> float:
-    """Return for how long a value stands still while those of the other axes, shape (T, 2), move; 0 if that is short [s]."""
+    """Return how long a value is constant while the other axes, shape (T, 2), move [s]; 0 for short times."""
     starts, ends, _ = _still(values[:, None])
     spread, longest, steps = beside.std(axis=0), 0.0, np.abs(np.diff(values))
     most = _JUMPS * float(np.min(steps[steps > 0.0], initial=np.inf))
@@ -302,7 +299,7 @@ def _longest_stuck(time: np.ndarray, values: np.ndarray, beside: np.ndarray) -> 
 
 
 def _cut_off(values: np.ndarray) -> np.ndarray:
-    """Return which samples stand at an end of a range, shape (T,): several in a row, several times, few just before it."""
+    """Return which samples are clipped, shape (T,): at an extreme, consecutive, repeatedly, with few just below it."""
     found, near = np.zeros(len(values), bool), 0.01 * float(np.ptp(values))
     for end in (values.max(), values.min()):
         at = values == end
