@@ -1,16 +1,16 @@
-r"""Arrays in files: lists of numbers whose shape, finiteness and meaning are checked where they are read.
+r"""Arrays in files: lists of numbers whose shape and values are validated on reading.
 
 A field declares its shape by an :class:`ArrayShape` in its annotation. A name in it is a count that has to agree within one
-structure; the first field that has the name decides.
+structure; the first field with the name determines it.
 
-Large matrices are text: their 64-bit words byte by byte of equal weight, deflated, in base64. A matrix comes back to the
-last bit. The covariance of many parameters is written as whole multiples of the power of two
+Large matrices are text: their 64-bit words, transposed to bytes of equal weight, deflated, in base64. A matrix is restored
+to the last bit. The covariance of many parameters is written as integer multiples of the power of two
 
 .. math:: 2^{e_i + e_j - 50}, \qquad \sigma_i = m \, 2^{e_i}, \quad 1/2 \le m < 1,
 
-and its lower half only, since half of its numbers are nothing but the rounding of its computation: 17 MB as lists of numbers
-are 1.7 MB so. An entry is off by at most :math:`2^{-49} \sigma_i \sigma_j`, predictions' standard deviations of a UR10 with
-850 parameters by 5e-10 of themselves.
+and only its lower half, as the digits beyond are rounding of its computation: 17 MB as lists of numbers become 1.7 MB. The
+error of an entry is at most :math:`2^{-49} \sigma_i \sigma_j`; for a UR10 with 850 parameters, standard deviations of
+predictions have relative errors of 5e-10.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ import numpy as np
 from pincal.io.strict_json import Fault
 from pincal.robot.se3 import are_rotations
 
-# Users give rotations with as few as three decimals; what differs by more than this was not meant as one.
+# Tolerance of rotations: users give as few as three decimals.
 _ROTATION = 1e-3
-# Those of the robot itself pincal writes in full precision; this turns or stretches an arm of a metre by a micrometre.
+# Tolerance of the robot's transforms, which pincal writes in full precision: a micrometre on an arm of a metre.
 _EXACT = 1e-6
 _NUMBERS = {float, int, type(None)}
 
 
 class ArrayShape:
-    """The shape of an array, or the length of a list, and what its values have to be.
+    """The shape of an array, or the length of a list, and conditions on its values.
 
     Attributes:
-        sizes: along each axis: a number, the name of a count that other fields share, or "any".
-        check: raises :class:`Fault` for values that are invalid.
-        write: returns what stands for the array in a file; default: nested lists.
-        null: the number of a list that is null in a file; default: null is no number.
+        sizes: along each axis: a number, the name of a count shared with other fields, or "any".
+        check: raises :class:`Fault` for invalid values.
+        write: returns the representation of the array in a file; default: nested lists.
+        null: the number that is null in a file; default: null is refused.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class ArrayShape:
         self.sizes, self.check, self.write, self.null = sizes, check, write, null
 
     def expected(self, counts: Mapping[str, int]) -> tuple[int | None, ...]:
-        """Return the sizes as far as they are known, None for others."""
+        """Return the known sizes, None for others."""
         return tuple(counts.get(size) if isinstance(size, str) else size for size in self.sizes)
 
 
@@ -79,13 +79,13 @@ def _numbers(depth: int, *, null: bool = False) -> msgspec.Meta:
     return msgspec.Meta(extra_json_schema=schema)
 
 
-# Arrays of one and two dimensions, whose Shape stands beside them.
+# Arrays of one and two dimensions, without a shape.
 Numbers = Annotated[np.ndarray, _numbers(1)]
 Matrix = Annotated[np.ndarray, _numbers(2)]
 # Matrices that are written as text.
 _AS_TEXT = msgspec.Meta(extra_json_schema={"anyOf": [_numbers(2).extra_json_schema, {"type": "string"}]})
 Packed = Annotated[np.ndarray, _AS_TEXT]
-# Limits, of which null says that there is none.
+# Limits, with null for none.
 LimitNumbers = Annotated[np.ndarray, _numbers(1, null=True)]
 Vector = Annotated[np.ndarray, _numbers(1), ArrayShape(3)]
 Rotation = Annotated[np.ndarray, _numbers(2), ArrayShape(3, 3, check=_check_rotations)]
@@ -96,19 +96,19 @@ Transforms = Annotated[np.ndarray, _numbers(3), ArrayShape("joints", 4, 4, check
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A structure of a file whose arrays have the shapes that their annotations declare.
+    """A structure of a file whose arrays have the shapes declared by their annotations.
 
-    A key that it doesn't know is ignored, so that a later version can add some; optional ones are left out where absent.
+    Unknown keys are ignored, so that later versions can add some; optional ones are omitted where absent.
     """
 
     @classmethod
     def like(cls, found: object, **others: Any) -> Self:
-        """Return the record of an object that has the same fields as attributes, except for ``others``."""
+        """Return the record of an object with the same fields as attributes, except for ``others``."""
         same = {name: getattr(found, name) for name in cls.__struct_fields__ if name not in others}
         return cls(**same | others)
 
     def written(self, name: str) -> Any:
-        """Return what stands for an array of it in a file."""
+        """Return the representation of one of its arrays in a file."""
         shape, value = dict(_declared(type(self))).get(name, ArrayShape()), getattr(self, name)
         if shape.null is not None:
             return [number if np.isfinite(number) else None for number in value.tolist()]
@@ -129,11 +129,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 def shaped(key: str, value: np.ndarray, shape: ArrayShape, counts: dict[str, int]) -> np.ndarray:
-    """Return an array if it has the shape, of whose counts those that are not known yet are noted in ``counts``.
-
-    Raises:
-        Fault: at ``key``, if it has another one, or its values are invalid.
-    """
+    """Return an array of the right shape, whose counts are added to ``counts``; refuse others with a Fault at ``key``."""
     expected = shape.expected(counts)
     if value.size == 0 and 0 in expected:
         return np.zeros([size or 0 for size in expected])
@@ -151,10 +147,10 @@ def shaped(key: str, value: np.ndarray, shape: ArrayShape, counts: dict[str, int
 
 
 def array_of(value: Any) -> np.ndarray:
-    """Return nested lists of numbers as an array; null becomes NaN, which no JSON number is.
+    """Return nested lists of numbers as an array, with NaN for null.
 
     Raises:
-        Fault: if something among them is no number, or rows have unequal lengths.
+        Fault: for other values, or rows of unequal length.
     """
     level, kinds = [value], {type(value)}
     while kinds == {list}:
@@ -184,14 +180,14 @@ def _declared(record: type[Record]) -> tuple[tuple[str, ArrayShape], ...]:
 
 
 def _shape_in(hint: Any) -> ArrayShape | None:
-    """Return the shape in an annotation or in a part of a union."""
+    """Return the shape in an annotation or in a member of a union."""
     parts = (*getattr(hint, "__metadata__", ()), *(_shape_in(part) for part in get_args(hint)[:2]))
     return next((part for part in parts if isinstance(part, ArrayShape)), None)
 
 
-# Covariances of so many parameters are written to the last bit: that is less than 1 MB.
+# Most parameters whose covariance is written to the last bit, in less than 1 MB.
 _MOST_EXACT = 300
-# A larger one is none that pincal wrote.
+# Largest covariance that pincal writes.
 _MOST_ROWS = 1500
 _BITS = 50
 _COVARIANCE, _MATRIX = "covariance:", "matrix:"
@@ -207,7 +203,7 @@ def packed_matrix(matrix: np.ndarray) -> Any:
 
 
 def packed_covariance(covariance: np.ndarray) -> Any:
-    """Return a covariance as text, a large one to the rounding that the module's docstring tells."""
+    """Return a covariance as text, a large one rounded as in the docstring of the module."""
     n, sigma = len(covariance), np.sqrt(np.maximum(np.diag(covariance), 0.0))
     mean = 0.5 * (covariance + covariance.T)
     if n <= _MOST_EXACT or n > _MOST_ROWS or not (np.abs(mean) <= 2.0 * np.outer(sigma, sigma)).all():
@@ -216,19 +212,15 @@ def packed_covariance(covariance: np.ndarray) -> Any:
     lower = np.tril_indices(n)
     units = np.rint(np.ldexp(mean[lower], _BITS - exponents[lower[0]] - exponents[lower[1]])).astype("<i8")
     words = np.concatenate([exponents, units])
-    # The sign comes last, so that the leading bytes of small numbers are zero.
+    # With the sign as the last bit, so that the leading bytes of small numbers are zero.
     return _COVARIANCE + _text(((words << 1) ^ (words >> 63)).view("<u8"))
 
 
 def unpacked(text: str, most: int) -> np.ndarray:
-    """Return the matrix that a text holds.
-
-    Args:
-        text: as the functions above return it.
-        most: bytes that it may take.
+    """Return the matrix in a text, of at most so many bytes.
 
     Raises:
-        Fault: if it holds none, or a larger one.
+        Fault: for other text, or a larger matrix.
     """
     kind = next((kind for kind in (_COVARIANCE, _MATRIX) if text.startswith(kind)), None)
     if kind is None:
@@ -264,7 +256,7 @@ def _text(words: np.ndarray) -> str:
 
 
 def _words(text: str, most: int) -> np.ndarray:
-    """Return what :func:`_text` was given."""
+    """Return the words in a text; the inverse of :func:`_text`."""
     unpacking = zlib.decompressobj()
     try:
         planes = unpacking.decompress(base64.b64decode(text, validate=True), most)

@@ -1,4 +1,4 @@
-"""A camera's file: its lens and, where it is known, how it is mounted."""
+"""A camera's file: its lens and, if known, its mount."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pincal.io.strict_json import Fault, FileKind, read_json
 from pincal.measure.lens import DISTORTION, PINHOLE, Lens
 from pincal.robot.se3 import are_rotations
 
-# A mount is used without correction, so it has to be a rotation to the digits that are usually written.
+# Tolerance of the rotation of a mount, which is used without correction.
 _ROTATION = 1e-6
 _CAMERA_FILE = FileKind(
     "a camera's JSON",
@@ -26,10 +26,10 @@ _CAMERA_FILE = FileKind(
 
 @dataclass(frozen=True)
 class CameraFile(Lens):
-    """A camera, see :class:`pincal.Lens`: what is not known of its distortion counts as 0.
+    """A camera, see :class:`pincal.Lens`; unknown distortion is 0.
 
     Attributes:
-        T_tip_camera: shape (4, 4), the camera's frame in the tip frame [m]; null where the mount is to be found.
+        T_tip_camera: shape (4, 4), the camera's frame in the tip frame [m]; null if the mount is to be identified.
     """
 
     T_tip_camera: Matrix | None = None
@@ -50,7 +50,7 @@ class CameraFile(Lens):
 
 
 def read_camera(path: str | os.PathLike[str]) -> CameraFile:
-    """Read a camera from JSON: ``fx fy u0 v0``, perhaps ``k1 k2 p1 p2 k3``, and ``T_tip_camera`` (4 rows of 4).
+    """Read a camera from JSON: ``fx fy u0 v0``, optionally ``k1 k2 p1 p2 k3`` and ``T_tip_camera`` (4 rows of 4).
 
     Raises:
         MeasurementError: if the file can't be read, or a value is missing or invalid.

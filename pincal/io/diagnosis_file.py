@@ -1,4 +1,4 @@
-"""What a diagnosis found: the one structure behind ``diagnosis.json``, the report and the terminal."""
+"""Results of a diagnosis: the structure behind ``diagnosis.json``, the report and the terminal."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pincal.notes import Note
 
 
 class ChangeName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What changed.
+    """Identity of a change.
 
     Attributes:
         effect: its name in the catalogue; "unnamed" where nothing explains it.
@@ -27,7 +27,7 @@ class ChangedParameter(msgspec.Struct, frozen=True):
     """A parameter that changed.
 
     Attributes:
-        before, after: its value as calibrated and now [``unit``].
+        before, after: its calibrated and its current value [``unit``].
         sigma: standard deviation of the change [``unit``].
         unit: the unit.
     """
@@ -42,7 +42,7 @@ class ChangeEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
     """A change that was found, the most significant first.
 
     Attributes:
-        parameters: what moved.
+        parameters: the changed parameters.
         p_value: probability of such an alarm on an unchanged robot.
         equivalent: other changes that these poses can't distinguish from it.
         tell_apart: poses that would; empty if there are none.
@@ -62,10 +62,10 @@ class ExcludedEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
     """A change that would have been detected.
 
     Attributes:
-        parameter: what would have moved; empty for an effect of several parameters.
-        smallest: size from which it is detected with 90 % [``unit``].
+        parameter: the parameter; empty for an effect of several.
+        smallest: size that is detected with a probability of 90 % [``unit``].
         unit: the unit.
-        tip_mm: how far that moves the target in these poses, at most.
+        tip_mm: largest displacement of the target by it in these poses.
     """
 
     parameter: str = ""
@@ -75,12 +75,12 @@ class ExcludedEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class MovedEntry(msgspec.Struct, frozen=True):
-    """How far instrument and target moved since the calibration; null if these data do not determine it.
+    """Displacement of instrument and target since the calibration; null if these data do not determine it.
 
     Attributes:
-        moved_mm: distance between the instrument's places in the robot's base frame [mm].
+        moved_mm: distance between the instrument's positions in the robot's base frame [mm].
         turned_mrad: angle between its orientations [mrad].
-        target_moved_mm: distance between the target's places on the tool [mm].
+        target_moved_mm: distance between the target's positions on the tool [mm].
     """
 
     moved_mm: float | None
@@ -113,7 +113,7 @@ class CurvesEntry(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         session: name of the new rows.
-        as_it_was_mm: mean error with the curves as they were, outliers left out [mm].
+        as_it_was_mm: mean error with the calibrated curves, outliers left out [mm].
         all_anew_mm: the same with all of them re-estimated, cross-validated over blocks of poses [mm].
         joints: by joint, largest contribution first.
     """
@@ -131,10 +131,10 @@ class DiagnosisFile(msgspec.Struct, frozen=True, kw_only=True):
         changed: whether the robot has changed.
         p_value: probability of such an alarm on an unchanged robot.
         alpha: the allowed probability of a false alarm.
-        changes: what changed.
+        changes: the changes found.
         excluded: changes that would have been detected.
-        gap: errors at the new poses of the old model, only located again, and of the re-identified one [mm].
-        station: how far instrument and target moved.
+        gap: errors at the new poses of the old model with new base and tool, and of the re-identified one [mm].
+        station: displacement of instrument and target.
         rows: number of new rows.
         warnings: further messages, doubts first.
         curves: contribution of the drive curves to the error of the new rows, if the model has any.

@@ -1,4 +1,4 @@
-"""What a discovery found: the one structure behind ``discovery.json``, the report and the terminal."""
+"""Results of a discovery: the structure behind ``discovery.json``, the report and the terminal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pincal.validate.misfit import SURE, Verdict
 
 
 class Gap(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Errors on held-out rows, on the fitted ones where none were held out.
+    """Errors on held-out rows, or on the fitted ones if none were held out.
 
     Attributes:
         mean_mm, rms_mm, max_mm: of the position [mm].
@@ -33,13 +33,13 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     Attributes:
         effect: its name in the catalogue.
         joint: the joint on which it acts; null for one of the whole arm.
-        source: the joint whose position it follows, where that is another one.
+        source: the joint whose position it follows, if another one.
         order: cycles per revolution of the joint, of a periodic effect.
-        depends_on: the variable that an effect without a name follows: a joint, "time", "temperature" or "payload".
-        acts_on: what an effect without a name moves: "drive", "gamma_x", "gamma_y", "s_x" or "s_y".
+        depends_on: the variable of an effect without a name: a joint, "time", "temperature" or "payload".
+        acts_on: the coordinate on which an effect without a name acts: "drive", "gamma_x", "gamma_y", "s_x" or "s_y".
         shape: form of a dependence without a name: "curve", "waves", "product", "map", "step" or "kink".
-        place: where along its variable it breaks [unit of the variable].
-        station: name of the station that alone has it.
+        place: position of its break along the variable [unit of the variable].
+        station: name of the only station with it.
     """
 
     effect: str
@@ -80,8 +80,8 @@ class Stage(Gap, frozen=True, kw_only=True, omit_defaults=True):
     """Errors after one change of the model; each starts from the stage before.
 
     Attributes:
-        name: what changed, in words.
-        entered, left: effects that this change added to the model, and that it removed.
+        name: the change, in words.
+        entered, left: effects added to the model by this change, and removed.
         share: share of this change in the total reduction of the mean square error; all shares add up to 1. Negative where
             it grew; none for the first stage, or without a reduction.
     """
@@ -101,8 +101,8 @@ class FoundParameter(msgspec.Struct, frozen=True):
     """A parameter of an effect.
 
     Attributes:
-        value: what was found [``unit``].
-        sigma: its standard deviation [``unit``]; that of the prior where it was not fitted, null where nothing is known.
+        value: its estimate [``unit``].
+        sigma: its standard deviation [``unit``]; of the prior where it was not fitted, null if unknown.
         unit: the unit.
     """
 
@@ -124,7 +124,7 @@ class Stability(msgspec.Struct, frozen=True):
 
     @property
     def share(self) -> float:
-        """The part of the halves, 0 to 1."""
+        """Fraction of the subsamples, 0 to 1."""
         return self.named / self.of
 
     def __str__(self) -> str:
@@ -145,9 +145,9 @@ class Bootstrap(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     """Significance of the effect accepted last, including the selection among all candidates.
 
     Attributes:
-        p_value: fraction of tables drawn from the model without it in which some candidate is as good, including the
-            measured one.
-        draws: how many were drawn.
+        p_value: fraction of tables drawn from the model without it, and of the measured one, in which some candidate is as
+            good.
+        draws: number of drawn tables.
     """
 
     p_value: float
@@ -165,7 +165,7 @@ class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
         parameters: its parameters by name.
         p_value: probability of this result without the effect.
         gap_before_mm, gap_after_mm: mean error on held-out rows before it entered the model, and with it.
-        gap_before_mrad, gap_after_mrad: the same of orientation, where that was measured.
+        gap_before_mrad, gap_after_mrad: the same for the orientation, where it was measured.
         equivalent: effects that the data can't distinguish from it.
         tell_apart: the cheapest measurement that would distinguish it from the first of them; empty without one.
         stability: number of subsamples in which the search finds it; None if not tested.
@@ -187,7 +187,7 @@ class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def is_hint(self) -> bool:
-        """Whether it is found in so few subsamples that it is only a hint."""
+        """Whether it is only a hint, found in few subsamples."""
         return self.stability is not None and self.stability.share < SURE
 
 
@@ -199,8 +199,8 @@ class Disagreement(msgspec.Struct, frozen=True, omit_defaults=True):
         share: part of the excess over the noise, 0 to 1.
         joint: the joint; None for a region.
         region: the region, if not a single joint: "whole arm", "reach 0.80 to 1.10 m", ...
-        acts_on: what moves there, if known: "drive", "gamma_x", "base", ...
-        depends_on: the variable that it follows, if known.
+        acts_on: the coordinate, if known: "drive", "gamma_x", "base", ...
+        depends_on: the variable on which it depends, if known.
     """
 
     statement: str
@@ -256,8 +256,8 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         bootstrap: significance of the effect accepted last; None if not tested, or none was accepted.
         approach_from: origin of the directions of approach; None if unknown.
         warnings: further messages, doubts first, as in ``result.json``.
-        held_out: the gap on rows that are held out in each way, "regions" of joint space and "stretches" of consecutive
-            rows; ``gap`` is the one that is larger in the end.
+        held_out: the gap on rows held out in each way, "regions" of joint space and "stretches" of consecutive rows;
+            ``gap`` is the one that is larger at the end.
     """
 
     noise_floor_mm: float

@@ -1,4 +1,4 @@
-"""The parts of a ``model.json``: a robot, its chain and effects, parameters, ranges and set-ups in numbers."""
+"""The parts of a ``model.json``: chain, effects, parameters and set-ups as records."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from pincal.model.model import Model
 from pincal.parameters import Parameter
 from pincal.robot.robot import Robot
 
-# What every effect in a file has.
+# JSON Schema common to all effects in a file.
 EFFECT_SCHEMA: dict[str, Any] = {"type": "object", "properties": {"name": {"type": "string"}}, "required": ["name"]}
-# A file of more is none that pincal wrote: an arm has some ten effects for each of its joints.
+# More than pincal writes: an arm has about ten effects for each of its joints.
 Effects = Annotated[tuple[Effect, ...], msgspec.Meta(max_length=2000)]
 
 
 class ChainEntry(Record, frozen=True, kw_only=True):
     """Data of a chain in addition to its robot, see :class:`pincal.model.chain.Chain`.
 
-    Files without ``bearing_heights`` are older than these: their bearings stand at the origins of the joint frames.
+    Older files have no ``bearing_heights``: their bearings are at the origins of the joint frames.
     """
 
     moment_frame: MomentFrame
@@ -80,7 +80,7 @@ def model_of(robot: Robot, chain: ChainEntry, effects: tuple[Effect, ...], *, eq
     """Return a robot's model.
 
     Raises:
-        Fault: below ``key``, if an effect is of a joint or symbol that the robot does not have.
+        Fault: below ``key``, if an effect has a joint or symbol that the robot lacks.
     """
     given, n = msgspec.structs.asdict(chain), robot.n_joints
     given["ends"] = None if chain.ends is None else chain.ends.path(n, f"{key}.chain.ends")
@@ -161,9 +161,9 @@ class SetupEntry(Record, frozen=True, kw_only=True):
 
 
 def restoring() -> Hook:
-    """Return a function that returns the array or effect that a value of a JSON file stands for.
+    """Return a function that returns the array or effect represented by a value of a JSON file.
 
-    Matrices that it unpacks take no more bytes, all together, than a file has.
+    All matrices that it unpacks together have at most as many bytes as a file.
     """
     left = MOST_BYTES
 
@@ -181,10 +181,7 @@ def restoring() -> Hook:
 
 
 def plain(value: Any) -> Any:
-    """Return a record, or what stands in one, in types that JSON knows, effects by name.
-
-    Fields that have their default are left out.
-    """
+    """Return a record, or a value in one, in JSON types; fields with their default are omitted."""
     if value is None or type(value) in (str, int, float, bool):
         return value
     if isinstance(value, Record):
@@ -203,15 +200,14 @@ def plain(value: Any) -> Any:
 
 @cache
 def _defaults(kind: type[Record]) -> list[tuple[str, Any]]:
-    """Return the fields of a kind of records and their defaults, which take longer to find than to write."""
+    """Return the fields of a kind of records and their defaults, cached as they take longer to find than to write."""
     return [(field.name, field.default) for field in msgspec.structs.fields(kind)]
 
 
 def effect_to_entry(effect: Effect) -> dict[str, Any]:
-    """Return an effect's name and fields in types that JSON knows; an array is ``{"array": ...}``.
+    """Return an effect's name and fields in JSON types; an array is ``{"array": ...}``.
 
-    An effect that is not pincal's own comes with the module that defines it. Reading never imports that module: a user has
-    to name it, as a plugin.
+    The entry of a custom effect contains its module, which reading never imports: a user has to name it, as a plugin.
     """
     module = type(effect).__module__
     origin = {} if module.split(".")[0] == "pincal" else {"module": module}
@@ -221,10 +217,10 @@ def effect_to_entry(effect: Effect) -> dict[str, Any]:
 
 
 def effect_from_entry(entry: Any) -> Effect:
-    """Return the effect of :func:`effect_to_entry`; a field that is not there has its default.
+    """Return the effect of :func:`effect_to_entry`; missing fields have their defaults.
 
     Raises:
-        Fault: if no effect has this name, or not these fields, or of other types.
+        Fault: for an unknown name, or unknown or invalid fields.
     """
     if not isinstance(entry, dict):
         raise Fault(what_is(entry, "an object"), "an object")
@@ -252,7 +248,7 @@ def effect_from_entry(entry: Any) -> Effect:
 
 
 def _fields(effect: Effect | type[Effect]) -> tuple[Field[Any], ...]:
-    # Every effect is a dataclass, which the abstract base can't say.
+    # Every effect is a dataclass, which the abstract base can't declare.
     return tuple(field for field in fields(effect) if field.init)  # type: ignore[arg-type]
 
 

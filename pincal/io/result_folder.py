@@ -1,8 +1,8 @@
-"""A folder of results: all of one run, or all of another.
+"""Folders of results, each consistently from one run.
 
-What belongs together is said by ``model.json``, which every such folder has: it lists the files that were written with it,
-with their hashes. Where the system can exchange two folders in one step, a run is published so. Elsewhere the files are
-replaced one by one, ``model.json`` last: until then it lists files that are no longer there, and readers refuse it.
+``model.json``, which every such folder has, lists the files that were written with it, with their hashes. Where the system
+can exchange two folders in one step, a run is published so. Elsewhere the files are replaced one by one, ``model.json``
+last: until then it lists files that no longer exist, and readers refuse it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pincal.atomic import drafted, exchanged, one_at_a_time
 from pincal.errors import OutputError
 
 MODEL = "model.json"
-# All that a run may write about its model. A run that does not write one of them takes that of an earlier run away.
+# Files that a run may write in addition to its model; those of an earlier run are removed.
 RESULTS = (
     "result.json",
     "discovery.json",
@@ -33,9 +33,9 @@ RESULTS = (
 
 @contextmanager
 def output_folder(path: Path) -> Iterator[Path]:
-    """Yield a folder to write to; at a good end ``path`` holds its files, else what it held before.
+    """Yield a folder to write to; on success ``path`` holds its files, else it is unchanged.
 
-    Results of an earlier run that this one does not write go away; other files at ``path`` stay there.
+    Results of an earlier run are removed; other files at ``path`` are kept.
 
     Raises:
         OutputError: if ``path`` is a file or can't be written.
@@ -58,17 +58,17 @@ def output_folder(path: Path) -> Iterator[Path]:
 
 
 def not_written_with(model: Path, files: Mapping[str, str]) -> str:
-    """Return the name of a file beside a model that was not written with it; empty if there is none."""
+    """Return the name of a file in a model's folder that was not written with it; empty if there is none."""
     for name, expected in files.items():
         beside = model.parent / name
-        # What people may have edited tells no runs apart; absent files are none of another run.
+        # Other files may have been edited by hand.
         if name in RESULTS and beside.suffix == ".json" and beside.is_file() and file_hash(beside) != expected:
             return name
     return ""
 
 
 def _sealed(content: bytes, files: Mapping[str, str]) -> bytes:
-    """Return the text of a ``model.json``, one line for each key, that lists the files written with it."""
+    """Return the text of a ``model.json``, with one line per key, with the list of files written with it."""
     head, line_end, rest = content.partition(b"\n")
     return head + line_end + b'"files": ' + json.dumps(dict(files)).encode() + b",\n" + rest
 
@@ -80,18 +80,18 @@ def file_hash(file: Path) -> str:
 
 
 def _is_exchangeable(goal: Path) -> bool:
-    """Return whether another folder may take the place of this one, as far as one can tell beforehand."""
+    """Return whether a folder can probably be exchanged for another one."""
     if not os.access(goal.parent, os.W_OK | os.X_OK):
         return False
-    # Whoever works in the folder would stay in the old one; on another device are mounted ones.
+    # Processes in the folder would remain in the old one; a mounted folder is on another device.
     is_apart = goal.exists() and goal.stat().st_dev != goal.parent.stat().st_dev
     return not is_apart and not Path.cwd().is_relative_to(goal)
 
 
 def _publish(draft: Path, goal: Path) -> None:
-    """Put the files of a draft where they belong."""
+    """Move the files of a draft to their destination."""
     if not goal.exists():
-        # Fails if another run has been faster and left files there.
+        # Fails if another run was faster.
         with suppress(OSError):
             return os.rename(draft, goal)
     if draft.parent == goal.parent and _has_joined(draft, goal) and exchanged(draft, goal):
@@ -105,7 +105,7 @@ def _publish(draft: Path, goal: Path) -> None:
 
 
 def _has_joined(draft: Path, goal: Path) -> bool:
-    """Return whether all that has to stay has been given a second name in the draft; of folders that is impossible."""
+    """Return whether all other files could be linked into the draft, which is impossible for folders."""
     owners = [(folder.stat().st_uid, folder.stat().st_gid) for folder in (draft, goal)]
     kept = [entry for entry in goal.iterdir() if entry.name not in (MODEL, *RESULTS) and not (draft / entry.name).exists()]
     if owners[0] != owners[1] or any(entry.is_dir() or entry.is_symlink() for entry in kept):

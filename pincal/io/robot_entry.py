@@ -1,4 +1,4 @@
-"""The robot in a ``model.json``: its joints, frames, limits and masses, paths and loops in numbers."""
+"""The robot in a ``model.json``: joints, frames, limits, masses, paths and loops as records."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class FramesEntry(Record, frozen=True, kw_only=True):
 
 
 class PathEntry(Record, frozen=True, kw_only=True):
-    """The links between which readings are, see :class:`pincal.robot.link_path.LinkPath`."""
+    """The path between the two links of readings, see :class:`pincal.robot.link_path.LinkPath`."""
 
     start: str
     tip: str
@@ -64,18 +64,14 @@ class PathEntry(Record, frozen=True, kw_only=True):
         return None if path is None else cls.like(path)
 
     def path(self, n_joints: int, key: str) -> LinkPath:
-        """Return the path of a robot of so many joints.
-
-        Raises:
-            Fault: below ``key``, for a joint that it does not have.
-        """
+        """Return the path in a robot of n joints; raise a Fault at ``key`` for other joints."""
         if not all(-1 <= joint < n_joints for joint in (self.start_joint, self.tip_joint)):
             raise Fault("names no joints", f"numbers from -1 to {n_joints - 1}", key=key)
         return LinkPath(**msgspec.structs.asdict(self))
 
 
 class ClosureEntry(Record, frozen=True, kw_only=True):
-    """What closes a loop, see :class:`pincal.robot.closure.Closure`."""
+    """The closure of a loop, see :class:`pincal.robot.closure.Closure`."""
 
     name: str
     kind: Literal["point", "axis", "pose"]
@@ -83,11 +79,7 @@ class ClosureEntry(Record, frozen=True, kw_only=True):
     rows: tuple[int, ...]
 
     def closure(self, n_joints: int, key: str) -> Closure:
-        """Return the closure in a robot of so many joints.
-
-        Raises:
-            Fault: below ``key``, for a joint or an equation that there is not.
-        """
+        """Return the closure in a robot of n joints; raise a Fault below ``key`` for other joints or equations."""
         found = Closure(self.name, self.kind, self.path.path(n_joints, f"{key}.path"), self.rows)
         if not self.rows or not set(self.rows) <= set(range(found.size)):
             raise Fault("are no equations", f"numbers from 0 to {found.size - 1}", key=f"{key}.rows")
@@ -95,10 +87,10 @@ class ClosureEntry(Record, frozen=True, kw_only=True):
 
 
 class RobotEntry(Record, frozen=True, kw_only=True):
-    """A robot in numbers, see :class:`pincal.robot.robot.Robot`; the text of its URDF may be missing.
+    """A robot, see :class:`pincal.robot.robot.Robot`; the text of its URDF may be missing.
 
     Attributes:
-        lower, upper: shape (n,), joint limits [rad or m]; null where there is none.
+        lower, upper: shape (n,), joint limits [rad or m]; null for none.
     """
 
     name: str
@@ -148,7 +140,7 @@ class RobotEntry(Record, frozen=True, kw_only=True):
             raise Fault(f"is no text ({error.reason})", "the text of a URDF, or null", key=".urdf") from None
 
     def _check_tree(self) -> None:
-        """Refuse joints that are not carried by the base or an earlier joint, and branches that are not there."""
+        """Refuse joints that are not carried by the base or an earlier joint, and wrong branches."""
         n, branches = len(self.joint_names), self.frames.branches
         parents = self.parents or tuple(range(-1, n - 1))
         if len(parents) != n or any(not -1 <= parent < i for i, parent in enumerate(parents)):
@@ -160,7 +152,7 @@ class RobotEntry(Record, frozen=True, kw_only=True):
             raise Fault("do not fit the branches", "a transform for each branch", key=".frames.T_branch_first")
 
     def urdf_bytes(self) -> bytes:
-        """Return the URDF as it was read; bytes that are no UTF-8 are in the file as escapes."""
+        """Return the original bytes of the URDF; those that are not UTF-8 are escaped in the file."""
         return (self.urdf or "").encode("utf-8", "surrogateescape")
 
     @classmethod

@@ -1,4 +1,4 @@
-"""JSON files read strictly into typed structures: bounded first, then typed, and every fault reported with its place."""
+"""JSON files read strictly into typed structures: within limits, and with the key of every fault."""
 
 from __future__ import annotations
 
@@ -19,15 +19,14 @@ from pincal.errors import BadInputError, ModelFileError, OutputError
 _T = TypeVar("_T")
 Hook = Callable[[Any, Any], Any]
 
-# Limits that are checked before anything is built. Together they bound the work on a hostile file to less than a second
-# and 200 MB, while a model of 1500 parameters, whose covariance has 2.25 million numbers in files of version 0.1.0, is still
-# read.
+# Limits that are checked before parsing. Together they bound the work on a hostile file to less than a second and 200 MB,
+# but allow a model of 1500 parameters, whose covariance has 2.25 million numbers in files of version 0.1.0.
 MOST_BYTES = 52 << 20
-# Separators, brackets and quotes: each value has one or more, and becomes a Python object of some 30 to 100 bytes.
+# Separators, brackets and quotes: each value has at least one, and becomes a Python object of 30 to 100 bytes.
 MOST_TOKENS = 2_500_000
-# Our own files nest eight deep; the rest is for what users put into the provenance.
+# pincal's files nest eight deep; the provenance by users may be deeper.
 MOST_DEPTH = 32
-# The longest number that a computer writes without need has 325 digits, the smallest one written out in full.
+# The longest sensible number has 325 digits: the smallest one written out in full.
 MOST_DIGITS = 1000
 
 _LONG_NUMBER = b"0" * (MOST_DIGITS + 1)
@@ -56,12 +55,12 @@ _EXPECTED = {
 
 
 class Fault(ValueError):
-    """What is wrong with a value.
+    """An invalid value.
 
     Attributes:
         problem: what is wrong with it.
-        expected: what should stand there.
-        key: the way from the structure that is being built to the value, e.g. ``.covered.q``; empty for itself.
+        expected: what was expected instead.
+        key: keys from the structure being built to the value, e.g. ``.covered.q``; empty for the structure.
     """
 
     def __init__(self, problem: str, expected: str, *, key: str = "") -> None:
@@ -74,11 +73,11 @@ class FileKind:
     """A kind of JSON file.
 
     Attributes:
-        name: what to call such a file.
+        name: such a file, in words.
         error: the class of its errors.
-        advice: what a user can do about a bad one, empty for nothing but to mend it.
-        mark: what stands between a key and what is wrong with it.
-        whole: what the file should hold, for the message that a key of it is missing; empty for none.
+        advice: what a user can do about a bad one; empty for none.
+        mark: separator between a key and the problem in messages.
+        whole: the expected contents, for messages about a missing key; empty for none.
     """
 
     name: str
@@ -88,7 +87,7 @@ class FileKind:
     whole: str = ""
 
     def fault(self, file: str, place: str, problem: str, expected: str) -> BadInputError:
-        """Return the error for a fault at some place of a file."""
+        """Return the error for a fault at a key of a file."""
         key = f"{place}{self.mark}" if place else ""
         if self.whole and (not place or problem == MISSING):
             expected = self.whole
@@ -104,17 +103,17 @@ def read_json(path: str | os.PathLike[str], wanted: type[_T], kind: FileKind, *,
     Args:
         path: the file.
         wanted: the structure to read.
-        kind: what sort of file it is, for messages.
-        hook: builds values of types that msgspec doesn't know, see :class:`msgspec.json.Decoder`; raises :class:`Fault`.
+        kind: the kind of file, for messages.
+        hook: builds values of types unknown to msgspec, see :class:`msgspec.json.Decoder`; raises :class:`Fault`.
 
     Raises:
-        BadInputError: of the kind's class: the file can't be read, is too large, no JSON, or has a fault somewhere.
+        BadInputError: of the kind's class: the file can't be read, is too large, is not JSON, or has a fault.
     """
     return built(read_bounded(path, kind), wanted, kind, file=os.fspath(path), hook=hook)
 
 
 def read_bounded(path: str | os.PathLike[str], kind: FileKind) -> bytes:
-    """Return the text of a JSON file, if what it describes can be built within the limits.
+    """Return the text of a JSON file within the limits.
 
     Raises:
         BadInputError: of the kind's class: the file can't be read, or is too large.
@@ -131,7 +130,7 @@ def read_bounded(path: str | os.PathLike[str], kind: FileKind) -> bytes:
 
 
 def built(content: bytes, wanted: type[_T], kind: FileKind, *, file: str, hook: Hook | None = None) -> _T:
-    """Return the structure that a bounded text describes; see :func:`read_json`.
+    """Return the structure in a bounded text; see :func:`read_json`.
 
     Example:
         >>> class Point(msgspec.Struct):
@@ -149,7 +148,7 @@ calibrate again
         try:
             place, problem, expected = explained(error, lambda: _loaded(content), wanted)
         except ValueError as other:
-            # The decoder stops at the first fault; what comes after it is no JSON.
+            # The decoder stopped at the first fault; the text after it is not JSON.
             place, problem, expected = "", f"cut off or no JSON ({other})", kind.name
         raise kind.fault(file, place, problem, expected) from None
     except ValueError as error:
@@ -157,7 +156,7 @@ calibrate again
 
 
 def bounded(content: bytes, kind: FileKind, file: str) -> bytes:
-    """Return a text within the limits; what is no finite number in it becomes one out of range, whose place is told."""
+    """Return a text within the limits, with NaN and infinities as numbers out of range, which are reported by key."""
     if excess := _excess(content):
         raise kind.fault(file, "", f"too large to be read safely ({excess})", kind.name)
     if b"NaN" in content or b"Infinity" in content:
@@ -166,7 +165,7 @@ def bounded(content: bytes, kind: FileKind, file: str) -> bytes:
 
 
 def _loaded(content: bytes) -> Any:
-    """Return a JSON text in Python's types; unlike msgspec this knows half a surrogate pair, which stands for odd bytes."""
+    """Return a JSON text in Python's types; unlike msgspec this accepts lone surrogates, by which bytes are escaped."""
     return json.loads(content, parse_float=_finite)
 
 
@@ -177,12 +176,12 @@ def _finite(text: str) -> float:
 
 
 def _excess(content: bytes) -> str:
-    """Return which limit a text exceeds, empty if none."""
+    """Return the limit that a text exceeds, in words; empty if none."""
     if len(content) > MOST_BYTES:
         return f"more than {MOST_BYTES >> 20} MB"
     if sum(content.count(token) for token in (b",", b":", b"[", b"{", b'"')) > MOST_TOKENS:
         return f"more than {MOST_TOKENS:,} values"
-    # Most files have neither a long number nor so many brackets, in strings or outside: nothing has to be taken apart.
+    # Most files have neither long numbers nor many brackets, even in strings, and need no parsing.
     if _LONG_NUMBER not in content.translate(_DIGITS) and content.count(b"[") + content.count(b"{") <= MOST_DEPTH:
         return ""
     bare = _STRINGS.sub(b'""', content)
@@ -194,7 +193,7 @@ def _excess(content: bytes) -> str:
 
 
 def explained(error: msgspec.ValidationError, loaded: Callable[[], Any], wanted: Any) -> tuple[str, str, str]:
-    """Return the place of an error of the decoder, what is wrong there and what was expected, in words."""
+    """Return the key of an error of the decoder, the problem and the expected value, in words."""
     message = str(error)
     found = _PLACE.search(message)
     place = found["place"].removeprefix("$").removeprefix(".") if found else ""
@@ -216,7 +215,7 @@ def explained(error: msgspec.ValidationError, loaded: Callable[[], Any], wanted:
 
 
 def what_is(value: Any, expected: str) -> str:
-    """Say what stands somewhere: a short text or number itself, else its kind."""
+    """Return a value in words: a short text or number itself, else its kind."""
     if isinstance(value, (str, bool, int, float)) and len(repr(value)) <= 40:
         return f"is {value!r}"
     return f"is no {expected.split(' ', 1)[-1]} but {_KINDS.get(type(value), 'a number')}"
@@ -245,20 +244,20 @@ def _type_at(wanted: Any, place: str) -> Any:
 
 
 def in_script(text: str) -> str:
-    """Return JSON that stays text inside of a script element, whatever names are in it."""
+    """Return JSON with escapes that keep it plain text in a script element."""
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def write_json(path: str | os.PathLike[str], contents: dict[str, Any], *, indent: int | None = 1) -> None:
-    """Write contents as a JSON file, the whole file or nothing, its numbers in full precision.
+    """Write a JSON file atomically, with numbers in full precision.
 
     Args:
         path: the file.
-        contents: what to write, in types that JSON knows.
-        indent: as :func:`json.dumps` has it; None for one line for each key of the outermost object.
+        contents: in JSON types.
+        indent: as for :func:`json.dumps`; None for one line per key of the outermost object.
 
     Raises:
-        OutputError: if the place can't be written to, or a number is not finite.
+        OutputError: if the file can't be written, or a number is not finite.
     """
     try:
         if indent is None:

@@ -1,4 +1,4 @@
-"""The calibrated robot as a URDF: the original text with the origins of the arm's joints where the fit puts them."""
+"""The calibrated robot as a URDF: the original text with calibrated origins of the arm's joints."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from pincal.robot.robot import Robot
 from pincal.robot.tree import MOVING_TYPES, UrdfJoint, UrdfTree
 from pincal.robot.urdf_file import parse_urdf
 
-# Largest error of the written URDF's tip [m], and of an element of its rotation matrix, against the calibrated
-# geometry: a thousand times what rounding does and a thousand times less than what is ever measured.
+# Largest error of the written URDF's tip [m], and of an element of its rotation matrix, relative to the calibrated geometry:
+# a thousand times the rounding and a thousandth of any measurement.
 FK_TOLERANCE = 1e-9
-# A tip that moves by less [m or rad] stays where it is.
+# Largest change of a tip that counts as none [m or rad].
 _TIP_MOVED = 1e-12
 _CHECKED_POSES = 50
 _GEOMETRIC_NAMES = tuple(effect.name for effect in GEOMETRIC)
@@ -37,9 +37,9 @@ class UrdfExport:
 
     Attributes:
         text: the URDF, in the encoding of the original.
-        tip: the link that is the calibrated tip: the robot's tip, or one inserted behind it.
+        tip: the link at the calibrated tip: the robot's tip, or one inserted behind it.
         edited: joints whose origin has changed.
-        notes: what the URDF can't carry and what had to be inserted, in words.
+        notes: effects that the URDF can't represent, and inserted links, in words.
         max_error_m: largest distance between the tip of ``text``, by Pinocchio, and that of the calibrated geometry [m].
     """
 
@@ -53,19 +53,19 @@ class UrdfExport:
 def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = None) -> UrdfExport:
     r"""Write the calibrated geometry into the URDF of the robot.
 
-    A joint's origin becomes :math:`(\prod T_{fixed})^{-1} T_{i-1,i}` with the fixed joints between two moving ones left as
-    they are; the last fixed joint before the tip takes what the tip moves by. Elastic effects are left out.
+    A joint's origin becomes :math:`(\prod T_{fixed})^{-1} T_{i-1,i}` with fixed joints between two moving ones unchanged;
+    the last fixed joint before the tip takes the displacement of the tip. Elastic effects are left out.
 
     Args:
         model: the calibrated model.
-        values: shape (P,) or longer, its parameters; what follows them (a sensor's own) is not used.
-        urdf: the URDF to edit; default: that of ``model.chain.robot``.
+        values: shape (P,) or longer, its parameters; further ones (a sensor's own) are not used.
+        urdf: the URDF to edit; default: the one of ``model.chain.robot``.
 
     Returns:
-        The URDF, byte for byte the original but for the numbers of the origins that changed.
+        The URDF, identical to the original except for the numbers of changed origins.
 
     Raises:
-        RobotFileError: if there is no URDF, it is not that of the robot, or its tip is not where the model has it.
+        RobotFileError: if there is no URDF, it is of another robot, or its tip differs from the model's.
 
     Example:
         >>> from pincal.robot.robot import Robot
@@ -104,7 +104,7 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
 
 
 def _placements(model: Model, values: np.ndarray, paths: Sequence[LinkPath]) -> dict[str, np.ndarray]:
-    """Return each moving joint, and the links at the ends of paths, in the joint frame that carries it, (4, 4)."""
+    """Return the poses of moving joints, and of links at the ends of paths, in the joint frames that carry them."""
     joints, behind = link_placements(model, values)
     found = dict(zip(model.chain.robot.joint_names, joints, strict=True))
     for path in paths:
@@ -113,7 +113,7 @@ def _placements(model: Model, values: np.ndarray, paths: Sequence[LinkPath]) -> 
 
 
 def _segments(tree: UrdfTree, robot: Robot, ends: Collection[str]) -> dict[str, list[UrdfJoint]]:
-    """Return the joints that lead to each joint of the robot, itself the last, and to the links at the ends of paths."""
+    """Return the joints that lead to each joint of the robot, including itself, and to links at the ends of paths."""
     known = {joint.name: joint for joint in tree.joints}
     missing = [name for name in robot.joint_names if name not in known]
     if robot.is_serial and not robot.links:
@@ -134,7 +134,7 @@ def _segments(tree: UrdfTree, robot: Robot, ends: Collection[str]) -> dict[str, 
 
 
 def _way_to(tree: UrdfTree, robot: Robot, link: str) -> list[UrdfJoint]:
-    """Return the fixed joints that lead to a link from the joint of the robot that carries it, or from the base."""
+    """Return the fixed joints from the joint of the robot that carries a link, or from the base, to the link."""
     way = tree.above(link)
     before = [k for k, joint in enumerate(way) if joint.name in robot.joint_names]
     first = before[-1] + 1 if before else next((k for k, joint in enumerate(way) if joint.parent == robot.base), len(way))
@@ -147,7 +147,7 @@ def _origins(
     before: Mapping[str, np.ndarray],
     after: Mapping[str, np.ndarray],
 ) -> dict[str, Origin]:
-    """Return the new origin of the last joint of each segment, those ahead of it left as they are."""
+    """Return the new origin of the last joint of each segment, with the joints ahead of it unchanged."""
     new = {}
     for end, segment in segments.items():
         if segment:
@@ -159,7 +159,7 @@ def _origins(
 def _pin_origins(
     tree: UrdfTree, model: Model, values: np.ndarray, old: dict[str, Origin]
 ) -> tuple[dict[str, Origin], list[str]]:
-    """Return the new origins of what closes loops, and the names of closures that the URDF can't move."""
+    """Return the new origins of loop closures, and the names of closures that the URDF can't move."""
     chain, new, held = model.chain, dict[str, Origin](), list[str]()
     frames = (closure_frames(model, x) for x in (np.zeros(model.n_parameters), values))
     for (closure, nominal), (_, found) in zip(*frames, strict=True):
@@ -173,7 +173,7 @@ def _pin_origins(
                 T_old = old[name].matrix
                 new[name] = _moved(old[name], T_old, np.linalg.inv(on_link) @ moved @ on_link @ T_old)
             elif way and way[-1].child == link and closure.name in old:
-                # The second joint of a link that is fixed to another: that is where its place is written.
+                # The second joint of a link that is fixed to another one, which has its origin.
                 ahead = np.linalg.inv(_product(old, way[:-1]))
                 new[way[-1].name] = _moved(old[way[-1].name], ahead @ on_link, ahead @ moved @ on_link)
             elif np.abs(moved - np.eye(4)).max() > _TIP_MOVED or closure.name not in old:
@@ -182,7 +182,7 @@ def _pin_origins(
 
 
 def _product(old: dict[str, Origin], way: Sequence[UrdfJoint]) -> np.ndarray:
-    """Return where fixed joints, one after the other, place the link behind them, shape (4, 4)."""
+    """Return the product of the origins of consecutive fixed joints, shape (4, 4)."""
     found = np.eye(4)
     for joint in way:
         found = found @ old[joint.name].matrix
@@ -190,14 +190,14 @@ def _product(old: dict[str, Origin], way: Sequence[UrdfJoint]) -> np.ndarray:
 
 
 def _moved(old: Origin, before: np.ndarray, after: np.ndarray) -> Origin:
-    """Return an origin moved as its placement does: what has not moved stays as the URDF has it, to the last digit."""
+    """Return an origin moved with its placement; unchanged parts keep the numbers of the URDF to the last digit."""
     xyz = old.xyz + (after[:3, 3] - before[:3, 3])
     turned = not np.array_equal(after[:3, :3], before[:3, :3])
     return Origin(xyz, rpy_of(after[:3, :3], old.rpy) if turned else old.rpy)
 
 
 def _with_tip(text: bytes, tree: UrdfTree, robot: Robot, T_tip_calibrated: np.ndarray) -> tuple[bytes, str]:
-    """Return the text with a link for the calibrated tip behind the tip, and this link's name."""
+    """Return the text with a link for the calibrated tip inserted behind the tip, and the name of this link."""
     taken = {*tree.links, *(joint.name for joint in tree.joints)}
     name = f"{robot.tip}_calibrated"
     while name in taken or f"{name}_joint" in taken:
@@ -208,8 +208,8 @@ def _with_tip(text: bytes, tree: UrdfTree, robot: Robot, T_tip_calibrated: np.nd
 
 
 def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
-    """Say what a file of the rigid geometry leaves to ``model.json``."""
-    # Each once: an effect may be there for every joint.
+    """Return notes on effects that are in ``model.json`` but not in a file of the rigid geometry."""
+    # Each once, as there may be an effect for every joint.
     of = {effect.name: effect for effect in model.effects if effect.locus.acts_on != "clock"}
     names, read = list(of), [name for name, effect in of.items() if effect.is_sighted]
     bends = [e.uses_moments or e.family is Family.ELASTICITY or bool(e.bodies(model.chain)) for e in of.values()]
@@ -236,7 +236,7 @@ def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
 
 
 def _check(text: bytes, tip: str, model: Model, values: np.ndarray, *, lost: Collection[str]) -> float:
-    """Return how far the text's tips are from the calibrated geometry at most; refuse what is more than rounding."""
+    """Return the largest error of the text's tips relative to the calibrated geometry; refuse more than rounding."""
     robot, error = model.chain.robot, 0.0
     with warnings.catch_warnings(action="ignore", category=PincalWarning):
         written = Robot.from_tree(parse_urdf(text, source=robot.source), replace(robot.request, tip=tip))
@@ -256,13 +256,13 @@ def _check(text: bytes, tip: str, model: Model, values: np.ndarray, *, lost: Col
 
 
 def rigid_tips(model: Model, values: np.ndarray, q: np.ndarray, path: LinkPath | None = None) -> np.ndarray:
-    """Return the tip of a path where it starts, shape (N, 3, 4), by the rigid part of the model, not by its placements."""
+    """Return the poses of a path's tip in its start frame, shape (N, 3, 4), by the rigid part of the model."""
     rigid, found = _rigid(model, values, path)
     return rigid.predict(found, Conditions.at(q))
 
 
 def rigid_joints(model: Model, values: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return joint positions, shape (N, n), with passive joints where the calibrated loops close."""
+    """Return joint positions, shape (N, n), with passive joints that close the calibrated loops."""
     rigid, found = _rigid(model, values, None)
     drives = rigid.chain.drives
     return np.asarray(rigid.coordinates(found, Conditions.at(q))[:, drives] - rigid.rigid_coordinates(found)[drives])

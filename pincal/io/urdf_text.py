@@ -1,4 +1,4 @@
-"""The text of a URDF, edited in place: only the numbers of an origin change, every other byte stays as it was."""
+"""Editing the text of a URDF in place: only numbers of origins change, and no other byte."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from pincal.errors import RobotFileError
 from pincal.robot.se3 import rotation_of_rpy, transform
 from pincal.robot.urdf_file import parse_xml
 
-# A number that changes by less [rad or m] is rounding: its text stays.
+# Largest change of a number that is rounding, for which its text is kept [rad or m].
 UNCHANGED = 1e-15
-# Rounding of the product of three rotations, by which equally good angles may differ.
+# Rounding of the product of three rotations, within which angles are equally good.
 _ROUNDING = 2e-16
 
-# What holds origins, and the tags of these.
+# Elements with origins, and the tags of these.
 _ORIGINS = {"joint": ("origin",), "constraint": ("parent_origin", "child_origin")}
 
 _TAG = re.compile(rb"<[^\s/>]+(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
@@ -41,14 +41,14 @@ class Origin:
 
 
 def rpy_of(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:
-    r"""Return roll, pitch and yaw of a rotation, of all that reproduce it to rounding those nearest to ``near``.
+    r"""Return the roll, pitch and yaw that reproduce a rotation to rounding, the ones nearest to ``near``.
 
-    Yaw and pitch are those of :math:`R R_x(-roll)`, which leaves no error at a pitch of 90 degrees either, where roll
-    and yaw turn about one axis and each alone is ill determined.
+    Yaw and pitch are of :math:`R R_x(-roll)`, which is also exact at a pitch of 90 degrees, where roll and yaw are about the
+    same axis and only their sum or difference is determined.
 
     Args:
         rotation: shape (3, 3).
-        near: shape (3,), the angles that stood there before [rad].
+        near: shape (3,), the previous angles [rad].
     """
     R = rotation
     rolls = np.array([near[0], np.arctan2(R[2, 1], R[2, 2]), np.arctan2(-R[2, 1], -R[2, 2])])
@@ -62,10 +62,7 @@ def rpy_of(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:
 
 
 def read_origins(text: bytes, source: str) -> dict[str, Origin]:
-    """Return the origin of each joint, and those of constraints as ``NAME.parent_origin`` and ``NAME.child_origin``.
-
-    It is the identity where there is none.
-    """
+    """Return the origins of joints, and of constraints as ``NAME.parent_origin`` and ``NAME.child_origin``, or zero."""
     origins, root = {}, parse_xml(text, source)
     for holder, tags in _ORIGINS.items():
         for element in root.iterfind(holder):
@@ -81,15 +78,15 @@ def _key(name: str, tag: str) -> str:
 
 
 def write_origins(text: bytes, origins: Mapping[str, Origin], source: str) -> bytes:
-    """Return the text with the numbers of some joints' origins replaced.
+    """Return the text with the numbers of some origins replaced.
 
     Args:
         text: a URDF that :func:`pincal.robot.urdf_file.parse_urdf` accepts.
-        origins: new ones by the names of :func:`read_origins`; a number that has not changed keeps its text.
-        source: what to call the text in an error.
+        origins: new ones by the names of :func:`read_origins`; unchanged numbers keep their text.
+        source: name of the text in errors.
 
     Raises:
-        RobotFileError: if the text is in an encoding that does not extend ASCII.
+        RobotFileError: if the encoding of the text does not extend ASCII.
     """
     before = read_origins(text, source)
     places = _places(text, source)
@@ -106,7 +103,7 @@ def write_origins(text: bytes, origins: Mapping[str, Origin], source: str) -> by
 
 
 def append_frame(text: bytes, *, parent: str, joint: str, link: str, origin: Origin, source: str) -> bytes:
-    """Return the text with a link more at its end, held to link ``parent`` by a fixed joint."""
+    """Return the text with a further link at its end, fixed to link ``parent``."""
     encoding = parse_xml(text, source).getroottree().docinfo.encoding or "utf-8"
     end = _places(text, source).end
     lines = [
@@ -124,7 +121,7 @@ def append_frame(text: bytes, *, parent: str, joint: str, link: str, origin: Ori
 
 @dataclass
 class _Places:
-    """Byte offsets in a text: start tags of what holds each origin, with its tag, origins, and the end tag of the root."""
+    """Byte offsets in a text: start tags of holders of origins, with their tags, origins, and the end tag of the root."""
 
     holders: dict[str, tuple[int, str]] = field(default_factory=dict)
     origins: dict[str, int] = field(default_factory=dict)
@@ -132,7 +129,7 @@ class _Places:
 
 
 def _places(text: bytes, source: str) -> _Places:
-    """Find the joints below the root; those of transmissions and controllers are others."""
+    """Find the joints directly below the root, not those of transmissions and controllers."""
     places, above = _Places(), list[str]()
     name = ""
     parser = expat.ParserCreate()
@@ -168,10 +165,10 @@ def _check_bytes(text: bytes, places: _Places, source: str) -> None:
 
 
 def _words(values: np.ndarray, old: bytes = b"") -> str:
-    """Write numbers in full precision; one that has not changed keeps its word of ``old``."""
+    """Return numbers in full precision; unchanged ones keep their text in ``old``."""
     texts = old.decode("ascii", "replace").split() or ["0"] * 3
     if b"&" in old:
-        # A character written as a reference is no number's text to keep.
+        # Text with character references is not kept.
         texts = ["nan"] * 3
     return " ".join(
         word if abs(float(word) - value) < UNCHANGED else repr(float(value) + 0.0)
@@ -186,7 +183,7 @@ def _tag_at(text: bytes, at: int) -> bytes:
 
 
 def _replaced(text: bytes, at: int, changes: Mapping[str, np.ndarray]) -> tuple[int, int, bytes]:
-    """Return start, end and new text of an origin's tag whose attributes change."""
+    """Return start, end and new text of an origin's tag with changed attributes."""
     tag = _tag_at(text, at)
     piece, missing = tag, dict(changes)
     for found in reversed(list(_ATTRIBUTE.finditer(tag))):
@@ -200,7 +197,7 @@ def _replaced(text: bytes, at: int, changes: Mapping[str, np.ndarray]) -> tuple[
 
 
 def _inserted(text: bytes, holder: int, tag: str, changes: Mapping[str, np.ndarray]) -> tuple[int, int, bytes]:
-    """Return where to insert an origin into what has none, indented as what follows, and its text."""
+    """Return where to insert a missing origin, and its text, indented like the next element."""
     start = holder + len(_tag_at(text, holder))
     blanks = _BLANKS.match(text, start)
     assert blanks is not None
