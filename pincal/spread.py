@@ -158,11 +158,7 @@ def _logged(results: Iterator[_R], label: str, of: int) -> Iterator[_R]:
 def spread_again(function: Callable[[_T], _R], items: Iterable[_T], *, label: str, executor: Executor) -> Iterator[_R]:
     """Return the results of :func:`spread` for a function in repeated use: workers keep it as long as it exists here.
 
-    Args:
-        function: identified by ``id``, as objects without their own equality.
-        items: small arguments.
-        label: name of an item in errors.
-        executor: runs the tasks.
+    The function is identified by ``id``, as objects without their own equality.
     """
     known = _AT_WORKERS.setdefault(function, [])
     sender = next((one for one in known if one.executor is executor), None)

@@ -249,12 +249,9 @@ def in_script(text: str) -> str:
 
 
 def write_json(path: str | os.PathLike[str], contents: dict[str, Any], *, indent: int | None = 1) -> None:
-    """Write a JSON file atomically, with numbers in full precision.
+    """Write contents in JSON types atomically, with numbers in full precision.
 
-    Args:
-        path: the file.
-        contents: in JSON types.
-        indent: as for :func:`json.dumps`; None for one line per key of the outermost object.
+    The indent is as for :func:`json.dumps`; None gives one line per key of the outermost object.
 
     Raises:
         OutputError: if the file can't be written, or a number is not finite.

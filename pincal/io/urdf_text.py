@@ -45,10 +45,6 @@ def rpy_of(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:
 
     Yaw and pitch are of :math:`R R_x(-roll)`, which is also exact at a pitch of 90 degrees, where roll and yaw are about the
     same axis and only their sum or difference is determined.
-
-    Args:
-        rotation: shape (3, 3).
-        near: shape (3,), the previous angles [rad].
     """
     R = rotation
     rolls = np.array([near[0], np.arctan2(R[2, 1], R[2, 2]), np.arctan2(-R[2, 1], -R[2, 2])])
@@ -78,12 +74,9 @@ def _key(name: str, tag: str) -> str:
 
 
 def write_origins(text: bytes, origins: Mapping[str, Origin], source: str) -> bytes:
-    """Return the text with the numbers of some origins replaced.
+    """Return the text of a valid URDF with new origins, by the names of :func:`read_origins`.
 
-    Args:
-        text: a URDF that :func:`pincal.robot.urdf_file.parse_urdf` accepts.
-        origins: new ones by the names of :func:`read_origins`; unchanged numbers keep their text.
-        source: name of the text in errors.
+    Unchanged numbers keep their text.
 
     Raises:
         RobotFileError: if the encoding of the text does not extend ASCII.

@@ -47,13 +47,9 @@ def admit(
     *,
     holdout: Sequence[Measurements] = (),
 ) -> Admitted:
-    """Return the rows that a fit can use, after all checks that need no fit.
+    """Return the rows of each station that a fit can use, after all checks that need no fit.
 
-    Args:
-        robot: the arm.
-        tables: the rows of each station.
-        setup_of: returns the set-up of a station by its name.
-        holdout: further rows that may involve points of known distances.
+    Known distances may involve points of held-out rows.
 
     Raises:
         MeasurementError: if a table can't be of this robot, or its rows are too few.
@@ -124,10 +120,6 @@ def scorable_rows(measurements: Measurements, setup: Setup) -> Measurements:
 
     A socket that the calibration did not have is judged by the mean of its rows, so it needs two; other new points can't be
     judged.
-
-    Args:
-        measurements: held-out rows.
-        setup: the points of the calibration.
     """
     return _kept(measurements, _unscorable(measurements, setup))
 

@@ -79,17 +79,9 @@ def gives_order(time: np.ndarray | None, q: np.ndarray) -> bool:
 def completed(
     given: Mapping[str, np.ndarray], joints: Sequence[str], moves: np.ndarray, *, by_time: bool, source: str
 ) -> tuple[dict[str, np.ndarray], str]:
-    """Return the directions of approach of all joints: from their columns, else from their last moves.
+    """Return the directions of approach by joint, shape (N,) each, and their origin in words.
 
-    Args:
-        given: the existing columns by joint, shape (N,) each.
-        joints: the n joints.
-        moves: their last moves, shape (N, n).
-        by_time: whether times gave the order.
-        source: the table's name.
-
-    Returns:
-        Directions by joint, shape (N,) each, and their origin in words.
+    They are the given columns by joint, shape (N,) each, else the signs of the last moves, shape (N, n), by order or time.
     """
     origin = BY_COLUMNS
     if missing := [joint for joint in joints if joint not in given]:

@@ -39,11 +39,6 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
     Visible worksheets precede hidden ones. Worksheets and lines above the table that are left out, and hidden rows, cause a
     `PincalWarning`.
 
-    Args:
-        path: the workbook.
-        sheet: name of the worksheet.
-        joints: names of joints.
-
     Raises:
         MeasurementError: without the library openpyxl, or for a workbook that is empty, holds far more than fits into its
             size, lacks the worksheet, or can't be read.

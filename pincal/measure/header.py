@@ -258,11 +258,7 @@ def matched(
 ) -> tuple[dict[str, SheetColumn], list[Label]]:
     """Return the known columns and the unknown labels; exact names take precedence over other spellings.
 
-    Args:
-        labels: the header.
-        quantities: of the known columns.
-        units: of columns without one in the label, where it is not SI.
-        source: the file, for messages.
+    ``units`` are those of columns without one in the label, where it is not SI.
     """
     exact = {label.name for label in labels} & quantities.keys()
     columns, unknown = dict[str, SheetColumn](), list[Label]()
@@ -310,13 +306,9 @@ def _warn_of_unread(sheet: Sheet, unknown: Sequence[Label]) -> None:
 
 
 def _check_unknown(sheet: Sheet, unknown: Sequence[Label], free: Mapping[str, str], *, is_complete: bool) -> None:
-    """Leave out unknown columns with a `PincalWarning`; refuse those that may be misspelled.
+    """Leave out unknown columns with a `PincalWarning`; refuse those that may be misspelled names of ``free`` ones.
 
-    Args:
-        sheet: the table.
-        unknown: the unknown columns.
-        free: quantities of known columns that the table lacks.
-        is_complete: whether nothing needed is missing, so that only obvious misspellings are refused.
+    If the table is complete, only obvious misspellings are refused.
     """
     wrong, words, others = list[str](), list[str](), list[str]()
     for label in unknown[:_EXAMINED]:

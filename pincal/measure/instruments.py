@@ -115,11 +115,9 @@ class InstrumentNoise:
         return float(np.sqrt(np.mean(along**2 + 2.0 * across**2) / 3.0))
 
     def whitening(self, position: np.ndarray, size: int) -> np.ndarray:
-        """Return the matrices that whiten the noise of each row, in units of :meth:`sigma`, shape (size, size, N).
+        """Return the matrices that whiten the noise of readings at positions, shape (N, 3) [m], in units of :meth:`sigma`.
 
-        Args:
-            position: shape (N, 3) [m].
-            size: components of a reading, the position first; the others are unchanged.
+        They have the shape (size, size, N); components of a reading after the position are unchanged.
         """
         found = np.tile(np.eye(size)[:, :, None], (1, 1, len(position)))
         inverse = np.linalg.inv(np.linalg.cholesky(self.covariance(position)))

@@ -106,7 +106,7 @@ def held_rows(
     Numbers are means over the middle half of the pose. A `PincalWarning` reports it.
 
     Args:
-        values: columns in SI units, shape (N,) each; with a time.
+        values: columns in SI units, with a time, shape (N,) each.
         rows: shape (N,), their lines.
         joints: those that have to stand still.
         was_joined: whether rows between two poses have been left out already.

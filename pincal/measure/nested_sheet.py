@@ -116,13 +116,7 @@ def _tracked_poses(
 ) -> tuple[np.ndarray, tuple[str, str]] | None:
     """Return the poses of a hand-eye calibration, shape (N, 4, 4), and the keys of its groups; None for other files.
 
-    Args:
-        columns: values by their keys in the file, shape (N, ...).
-        is_on_hand: whether the camera is on the hand, where the file states it.
-        source: the file, for messages.
-
-    Raises:
-        MeasurementError: if nothing determines whether the camera is on the hand.
+    Refused if neither the file nor the samples determine whether the camera is on the hand.
     """
     parts = {path.split(".")[0] for path in columns}
     robot, seen = (next((name for name in names if name in parts), None) for names in (_OF_ROBOT, _OF_OBJECT))
@@ -199,11 +193,7 @@ def nested_kind(path: Path) -> str:
 
 
 def open_nested(path: Path, kind: str) -> Sheet:
-    """Read a file of records or columns.
-
-    Args:
-        path: the file.
-        kind: as returned by :func:`nested_kind`.
+    """Read a file of records or columns, of a kind returned by :func:`nested_kind`.
 
     Raises:
         MeasurementError: for a file that can't be read or has no table.

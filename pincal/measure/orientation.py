@@ -65,11 +65,7 @@ class Convention:
         return "number" if self.kind == "quaternion" else "angle"
 
     def quaternions(self, columns: Mapping[str, np.ndarray], *, where: str) -> np.ndarray:
-        """Return quaternions x y z w, shape (N, 4).
-
-        Args:
-            columns: values of the columns, shape (N,) each, angles in rad.
-            where: the file, for messages.
+        """Return quaternions x y z w, shape (N, 4), of values by column, shape (N,) each, angles in rad.
 
         Raises:
             MeasurementError: for angles that can't be in this unit.
@@ -122,11 +118,7 @@ def find_orientation(
 ) -> Convention | None:
     """Return the convention of columns that give an orientation other than by a quaternion qx qy qz qw; None without any.
 
-    Args:
-        names: the table's columns, without units.
-        declared: name of the convention, by the user.
-        taken: columns with another meaning, such as joints.
-        source: the file, for messages.
+    Columns have no units here; ``taken`` ones have another meaning, such as joints.
 
     Raises:
         MeasurementError: for an unknown convention, one whose columns are missing, or columns of two conventions.

@@ -205,16 +205,7 @@ def rows_of_new(table: TableRows, setup: Setup, *, enough: int | None = None) ->
 
 
 def index_of(table: TableRows, points: NamedPoints, *, may_be_new: bool = False) -> np.ndarray:
-    """Return the index of each row's point, shape (N,).
-
-    Args:
-        table: a table whose rows involve points.
-        points: the points of the calibration.
-        may_be_new: whether others are allowed; their indices are -1, -2, ...
-
-    Raises:
-        MeasurementError: naming a point that is not allowed.
-    """
+    """Return the index of each row's point, shape (N,); new points are refused, or have the indices -1, -2, ..."""
     names = _names_of(table)
     found, inverse = np.unique(names, return_inverse=True)
     place = {name: i for i, name in enumerate(points.names)}

@@ -113,12 +113,7 @@ class Cells:
 
 
 def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | None = None) -> Cells:
-    """Read a table from CSV or other text (separator, decimal mark and encoding are detected), Excel or Parquet.
-
-    Args:
-        path: the file; the ending of its name gives the format, text by default.
-        schema: its possible contents.
-        part: rows of a Parquet file to read; default: all.
+    """Read a table, or some rows of a Parquet file, by a schema of its possible contents; see :func:`open_sheet`.
 
     Raises:
         MeasurementError: for a file that can't be read, or a column, unit or cell that is invalid.
@@ -133,14 +128,7 @@ def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | No
 
 
 def cells_of(sheet: Sheet, schema: Schema, *, is_part: bool = False, was_joined: bool = False) -> Cells:
-    """Return the contents of a sheet; see :func:`read_table`.
-
-    Args:
-        sheet: the sheet.
-        schema: its possible contents.
-        is_part: whether it is part of a table, or a stream, which is not cut into held poses.
-        was_joined: whether its joints are from a log.
-    """
+    """Return the contents of a sheet; a part of a table, or a stream, is not cut into held poses."""
     path = sheet.path
     with typed_errors(path):
         header = understood(sheet, schema)

@@ -67,11 +67,7 @@ class TextSheet(Sheet):
 
 
 def open_text(path: Path, joints: Collection[str] = ()) -> Sheet:
-    """Read the header of a text file; lines outside the table are left out with a `PincalWarning`.
-
-    Args:
-        path: the file.
-        joints: names of joints, by which the row of column names is recognised.
+    """Read the header of a text file, recognised by names of joints; other lines are left out with a `PincalWarning`.
 
     Raises:
         MeasurementError: for a binary or an empty file, or one without names of columns.

@@ -87,13 +87,9 @@ class SpeedMatch:
 
 
 def correlate(time: np.ndarray, speed: np.ndarray, other_time: np.ndarray, other: np.ndarray) -> SpeedMatch:
-    """Return the offset between the clocks of two logs of speeds, by their correlation.
+    """Return the offset between the clocks of two logs of speeds, in any units, by their correlation.
 
-    Args:
-        time: shape (N,), increasing [s].
-        speed: shape (N,), in any unit.
-        other_time: shape (M,) [s].
-        other: shape (M,).
+    Times [s] are increasing; those and speeds have the shape (N,) in one log and (M,) in the other.
     """
     from scipy.signal import fftconvolve
 

@@ -40,12 +40,8 @@ class ImuRows:
     def of(cls, time: np.ndarray, force: np.ndarray, rate: np.ndarray, window: Window, *, delay: float = 0.0) -> ImuRows:
         """Filter readings by a Gaussian window about evenly spaced times, without rows in gaps.
 
-        Args:
-            time: shape (T,), increasing [s].
-            force: shape (T, 3) [m/s^2].
-            rate: shape (T, 3) [rad/s].
-            window: the filter.
-            delay: time by which the rate's stamps are too early [s].
+        Stamps, shape (T,), increase [s]; those of rates, shape (T, 3) [rad/s], are too early by ``delay`` [s] compared with
+        those of forces, shape (T, 3) [m/s^2].
         """
         middles = np.arange(time[0] + _REACH * window.width, time[-1] - _REACH * window.width, APART * window.width)
         of_force, found = _filters(time, middles, window)

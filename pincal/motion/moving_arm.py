@@ -64,11 +64,9 @@ class MovingArm:
         return cls(robot, path, payload, (x, y, z), loads)
 
     def conditions(self, time: np.ndarray, offsets: np.ndarray | None = None) -> Conditions:
-        """Return the conditions of the poses at times, or at offsets from each.
+        """Return the conditions of the poses at times by the joints' clock, shape (N,) [s], or at O offsets from each.
 
-        Args:
-            time: by the joints' clock, shape (N,) [s].
-            offsets: shape (O,) [s]; default: none. Rows of one time are consecutive and all have this time.
+        Rows of one time are consecutive and all have this time.
         """
         at = np.asarray(time, float) if offsets is None else np.repeat(np.asarray(time, float), len(offsets))
         return Conditions(

@@ -37,11 +37,6 @@ _MIRRORED = -0.5
 def start_readings(arm: MovingArm, tracker: Stream, sensor: type[Sensor]) -> Clock:
     """Return the clock of an instrument by aligning its readings with the motion of an arm.
 
-    Args:
-        arm: the arm on its path.
-        tracker: the stream.
-        sensor: the kind of its readings.
-
     Raises:
         MeasurementError: if it is not of this motion.
     """
@@ -162,12 +157,9 @@ class _Thing:
         return np.hstack([*own, -self.values[rows, None] * F] if self.is_ratio else own)
 
     def unexplained(self, offset: float, grid: np.ndarray, known: np.ndarray) -> tuple[float, float]:
-        """Return the fraction of unexplained variance, and the fraction of rows on which it is based.
+        """Return the fraction of unexplained variance at an offset [s], and the fraction of rows on which it is based.
 
-        Args:
-            offset: of the clock [s].
-            grid: times of the joints, shape (K,) [s].
-            known: functions of the tip at these times, shape (K, 16).
+        ``known`` are functions of the tip, shape (K, 16), at times ``grid`` of the joints, shape (K,) [s].
         """
         rows = np.linspace(0, len(self.time) - 1, _SAMPLED).astype(int)
         at = self.time[rows] + offset

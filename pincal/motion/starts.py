@@ -65,13 +65,9 @@ class OtherMotionError(MeasurementError):
 def start_imu(
     arm: MovingArm, imu: Stream, *, window: Window | None = None, others: Sequence[tuple[str, MovingArm]] = ()
 ) -> ImuStart:
-    """Align the readings of an IMU with the motion of an arm.
+    """Align the readings of an IMU with the motion of an arm, in rows by a window of 30 ms unless given.
 
-    Args:
-        arm: the arm on its path.
-        imu: the stream.
-        window: of the rows; default: of 30 ms.
-        others: arms of other sessions by name, to find the right one of an IMU in the wrong session.
+    An error names the session among ``others`` to which the IMU belongs.
 
     Raises:
         MeasurementError: if it is not of this motion, is mirrored, or has its rates in another unit.
@@ -217,12 +213,7 @@ def _check_slip(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount:
 
 
 def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Clock:
-    """Return the clock of an instrument by aligning positions of the tool with the motion of an arm.
-
-    Args:
-        arm: the arm on its path.
-        tracker: the stream.
-        position: its positions, shape (T, 3) [m].
+    """Return the clock of an instrument by aligning positions of the tool, shape (T, 3) [m], with the motion of an arm.
 
     Raises:
         MeasurementError: if they are not of this motion, in another unit, or in a left-handed frame.

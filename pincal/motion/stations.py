@@ -191,12 +191,8 @@ def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
 def _without_stale(arm: MovingArm, tracker: Stream, clock: Clock, again: np.ndarray, values: np.ndarray) -> Stream:
     """Return a stream without rows that repeat the one before although the arm moves by more than the resolution.
 
-    Args:
-        arm: the arm.
-        tracker: the stream.
-        clock: of the stream.
-        again: which rows repeat the one before of the same thing, shape (T,).
-        values: the main readings, shape (T,) or (T, k).
+    ``again`` is which rows repeat the one before of the same thing, shape (T,), ``values`` the main readings, (T,) or (T,
+    k).
     """
     order = np.argsort(tracker.things, kind="stable")
     q, values, again = arm.path.at(clock.to_joints(tracker.time))[order], values.reshape(len(order), -1)[order], again[order]

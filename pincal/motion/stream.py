@@ -131,10 +131,7 @@ class Stream:
 def checked_joints(stream: Stream, names: Sequence[str], turning: np.ndarray) -> Stream:
     """Return the stream of joints without impossible rows: repeated by the logger, or faster than any arm.
 
-    Args:
-        stream: with "q".
-        names: of the joints.
-        turning: which are revolute, shape (n,), and may jump by a revolution.
+    Joints that are ``turning``, shape (n,), may jump by a revolution.
 
     Raises:
         MeasurementError: for joints that jump without returning.

@@ -93,13 +93,7 @@ class Inertial:
 
     @classmethod
     def of(cls, poses: np.ndarray, window: Window, gravity: float = STANDARD_GRAVITY) -> Inertial:
-        """Return the readings for poses in windows.
-
-        Args:
-            poses: shape (N O, 3, 4), at the O offsets of each row's window, in a level frame.
-            window: the window.
-            gravity: magnitude of gravity [m/s^2].
-        """
+        """Return the readings for poses at the O offsets of each row's window, in a level frame, shape (N O, 3, 4)."""
         whole = _triples(poses, window)
         weights = window.weights[None, :, None]
         return cls(*((weights * part).sum(axis=1) for part in _ideal(whole, gravity)))
@@ -209,11 +203,8 @@ class ImuErrors:
     ) -> np.ndarray:
         """Return the derivatives of the readings with respect to P parameters that move the IMU, shape (P, 6, N).
 
-        Args:
-            poses: shape (N O, 3, 4), as in :meth:`Inertial.of`.
-            motion: shape (P, 6, N O), translation and rotation of the poses per parameter, in the level frame's axes.
-            window: the window.
-            gravity: magnitude of gravity [m/s^2].
+        Poses are as in :meth:`Inertial.of`, with translation and rotation per parameter in the level frame's axes, shape
+        (P, 6, N O).
         """
         maps = _maps(_triples(poses, window), gravity) * window.weights[None, :, None, None, None]
         later = maps[:, :, 3:6] + self.delay * maps[:, :, 6:]

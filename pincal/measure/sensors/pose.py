@@ -34,16 +34,9 @@ def span_m(reach_m: float) -> float:
 
 
 def check_spread(table: TableRows, points: np.ndarray, *, label: str, reach_m: float) -> float:
-    """Return the approximate diameter of points [m]; refuse more than the arm can span.
+    """Return the approximate diameter of points, shape (N, k) [m]; refuse more than the arm can span.
 
-    Args:
-        table: the table, for messages.
-        points: shape (N, k) [m].
-        label: the column that a message names.
-        reach_m: farthest distance of the flange from the base [m].
-
-    Raises:
-        MeasurementError: naming the unit that seems to be meant.
+    A message names the column ``label``, and the unit that seems to be meant.
     """
     most = span_m(reach_m)
     from_centre = np.linalg.norm(points - np.median(points, axis=0), axis=1)
