@@ -9,8 +9,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
@@ -115,9 +114,11 @@ def load_plugin(name: str) -> ModuleType:
     if not name:
         raise BadInputError("plugin '': expected the name of a module, or a file such as my_effects.py")
     folder, module = (path.parent.resolve(), path.stem) if path.suffix == ".py" else (Path.cwd(), name)
+    # After all other places, as modules of the same name there have precedence.
+    sys.path.append(os.fspath(folder))
+    importlib.invalidate_caches()
     try:
-        with _importable(folder):
-            found = importlib.import_module(module)
+        found = importlib.import_module(module)
     except ModuleNotFoundError as error:
         if error.name is None or not (module == error.name or module.startswith(error.name + ".")):
             raise BadInputError(f"plugin {name!r} needs the module {error.name!r}, which is not installed") from error
@@ -126,6 +127,8 @@ def load_plugin(name: str) -> ModuleType:
         ) from None
     except Exception as error:
         raise BadInputError(f"plugin {name!r} fails: {type(error).__name__}: {error}") from error
+    finally:
+        sys.path.remove(os.fspath(folder))
     # A module that was already imported has registered its classes before.
     if not any(i >= before or f"{origin}.".startswith(f"{module}.") for i, origin in enumerate(_origins)):
         raise BadInputError(
@@ -139,15 +142,3 @@ def load_plugin(name: str) -> ModuleType:
 def loaded_plugins() -> tuple[str, ...]:
     """Return the modules loaded by :func:`load_plugin`, as names for loading them in another process."""
     return tuple(_loaded)
-
-
-@contextmanager
-def _importable(folder: Path) -> Iterator[None]:
-    """Append a folder to the path of imports."""
-    place = os.fspath(folder)
-    sys.path.append(place)
-    importlib.invalidate_caches()
-    try:
-        yield
-    finally:
-        sys.path.remove(place)

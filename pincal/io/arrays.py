@@ -125,7 +125,10 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
                     value = np.where(np.isnan(value), shape.null, value)
                 msgspec.structs.force_setattr(self, name, shaped(f".{name}", value, shape, counts))
             elif value is not None:
-                _check_length(f".{name}", len(value), shape, counts)
+                (expected,) = shape.expected(counts)
+                if expected not in (None, len(value)):
+                    raise Fault(f"has {len(value)} entries", f"{expected}", key=f".{name}")
+                counts[str(shape.sizes[0])] = len(value)
 
 
 def shaped(key: str, value: np.ndarray, shape: ArrayShape, counts: dict[str, int]) -> np.ndarray:
@@ -162,13 +165,6 @@ def array_of(value: Any) -> np.ndarray:
         if kinds <= _NUMBERS:
             return np.array(value, float)
     raise Fault("has entries that are no finite numbers", "an array of numbers")
-
-
-def _check_length(key: str, length: int, shape: ArrayShape, counts: dict[str, int]) -> None:
-    (expected,) = shape.expected(counts)
-    if expected not in (None, length):
-        raise Fault(f"has {length} entries", f"{expected}", key=key)
-    counts[str(shape.sizes[0])] = length
 
 
 @lru_cache

@@ -146,15 +146,11 @@ def _places(text: bytes, source: str) -> _Places:
         parser.Parse(text, True)
     except (expat.ExpatError, ValueError, LookupError) as error:
         raise RobotFileError(f"{source}: can't be edited ({error}); save it as UTF-8 first") from None
-    _check_bytes(text, places, source)
-    return places
-
-
-def _check_bytes(text: bytes, places: _Places, source: str) -> None:
-    at = [at for at, _ in places.holders.values()] + list(places.origins.values())
+    offsets = [*(at for at, _ in places.holders.values()), *places.origins.values()]
     tags = tuple(f"<{tag}".encode() for holder, held in _ORIGINS.items() for tag in (holder, *held))
-    if not all(text.startswith(tags, place) for place in at):
+    if not all(text.startswith(tags, at) for at in offsets):
         raise RobotFileError(f"{source}: can't be edited in its encoding; save it as UTF-8 first")
+    return places
 
 
 def _words(values: np.ndarray, old: bytes = b"") -> str:

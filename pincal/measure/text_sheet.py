@@ -152,7 +152,8 @@ def _sheet_of_header(path: Path, line: bytes, number: int, *, content: bytes | N
         header = content.splitlines()[number - 1].decode("utf-8")
     separator = max(",;\t", key=header.count)
     if separator not in header and len(header.split()) > 1:
-        content = _with_tabs(path.read_bytes() if content is None else content)
+        lines = (path.read_bytes() if content is None else content).splitlines()
+        content = b"\n".join(_BLANKS.sub(b"\t", line.strip(b" \t")) for line in lines)
         header, separator = re.sub(r"\s+", "\t", re.sub(r"\s+(?=[\[(])", "", header.strip())), "\t"
     labels = tuple(cell.strip() for cell in _split([header], separator, path.name)[0])
     if all(re.fullmatch(r"[-+.,\deE]+", label) for label in labels):
@@ -172,11 +173,6 @@ def _utf8(text: bytes, path: Path) -> bytes:
         raise MeasurementError(f"{path.name}, line {line}: not UTF-8 text; save the table as CSV UTF-8") from error
     warn(f"{path.name}: not UTF-8; read as Windows-1252 (Latin-1)")
     return decoded.encode("utf-8")
-
-
-def _with_tabs(text: bytes) -> bytes:
-    """Return text with each run of blanks between cells replaced by a tab."""
-    return b"\n".join(_BLANKS.sub(b"\t", line.strip(b" \t")) for line in text.splitlines())
 
 
 def _has_cells(line: bytes) -> bool:

@@ -76,6 +76,10 @@ class Window:
         """Times at which poses are needed, from the middle, shape (3 K,) [s]: before, at and after each node."""
         return np.asarray((self._rule[0][:, None] + np.array([-_STEP, 0.0, _STEP])).ravel())
 
+    def triples(self, poses: np.ndarray) -> np.ndarray:
+        """Return the poses of N rows at these times as shape (N, K, 3, 3, 4)."""
+        return poses.reshape(-1, len(self.weights), 3, 3, 4)
+
 
 @dataclass(frozen=True)
 class Inertial:
@@ -94,14 +98,8 @@ class Inertial:
     @classmethod
     def of(cls, poses: np.ndarray, window: Window, gravity: float = STANDARD_GRAVITY) -> Inertial:
         """Return the readings for poses at the O offsets of each row's window, in a level frame, shape (N O, 3, 4)."""
-        whole = _triples(poses, window)
         weights = window.weights[None, :, None]
-        return cls(*((weights * part).sum(axis=1) for part in _ideal(whole, gravity)))
-
-
-def _triples(poses: np.ndarray, window: Window) -> np.ndarray:
-    """Return the poses of N rows at K nodes, before, at and after each, shape (N, K, 3, 3, 4)."""
-    return poses.reshape(-1, len(window.weights), 3, 3, 4)
+        return cls(*((weights * part).sum(axis=1) for part in _ideal(window.triples(poses), gravity)))
 
 
 def _ideal(poses: np.ndarray, gravity: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -206,7 +204,7 @@ class ImuErrors:
         Poses are as in :meth:`Inertial.of`, with translation and rotation per parameter in the level frame's axes, shape
         (P, 6, N O).
         """
-        maps = _maps(_triples(poses, window), gravity) * window.weights[None, :, None, None, None]
+        maps = _maps(window.triples(poses), gravity) * window.weights[None, :, None, None, None]
         later = maps[:, :, 3:6] + self.delay * maps[:, :, 6:]
         read = [np.einsum("ab,nkbqm->mnkqa", M, of) for M, of in ((self.acc, maps[:, :, :3]), (self.gyro, later))]
         shape = len(motion), len(maps), len(window.offsets)
