@@ -269,7 +269,7 @@ def test_what_a_kind_of_data_cannot_tell_is_said(machine: sim.TrueMachine, kuka:
     assert "the pose of the base" in said(far)
     assert said(far, Setup(points=ANCHORS)) == ""
     line = {name: (float(i), 2.0 * i, 0.0) for i, name in enumerate(ANCHORS)}
-    assert "stand in a line" in said(far, Setup(points=line))
+    assert "are collinear" in said(far, Setup(points=line))
     assert "fewer than three" in said(far, Setup(points={"n": (3.0, 2.0, 0.3)}))
     assert "do not determine the scale" in said(near) and said(near, Setup(points=GRID)) == ""
 

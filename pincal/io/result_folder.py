@@ -60,9 +60,9 @@ def output_folder(path: Path) -> Iterator[Path]:
 def not_written_with(model: Path, files: Mapping[str, str]) -> str:
     """Return the name of a file in a model's folder that was not written with it; empty if there is none."""
     for name, expected in files.items():
-        beside = model.parent / name
+        file = model.parent / name
         # Other files may have been edited by hand.
-        if name in RESULTS and beside.suffix == ".json" and beside.is_file() and file_hash(beside) != expected:
+        if name in RESULTS and file.suffix == ".json" and file.is_file() and file_hash(file) != expected:
             return name
     return ""
 

@@ -41,7 +41,7 @@ class Origin:
 
 
 def rpy_of(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:
-    r"""Return the roll, pitch and yaw that reproduce a rotation to rounding, the ones nearest to ``near``.
+    r"""Return the roll, pitch and yaw [rad] that reproduce a rotation to rounding, the ones nearest to ``near``.
 
     Yaw and pitch are of :math:`R R_x(-roll)`, which is also exact at a pitch of 90 degrees, where roll and yaw are about the
     same axis and only their sum or difference is determined.

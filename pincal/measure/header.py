@@ -237,10 +237,10 @@ def _joints_of_stream(free: Sequence[Label], schema: Schema, sheet: Sheet) -> di
 
 def _orientation(labels: list[Label], schema: Schema, quantities: Mapping[str, str], *, source: str) -> Convention | None:
     """Return the convention of the table's orientation, None if it is qx qy qz qw or there is none."""
-    names, said = [without_unit(label.meant) for label in labels], schema.options.orientation
+    names, declared = [without_unit(label.meant) for label in labels], schema.options.orientation
     usual = rotations(schema.fields).columns
-    found = find_orientation(names, said, taken=[n for n in quantities if n not in usual], source=source)
-    if found is None or said is not None:
+    found = find_orientation(names, declared, taken=[n for n in quantities if n not in usual], source=source)
+    if found is None or declared is not None:
         return found
     if set(usual) & set(names):
         raise MeasurementError(

@@ -269,7 +269,9 @@ def joint_columns(
     with typed_errors(place):
         sheet = open_sheet(place, ignore=options.ignore, only_joints=True, joints=known, sheet=options.sheet)
         # Other names are refused, or belong to another file, when rows are read.
-        here = {name: said for name, said in options.columns.items() if any(is_named(text, name) for text in sheet.labels)}
+        here = {
+            name: meaning for name, meaning in options.columns.items() if any(is_named(text, name) for text in sheet.labels)
+        }
         labels = renamed(sheet.labels, here, source=place.name)
     found = [spelled(label, angles) or spelled(label, lengths) for label in labels]
     if by_words and not any(found):

@@ -64,7 +64,7 @@ class MovingArm:
         return cls(robot, path, payload, (x, y, z), loads)
 
     def conditions(self, time: np.ndarray, offsets: np.ndarray | None = None) -> Conditions:
-        """Return the conditions of the poses at times by the joints' clock, shape (N,) [s], or at O offsets from each.
+        """Return the conditions at times by the joints' clock, shape (N,) [s], or at offsets from each, shape (O,) [s].
 
         Rows of one time are consecutive and all have this time.
         """

@@ -177,7 +177,7 @@ class _Thing:
         return float(y @ y - b @ np.linalg.solve(H, b)) / max(len(y) * float(y.var()), 1e-300), len(y) / _SAMPLED
 
     def handedness(self, solution: np.ndarray) -> float:
-        """Return the handedness of axes by a solution for this thing, 1 or -1 for mirrored ones, or between."""
+        """Return the handedness of axes, from 1 to -1 if mirrored, by a solution that begins with this thing's."""
         k = self.functions.stop - self.functions.start
         rows = np.array([solution[i * (k + 1) : i * (k + 1) + k] for i in range(3)])
         # Coefficients of the tip's position, negative for points seen from the tool.

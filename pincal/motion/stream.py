@@ -242,8 +242,8 @@ def checked_imu(stream: Stream) -> Stream:
             )
         cut |= flat
     for k, (column, values) in enumerate(columns.items()):
-        beside = np.delete(force if k < 3 else rate, k % 3, axis=1)
-        if stuck := _longest_stuck(stream.time, np.where(ends[column], np.nan, values), beside):
+        others = np.delete(force if k < 3 else rate, k % 3, axis=1)
+        if stuck := _longest_stuck(stream.time, np.where(ends[column], np.nan, values), others):
             raise MeasurementError(
                 f"{stream.name}: column {column!r} is constant for {stuck:.3g} s while others change; the axis is "
                 "broken or not logged: repair the log, or leave that part out"
@@ -281,16 +281,16 @@ def _check_gravity(stream: Stream, size: float) -> None:
     raise MeasurementError(f"{text}; {'raw counts? Multiply all by their scales' if is_raw else 'check its unit'}")
 
 
-def _longest_stuck(time: np.ndarray, values: np.ndarray, beside: np.ndarray) -> float:
+def _longest_stuck(time: np.ndarray, values: np.ndarray, others: np.ndarray) -> float:
     """Return how long a value is constant while the other axes, shape (T, 2), move [s]; 0 for short times."""
     starts, ends, _ = _still(values[:, None])
-    spread, longest, steps = beside.std(axis=0), 0.0, np.abs(np.diff(values))
+    spread, longest, steps = others.std(axis=0), 0.0, np.abs(np.diff(values))
     most = _JUMPS * float(np.min(steps[steps > 0.0], initial=np.inf))
     for begin, end in zip(starts[ends - starts > 1], ends[ends - starts > 1], strict=True):
         if steps[max(begin - 1, 0)] <= most and steps[min(end - 1, len(steps) - 1)] <= most < np.inf:
             continue  # A sensor of few digits.
         lasts = float(time[end - 1] - time[begin])
-        if lasts > _FROZEN and np.any(np.ptp(beside[begin:end], axis=0) > _MOVES * spread):
+        if lasts > _FROZEN and np.any(np.ptp(others[begin:end], axis=0) > _MOVES * spread):
             longest = max(longest, lasts)
     return longest
 

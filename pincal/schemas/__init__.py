@@ -1,6 +1,6 @@
-"""JSON Schemas of the files that pincal reads and writes, made from their structures.
+"""JSON Schemas of the files that pincal reads and writes, generated from their structures.
 
-``python -m pincal.schemas`` writes them anew beside this module; a test holds them to the structures.
+``python -m pincal.io.schemas`` regenerates them in this folder; a test compares them with the structures.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ def shipped(name: str) -> Path:
 
 
 def text_of(name: str) -> str:
-    """Return the schema of a file as it is shipped."""
+    """Return the schema of a file as text."""
     return json.dumps(schema_of(name), indent=1, sort_keys=True) + "\n"
 
 
 def _own(kind: type) -> dict[str, Any]:
-    """Return the schema of a type that msgspec doesn't know; that of an array stands in its annotation."""
+    """Return the schema of a type unknown to msgspec; arrays have theirs in annotations."""
     return EFFECT_SCHEMA if kind is Effect else {}

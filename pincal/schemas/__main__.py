@@ -1,4 +1,4 @@
-"""Write the schemas beside this module."""
+"""Write the schemas into this folder."""
 
 from pincal.atomic import write_atomic
 from pincal.schemas import FILES, shipped, text_of
