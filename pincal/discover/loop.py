@@ -169,8 +169,10 @@ def start_in_likeliest_frame(state: SearchState, search: Search) -> SearchState:
     fit, way = in_frame(state.fit, frame), ways.get(frame)
     if way is None:
         return SearchState(fit)
-    is_known = way.effects == every
-    return SearchState(fit).with_step(elastic_step(fit, way, whole if is_known else None))
+    if way.effects != every:
+        return SearchState(fit).with_step(elastic_step(fit, way))
+    # The very objects of the fit, by which a problem finds their parameters.
+    return SearchState(fit).with_step(elastic_step(fit, replace(way, effects=every), whole))
 
 
 def compare_frames(state: SearchState, search: Search) -> SearchState:
