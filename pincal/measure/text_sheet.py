@@ -190,7 +190,7 @@ def _read_regular(sheet: TextSheet, columns: Sequence[SheetColumn]) -> tuple[pl.
     import polars as pl
 
     expected = _count_lines(sheet) - sheet.header_line
-    if expected < 1:
+    if expected < 1 or (len(columns) < len(sheet.labels) and not _are_equal(sheet, expected)):
         return None
     try:
         frame = pl.read_csv(
@@ -201,16 +201,14 @@ def _read_regular(sheet: TextSheet, columns: Sequence[SheetColumn]) -> tuple[pl.
             separator=sheet.separator,
             decimal_comma=sheet.decimal_comma,
             comment_prefix="#",
-            # All columns: lines with too many cells are an error then.
             schema=_schema(sheet, columns, pl.Float64, pl.String),
+            columns=[column.index for column in columns],
         ).head(expected)
     except pl.exceptions.PolarsError:
         return None
-    needed = frame.select(column.name for column in columns)
-    # Lines with too few cells lack the last one.
-    if frame.height != expected or sum(needed.null_count().row(0)) or frame.to_series(-1).null_count():
+    if frame.height != expected or sum(frame.null_count().row(0)):
         return None
-    return needed, np.arange(expected) + sheet.header_line + 1
+    return frame, np.arange(expected) + sheet.header_line + 1
 
 
 def _count_lines(sheet: TextSheet) -> int:
@@ -220,6 +218,21 @@ def _count_lines(sheet: TextSheet) -> int:
         while chunk := file.read(_CHUNK_BYTES):
             lines, tail = lines + chunk.count(b"\n"), chunk
     return lines - tail[len(tail.rstrip(b" \t\r\n,;")) :].count(b"\n")
+
+
+def _are_equal(sheet: TextSheet, expected: int) -> bool:
+    """Return whether so many lines after the header have as many separators as the header."""
+    counts, carried = list[np.ndarray](), 0
+    with sheet.open() as file:
+        while chunk := file.read(_CHUNK_BYTES):
+            marks = np.frombuffer(chunk, np.uint8)
+            found = np.flatnonzero(marks == ord(sheet.separator))
+            ends = np.searchsorted(found, np.flatnonzero(marks == ord("\n")))
+            counts.append(np.diff(ends, prepend=-carried))
+            carried = len(found) - (int(ends[-1]) if len(ends) else -carried)
+    counts.append(np.array([carried]))
+    body = np.concatenate(counts)[sheet.header_line : sheet.header_line + expected]
+    return bool((body == len(sheet.labels) - 1).all())
 
 
 def _read_lines(sheet: TextSheet, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray]:
