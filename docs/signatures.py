@@ -165,7 +165,7 @@ def _share(signal: np.ndarray, basis: np.ndarray) -> float:
 def _values(effect: Effect, at: PoseSet) -> np.ndarray:
     """Return values of the parameters as large as they may be; of a curve, those of a wave with a kink."""
     sizes = np.array([min(parameter.size, _FRAME) for parameter in effect.parameters(at.chain)])
-    if not effect.alike:
+    if not effect.shares_scale:
         return np.asarray(sizes * 0.7 ** np.arange(len(sizes)))
     place = np.linspace(-1.0, 1.0, len(sizes))
     return np.asarray(sizes * (np.sin(5.0 * place) - 1.5 * np.abs(place - 0.3) + 1.0))

@@ -17,6 +17,7 @@ from pincal.cli import pincal as pincal_command
 from pincal.errors import BadInputError, ModelFileError
 from pincal.measure.table import write_table
 from pincal.model.effect_registry import EFFECTS
+from pincal.model.effects import JointOffset
 
 PLUGIN = Path(__file__).parents[1] / "examples" / "hose_pull.py"
 NOISE, POSES = 5e-5, 200
@@ -95,3 +96,15 @@ def test_an_effect_from_outside_is_fitted_on_request(scene: Scene) -> None:
         pincal_command.main(args=["validate", "out/model.json", "new.csv"], standalone_mode=False)
     with pytest.raises(BadInputError, match=r"effect 'hose_pull:joint_5': unknown; expected one of .*gear_ratio"):
         pincal_command.main(args=[*fit], standalone_mode=False)
+
+
+def test_attributes_of_the_release_before_are_read_with_a_warning() -> None:
+    """A plugin that says ``alike`` and ``looks`` has the same prior and the same correction of its p-value."""
+    with pytest.warns(DeprecationWarning, match=r"Effect\.(looks|alike) is now Effect\.(trials|shares_scale)"):
+
+        class Old(JointOffset):
+            alike = True
+            looks = property(lambda self: 7.0)
+
+    assert Old.shares_scale
+    assert Old().trials == 7.0

@@ -22,7 +22,7 @@ from pincal.model.effects import GEOMETRIC
 from pincal.notes import Note, Severity, doubts_first
 from pincal.report.html import report_page
 from pincal.report.subject import Subject
-from pincal.validate.misfit import MISFIT, POWER, TWICE, NoiseTest, Verdict, judge, tells
+from pincal.validate.misfit import MISFIT, POWER, TWICE, NoiseTest, Verdict, is_informative, judge
 
 URDF = kuka_urdf_path()
 Capture = pytest.CaptureFixture[str]
@@ -50,13 +50,13 @@ def written(path: Path, table: Measurements) -> Path:
 
 
 def test_the_rule_of_verdicts() -> None:
-    """Adequate needs a known noise, residuals within it, enough poses, no doubt and nothing left; nothing else is said."""
+    """Adequate needs a known noise, residuals within it, enough poses, no reservation and no known model error."""
     fits, misses = NoiseTest("the noise", 1.0, 0.5), NoiseTest("the noise", 1.5, 1e-6)
     cases = itertools.product((None, fits, misses), ((), (DOUBT,)), *[(False, True)] * 3)
-    for beside, doubts, unusable, left, few in cases:
-        verdict = judge(beside, doubts, unusable=unusable, left=left, few=few)
-        against = unusable or left or beside is misses
-        assert (verdict is Verdict.ADEQUATE) == (beside is fits and not doubts and not against and not few)
+    for noise_test, doubts, unusable, incomplete, few in cases:
+        verdict = judge(noise_test, doubts, unusable=unusable, incomplete=incomplete, few=few)
+        against = unusable or incomplete or noise_test is misses
+        assert (verdict is Verdict.ADEQUATE) == (noise_test is fits and not doubts and not against and not few)
         assert not against or verdict is Verdict.NOT_ADEQUATE
         assert not few or against or verdict is Verdict.NOT_JUDGED
 
@@ -72,7 +72,7 @@ def test_few_degrees_of_freedom_tell_nothing(degrees: float, of_noise: float) ->
     else:
         p = f.sf(squares / (rng.chisquare(of_noise, 20_000) / of_noise), degrees, of_noise)
     noticed = float(np.mean(p < MISFIT))
-    assert (noticed >= POWER) == tells(degrees, of_noise) or noticed == pytest.approx(POWER, abs=0.015)
+    assert (noticed >= POWER) == is_informative(degrees, of_noise) or noticed == pytest.approx(POWER, abs=0.015)
 
 
 def test_notes_stand_in_order_and_once() -> None:

@@ -22,7 +22,7 @@ from pincal.validate.agreement import computed, implausible
 from pincal.validate.gathered import Gathering, bump_in, gathering_of, in_common
 from pincal.validate.lack_of_fit import LackOfFit
 from pincal.validate.midway import change_in
-from pincal.validate.misfit import MISFIT, tells
+from pincal.validate.misfit import MISFIT, is_informative
 from pincal.validate.outcome import MovedParameter
 
 # A held-out row is far off if its error is this many times the median: 15 standard deviations of a normal error in 3D.
@@ -223,7 +223,7 @@ def findings_on_data(fit: ModelFit, read: Readings) -> list[Caveat]:
     found = [Caveat(CaveatKind.CONTRADICTED, {"what": what}) for what in doubts_of_known(fit)]
     released = int(fit.solution.free.sum())
     figures = {"poses": read.poses, "readings": read.readings, "parameters": released}
-    if not tells(read.degrees):
+    if not is_informative(read.degrees):
         return [Caveat(CaveatKind.FEW_READINGS, figures | {"left": max(read.degrees, 0.0)}), *found]
     return [Caveat(CaveatKind.SPARE_READINGS, figures), *found] if read.readings < 2 * released else found
 

@@ -42,7 +42,7 @@ from pincal.measure.poses import SCATTER, replicate_groups
 from pincal.notes import Note, doubts_first, doubts_of
 from pincal.validate.accuracy import Replicates, error_statistics, error_summary, iso9283, pose_error_sizes
 from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
-from pincal.validate.misfit import NoiseTest, Verdict, judge, tells
+from pincal.validate.misfit import NoiseTest, Verdict, is_informative, judge
 from pincal.validate.outcome import (
     ClockRecord,
     Correlation,
@@ -76,23 +76,23 @@ class Result(Outcome):
         return doubts_of(self.warnings)
 
     @property
-    def beside(self) -> NoiseTest | None:
+    def noise_test(self) -> NoiseTest | None:
         """The residuals against a noise that is known without the model; None if there is none.
 
         Where poses were repeated it is their scatter, which includes the robot's repeatability.
         """
         lacks = [self.lack_of_fit] if self.stations is UNSET else [record.get("lack_of_fit") for record in self.stations]
-        known = [test for lack in lacks if lack is not None and (test := lack.beside) is not None]
+        known = [test for lack in lacks if lack is not None and (test := lack.noise_test) is not None]
         if known and len(known) == len(lacks):
             return min(known, key=lambda test: test.p_value)
         if self.chi2_p_value is None:
             return None
         return NoiseTest("the declared noise of the instrument", self.chi2_reduced**0.5, self.chi2_p_value)
 
-    def verdict_of(self, *, left: bool = False) -> Verdict:
-        """Return whether the model explains the data; with ``left`` a search has found that it does not."""
-        unusable = bool(self.doubt) or not self.converged
-        return judge(self.beside, self.doubts, unusable=unusable, left=left, few=not tells(self.degrees))
+    def verdict_of(self, *, incomplete: bool = False) -> Verdict:
+        """Return whether the model explains the data; ``incomplete`` is the finding of a search that it does not."""
+        unusable, few = bool(self.doubt) or not self.converged, not is_informative(self.degrees)
+        return judge(self.noise_test, self.doubts, unusable=unusable, incomplete=incomplete, few=few)
 
     @property
     def left_out_mm(self) -> tuple[float, float] | None:

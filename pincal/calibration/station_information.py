@@ -114,7 +114,7 @@ class SharedInformation:
                 G[i][np.ix_(at, at)], g[i, at], whole[i, at] = form.H / noise, form.g / noise, form.whole / noise
         model, _ = fit.arm
         zeros = (e for e in model.effects if e.family is Family.GEOMETRY and e.locus.acts_on == "drive")
-        lasting = (e for e in model.effects if e.stays)
+        lasting = (e for e in model.effects if e.is_constant)
         parameters = tuple(problem.parameters[place] for place in shared)
         marks = ({p.name for effect in some for p in effect.parameters(model.chain)} for some in (zeros, lasting))
         marked = (np.array([parameter.name in names for parameter in parameters], bool) for names in marks)

@@ -22,7 +22,7 @@ from pincal.notes import Note, Severity, doubts_of
 from pincal.validate.accuracy import error_summary, pose_error_sizes
 from pincal.validate.agreement import belongs_to_other_robot, mix_up, nominal_displacements
 from pincal.validate.lack_of_fit import LackOfFit, replicate_statistics
-from pincal.validate.misfit import Misfit, NoiseTest, Verdict, has_moved, judge, misfit_at, tells
+from pincal.validate.misfit import Misfit, NoiseTest, Verdict, has_moved, is_informative, judge, misfit_at
 from pincal.validate.path_accuracy import path_accuracy
 
 Placement = Literal["as calibrated", "refitted"]
@@ -87,11 +87,11 @@ class Validation:
     def verdict(self) -> Verdict:
         """Whether the model explains these rows down to their noise."""
         _, lack = self.replicate_statistics()
-        against = None if lack is None else lack.beside
+        against = None if lack is None else lack.noise_test
         if against is None and (self.model.is_noise_declared or self.table.sigma is not None):
             against = NoiseTest("the declared noise of the instrument", self.misfit.ratio, self.misfit.p_value)
         distinct = len(np.unique(replicate_groups([self.table], within=SCATTER)[0])) / len(self.table)
-        few = not tells(distinct * self.misfit.degrees - self.misfit.found)
+        few = not is_informative(distinct * self.misfit.degrees - self.misfit.found)
         return judge(against, doubts_of(self.notes), unusable=bool(self.doubt), few=few)
 
     @cached_property

@@ -91,14 +91,15 @@ def _catalogue(model: Model, situation: PoseSet) -> Iterator[Effect]:
     for candidate in testable(situation):
         for form in candidate.forms:
             size = form.resolution if isinstance(form, Curve) else 1
-            if not form.stays and form.identity not in present and size * CHANGES.rows_each <= len(situation.conditions):
+            is_new = not form.is_constant and form.identity not in present
+            if is_new and size * CHANGES.rows_each <= len(situation.conditions):
                 yield form
 
 
 def _of_parameters(model: Model) -> Iterator[PossibleChange]:
     """Yield each parameter of the robot alone, and groups: an effect's parameters of a joint, a bent link's."""
     for effect in model.effects:
-        if effect.scope == "station" or effect.stays:
+        if effect.scope == "station" or effect.is_constant:
             continue
         single = effect.family in (Family.GEOMETRY, Family.ELASTICITY)
         by_element: dict[str, list[Parameter]] = {}

@@ -254,7 +254,7 @@ def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
     if curves is None:
         return
     best = curves.joints[0]
-    if best.error_mm < CHANGES.worth_a_word * curves.as_it_was_mm and best.seen < CHANGES.worth_a_word:
+    if best.error_mm < CHANGES.worth_a_note * curves.as_it_was_mm and best.seen < CHANGES.worth_a_note:
         yield (
             f"the mean error falls from {curves.as_it_was_mm:.3g} to {best.error_mm:.3g} mm with a re-estimated "
             f"curve of {best.joint}, which the calibration had determined in {100 * best.seen:.0f} % of these rows: "

@@ -262,4 +262,4 @@ def _in_errors(gains: np.ndarray) -> float:
 
 def enough_errors(effect: Effect) -> float:
     """Return the required gain of held-out blocks, in standard errors; more if an effect was selected among many on them."""
-    return TESTING.searched if effect.looks > 1.0 else TESTING.predicts
+    return TESTING.searched if effect.trials > 1.0 else TESTING.predicts

@@ -94,7 +94,7 @@ def findings_of(
         effects=effects,
         scatter=() if scatter is None else (scatter,),
         not_testable=tuple(Untestable.of(effect, reason=reason) for effect, reason in _not_testable(trail)),
-        verdict=judge(None, left=is_misfit or excess is not None),
+        verdict=judge(None, incomplete=is_misfit or excess is not None),
         unexplained_mm=unexplained,
         approach_from=approach_from,
         held_out=dict(held_out or {}),
@@ -331,5 +331,5 @@ def chance_of_best(tests: ScoreTests, draws: int, seed: int = 0) -> float:
         places, whitening = tests.whitening([i])
         if rank := whitening.shape[1]:
             gains = np.sum((b[:, places] @ whitening) ** 2, axis=1)
-            drawn = np.minimum(drawn, effect.looks * chance_of(gains, rank, squares, tests.dof))
+            drawn = np.minimum(drawn, effect.trials * chance_of(gains, rank, squares, tests.dof))
     return float(1.0 + np.count_nonzero(drawn <= observed)) / (draws + 1.0)

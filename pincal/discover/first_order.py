@@ -191,7 +191,7 @@ class ScoreTests:
     @cached_property
     def _alone(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """T, rank and p-value of each candidate by itself, vectorised over candidates of one size."""
-        sizes, looks = np.array([len(j) for j in self.columns]), np.array([effect.looks for effect in self.effects])
+        sizes, trials = np.array([len(j) for j in self.columns]), np.array([effect.trials for effect in self.effects])
         gains, ranks = np.zeros(len(sizes)), np.zeros(len(sizes), int)
         if self.unsure.any():
             each = [(tests._alone[0] - cost, tests._alone[1]) for cost, tests in self._beliefs]
@@ -205,7 +205,7 @@ class ScoreTests:
             roots, seen = self._roots(j, inner - taken[j] @ taken[j].swapaxes(1, 2))
             gains[some] = np.sum(np.einsum("gi,gik->gk", b[j], roots) ** 2, axis=1)
             ranks[some] = seen.sum(axis=1)
-        return gains, ranks, np.minimum(looks * chance_of(gains, ranks, self.squares, self.dof), 1.0)
+        return gains, ranks, np.minimum(trials * chance_of(gains, ranks, self.squares, self.dof), 1.0)
 
     def whitening(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Return the J columns of some candidates, and W, shape (J, rank), with T = |b' W|^2 for b' at these columns."""
@@ -315,9 +315,9 @@ class ScoreTests:
 
     def score(self, which: Sequence[int], groups: int) -> ScoreResult:
         """Return the test of some candidates together, one of so many tested groups."""
-        (gain, rank), looks = self.gain(which), math.prod(self.effects[i].looks for i in which)
-        chance = self._alone[2][which[0]] if len(which) == 1 else looks * chance_of(gain, rank, self.squares, self.dof)
-        return self._judged(gain, rank, float(chance), self.squares, groups * looks)
+        (gain, rank), trials = self.gain(which), math.prod(self.effects[i].trials for i in which)
+        chance = self._alone[2][which[0]] if len(which) == 1 else trials * chance_of(gain, rank, self.squares, self.dof)
+        return self._judged(gain, rank, float(chance), self.squares, groups * trials)
 
     def score_given(self, which: Sequence[int], given: Sequence[int], groups: int = 1) -> ScoreResult:
         """Return the test of some candidates given others in the model."""
@@ -355,8 +355,8 @@ class ScoreTests:
         information = np.outer(size, size) * S + prior
         step = np.linalg.solve(information, size * b)
         spread = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(information)[1]
-        looks = sum(float(np.log(self.effects[i].looks)) for i in which)
-        return float(0.5 * ((size * b) @ step + spread - cost)) - looks
+        trials = sum(float(np.log(self.effects[i].trials)) for i in which)
+        return float(0.5 * ((size * b) @ step + spread - cost)) - trials
 
 
 def chance_of(

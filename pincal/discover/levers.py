@@ -233,7 +233,7 @@ def _strongest(
     for known in fit.problem.effects:
         if isinstance(known, Harmonic) and known.locus.joint == tone.locus.joint:
             gains[np.abs(orders - (known.locus.order or 0.0)) < resolution] = 0.0
-    least = 2.0 * np.log(tone.looks / WAVES.worth)
+    least = 2.0 * np.log(tone.trials / WAVES.worth)
     for _ in range(1 + WAVES.aliases):
         highest = int(np.argmax(gains))
         if gains[highest] < least:
@@ -243,7 +243,7 @@ def _strongest(
         finer = _gains(sums, float(lever.sum()))
         best = int(np.argmax(finer))
         least = max(least, float(finer[best]) - near)
-        yield tone.tuned(round(float(close[best]), WAVES.digits), tone.looks)
+        yield tone.tuned(round(float(close[best]), WAVES.digits), tone.trials)
         gains[np.abs(orders - orders[highest]) < resolution] = 0.0
 
 

@@ -251,7 +251,7 @@ def _sizes(fit: ModelFit, found: ScoreTests, i: int, groups: int) -> Iterator[De
     effect = found.effects[i]
     parameters = effect.parameters(fit.problem.chain)
     rank = found.gain([i])[1]
-    test = (round(found.dof, 3), rank, round(groups * effect.looks))
+    test = (round(found.dof, 3), rank, round(groups * effect.trials))
     for unit in dict.fromkeys(p.unit for p in parameters):
         own = np.array([k for k, p in enumerate(parameters) if p.unit == unit])
         measure, shown, scale = _measure(effect, fit, own, unit)

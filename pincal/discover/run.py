@@ -200,7 +200,7 @@ def run_discovery(
     result = result_of(fit, first.stations, seconds=seconds, notes=notes, left_out=left_out)
     final = replace(first, fit=CalibratedFit.of(fit), result=result, notes=notes)
     # The search decides whether the model is inadequate; whether it is adequate, the rule common to all commands.
-    verdict = result.verdict_of(left=findings.verdict is Verdict.NOT_ADEQUATE)
+    verdict = result.verdict_of(incomplete=findings.verdict is Verdict.NOT_ADEQUATE)
     findings = changed(findings, verdict=verdict, warnings=result.warnings)
     return Discovery(final, trail, findings, gaps, traces)
 

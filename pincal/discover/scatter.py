@@ -294,7 +294,7 @@ def p_value_of_uneven_noise(fit: ModelFit, tests: ScoreTests) -> float:
     many = float(np.sum(taken) ** 2 / np.sum(taken**2))
     if chdtrc(many, uneven * many) > TESTING.uneven:
         return tests.score([0], 1).p_value
-    return min(effect.looks * float(fdtrc(rank, max(many - rank, 1.0), gain / uneven / rank)), 1.0)
+    return min(effect.trials * float(fdtrc(rank, max(many - rank, 1.0), gain / uneven / rank)), 1.0)
 
 
 def _scores_by_visit(fit: ModelFit, tests: ScoreTests, whitening: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

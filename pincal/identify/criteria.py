@@ -146,7 +146,7 @@ class ChangeNumbers:
         "of a calibration's noise estimate, where its number of rows is unknown", "chosen: as of a usual table")
     many: int = number(4, "changes", _REFUSED,
         "from which on another robot of the same type is more likely", "chosen: a bound on what is believable")
-    worth_a_word: float = number(0.9, "ratio", _CURVE,
+    worth_a_note: float = number(0.9, "ratio", _CURVE,
         "of errors, and of rows, below which another curve of a drive is worth a note", "a tenth better")
     rows_each: int = number(4, "rows per parameter", _CHANGED, "below which a curve is not tried", "chosen: for time")
     curve_rows: int = number(24, "rows", _CURVE, "that allow cross-validation", "three for each block")

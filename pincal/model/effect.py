@@ -10,6 +10,7 @@ Discovery, reports, the viewer and the design of measurements use effects throug
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -116,19 +117,27 @@ class Effect(ABC):
         meaning: how a machine with this effect behaves, in plain words.
         family: kind of cause.
         scope: owner of its parameters: the robot, or a station, the set-up of an instrument and its targets.
-        stays: whether it is constant after a calibration, so that a diagnosis tests no change of it.
+        is_constant: whether it is constant after a calibration, so that a diagnosis tests no change of it.
         uses_moments: whether its terms need the static moments.
-        alike: whether its basis functions are translates of one function, as those of a curve, and so share one scale, even
-            those that the poses hardly excite.
+        shares_scale: whether its basis functions are translates of one function, as those of a curve, and share one scale,
+            even those that the poses hardly excite.
     """
 
     name: ClassVar[str]
     meaning: ClassVar[str]
     family: ClassVar[Family] = Family.CAUSE
     scope: ClassVar[Scope] = "robot"
-    stays: ClassVar[bool] = False
+    is_constant: ClassVar[bool] = False
     uses_moments: ClassVar[bool] = False
-    alike: ClassVar[bool] = False
+    shares_scale: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        # Names of 0.1.0, for one release.
+        for old, new in {"looks": "trials", "alike": "shares_scale"}.items():
+            if old in vars(cls):
+                warnings.warn(f"Effect.{old} is now Effect.{new}", DeprecationWarning, stacklevel=2)
+                setattr(cls, new, vars(cls)[old])
 
     @property
     @abstractmethod
@@ -193,7 +202,7 @@ class Effect(ABC):
         return self.locus.cause or self.name, replace(self.locus, place=None, span=None)
 
     @property
-    def looks(self) -> float:
+    def trials(self) -> float:
         """Number of trials among which its place or frequency was selected, for which its p-value is corrected."""
         return 1.0
 
@@ -263,7 +272,7 @@ class Curve(Discoverable, Reducible):
     """A drive error that is a free curve of its joint's position (family ``CURVE``), with a resolution set by the data."""
 
     family: ClassVar[Family] = Family.CURVE
-    alike: ClassVar[bool] = True
+    shares_scale: ClassVar[bool] = True
 
     @property
     @abstractmethod

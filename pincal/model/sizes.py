@@ -67,7 +67,7 @@ def _largest_bases(model: Model, conditions: Conditions, starts: np.ndarray) -> 
     for body in model.bodies:
         excited[:, body.parameter] = heaviest > 0.0
     for span, effect in zip(model.spans, model.effects, strict=True):
-        if effect.alike:
+        if effect.shares_scale:
             largest[:, span] = largest[:, span].max(axis=1, keepdims=True)
             excited[:, span] = excited[:, span].any(axis=1, keepdims=True)
     return np.where(largest > 0.0, largest, 1.0), excited

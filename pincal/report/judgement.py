@@ -20,7 +20,7 @@ from pincal.notes import Note, doubts_of
 from pincal.recorded import RECORDABLE
 from pincal.report.words import effect_words
 from pincal.validate.accuracy import leading_unit
-from pincal.validate.misfit import Verdict, tells
+from pincal.validate.misfit import Verdict, is_informative
 
 # Ratio of held-out to fitted rms error above which the rows were too few. N rows and p parameters make it about
 # sqrt((N + p) / (N - p)): 1.3 is reached when a quarter as many readings as there are go into parameters.
@@ -48,7 +48,7 @@ def judged(result: Result, discovery: Discovery | None = None) -> Judged:
         return Judged(verdict, f"Do not use it: {result.doubt}.")
     if discovery is not None:
         return verdict_of_search(discovery.findings)
-    compared = result.beside
+    compared = result.noise_test
     if verdict is Verdict.NOT_ADEQUATE and compared is not None and compared.is_misfit:
         words = f"The residuals are {relative_to_noise(compared.ratio, compared.noise, is_misfit=True)}"
         return Judged(verdict, f"{words}: the robot has errors that this model does not describe.")
@@ -124,7 +124,7 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
         steps.append("Make the rows before and after the shift two stations (column station), and calibrate again.")
     if result.doubt:
         return [f"First find out what is wrong: {result.doubt}."]
-    if is_few := not tells(result.degrees):
+    if is_few := not is_informative(result.degrees):
         steps.append("Measure more poses: these are too few to distinguish a good model from a bad one.")
     if discovery is not None:
         steps += _after_discovery(discovery)

@@ -19,7 +19,7 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.poses import replicate_groups
 from pincal.units import format_readable
 from pincal.validate.accuracy import Replicates, groups, iso9283
-from pincal.validate.misfit import MISFIT, NoiseTest, misfit_at, tells
+from pincal.validate.misfit import MISFIT, NoiseTest, is_informative, misfit_at
 
 # Replicates that differ by less than this multiple of a reading's rounding carry no information on the noise.
 _ROUNDINGS = 10.0
@@ -74,9 +74,9 @@ class LackOfFit:
         return f"{test}: the residuals are within the scatter between replicates"
 
     @property
-    def beside(self) -> NoiseTest | None:
+    def noise_test(self) -> NoiseTest | None:
         """The residuals compared with the scatter between replicates; None if the degrees of freedom are too few."""
-        if not tells(self.degrees.misfit, self.degrees.pure_error):
+        if not is_informative(self.degrees.misfit, self.degrees.pure_error):
             return None
         return NoiseTest("the scatter between repeated measurements of a pose", self.F**0.5, self.p_value)
 

@@ -212,14 +212,16 @@ class NoiseTest:
         return self.p_value < MISFIT
 
 
-def tells(degrees: float, of_noise: float = np.inf) -> bool:
+def is_informative(degrees: float, of_noise: float = np.inf) -> bool:
     """Return whether a test at :data:`MISFIT` with these degrees of freedom detects residuals of twice the noise.
 
     ``of_noise`` are the degrees of freedom of the noise; infinite for a declared one.
 
     Example:
-        >>> tells(1e-6), tells(17.0), tells(18.0), tells(100.0, 29.0), tells(100.0, 30.0)
-        (False, False, True, False, True)
+        >>> is_informative(1e-6), is_informative(17.0), is_informative(18.0)
+        (False, False, True)
+        >>> is_informative(100.0, 29.0), is_informative(100.0, 30.0)
+        (False, True)
     """
     # For a small fraction of a degree a quantile underflows to zero, and the power would seem to be 1.
     if degrees < 1.0 or of_noise < 1.0:
@@ -232,7 +234,12 @@ def tells(degrees: float, of_noise: float = np.inf) -> bool:
 
 
 def judge(
-    beside: NoiseTest | None, doubts: Sequence[Note] = (), *, unusable: bool = False, left: bool = False, few: bool = False
+    noise_test: NoiseTest | None,
+    doubts: Sequence[Note] = (),
+    *,
+    unusable: bool = False,
+    incomplete: bool = False,
+    few: bool = False,
 ) -> Verdict:
     """Return the verdict on a model.
 
@@ -240,21 +247,21 @@ def judge(
     Without a known noise, or with too few poses, nothing can speak for it, but something may speak against it.
 
     Args:
-        beside: the residuals compared with a noise known without the model; None without any.
+        noise_test: the residuals compared with a noise known without the model; None without any.
         doubts: reservations about the result.
         unusable: whether one of them makes it unusable.
-        left: whether there is a significant model error, whatever the size of the residuals.
-        few: whether there are too few poses for the test, see :func:`tells`.
+        incomplete: whether there is a significant model error, whatever the size of the residuals.
+        few: whether there are too few poses for the test, see :func:`is_informative`.
 
     Example:
         >>> declared = NoiseTest("the declared noise", 1.01, 0.4)
-        >>> judge(declared).value, judge(declared, few=True).value, judge(None).value, judge(None, left=True).value
+        >>> judge(declared).value, judge(declared, few=True).value, judge(None).value, judge(None, incomplete=True).value
         ('adequate', 'not judged', 'not judged', 'not adequate')
     """
-    if unusable or left or (beside is not None and beside.is_misfit):
+    if unusable or incomplete or (noise_test is not None and noise_test.is_misfit):
         return Verdict.NOT_ADEQUATE
     if few:
         return Verdict.NOT_JUDGED
     if doubts:
         return Verdict.NOT_ADEQUATE
-    return Verdict.NOT_JUDGED if beside is None else Verdict.ADEQUATE
+    return Verdict.NOT_JUDGED if noise_test is None else Verdict.ADEQUATE

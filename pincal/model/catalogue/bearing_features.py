@@ -74,7 +74,7 @@ class BearingPlace(Effect):
 
     joint: str
     family: ClassVar[Family] = Family.ELASTICITY
-    stays: ClassVar[bool] = True
+    is_constant: ClassVar[bool] = True
     name: ClassVar[str] = "bearing_place"
     meaning: ClassVar[str] = "the bearing is at another position on its axis than the URDF's joint frame"
 

@@ -261,7 +261,7 @@ class InstrumentStretch(_Reading):
     meaning: ClassVar[str] = "the instrument reads lengths in one direction longer than in another"
     locus: ClassVar[Locus] = Locus(acts_on="directions")
     # It is constant: as a new effect, it would hide a change of the robot.
-    stays: ClassVar[bool] = True
+    is_constant: ClassVar[bool] = True
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:

@@ -45,7 +45,7 @@ class LinkMass(Effect):
     meaning: ClassVar[str] = "masses and centres of mass of links that are missing in the robot description"
     family: ClassVar[Family] = Family.LOAD
     locus: ClassVar[Locus] = Locus(acts_on="gamma", follows=MOMENT)
-    stays: ClassVar[bool] = True
+    is_constant: ClassVar[bool] = True
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Mass [kg], and first moment of mass about the guessed centre [kg m]."""

@@ -70,7 +70,7 @@ class GearRipple(_FineWaves):
     band: ClassVar[tuple[float, float] | None] = _BAND
 
     @property
-    def looks(self) -> float:
+    def trials(self) -> float:
         """Number of orders among which this one was selected."""
         return self.chosen_among
 

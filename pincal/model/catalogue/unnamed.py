@@ -78,7 +78,7 @@ class Unnamed(Resolvable):
     name: ClassVar[str] = "unnamed"
     meaning: ClassVar[str] = "a significant effect that is not in the catalogue"
     family: ClassVar[Family] = Family.NAMELESS
-    alike: ClassVar[bool] = True
+    shares_scale: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.shape == "waves" and self.order is None:
@@ -92,7 +92,7 @@ class Unnamed(Resolvable):
         return Locus(self.joint, self.acts_on, self.depends_on, self.order, shape=self.shape, place=self.place, span=span)
 
     @property
-    def looks(self) -> float:
+    def trials(self) -> float:
         """Number of maps among which it was selected."""
         return _PAIRS if self.shape == "map" else 1.0
 
