@@ -14,20 +14,10 @@ from pincal.discover import policy
 from pincal.identify import criteria
 from pincal.identify.problem import Problem
 
-# What there was when this was written, with 4 400 for programs in five languages of controllers, in the page, too, and 200
-# for tables that come back as they went in; 44 000 is the aim. 100 are for errors that persist in the target's frame and for
-# few poses, which no older code looked for; 3 500 for sessions in motion and 3 500 for fleets, which replace nothing; 300
-# for motions that are chosen, 250 for robots of one cell with a file each, 140 for path accuracy, 70 for an instrument
-# whose coordinates are stretched, 110 for gaps in the curves of drives and sums of splines that are made in bulk, 300 for
-# cameras in motion, 60 for what goes wrong with a store: failures apart from results, stray files, machines given twice; 30
-# for what drives do before an IMU alone, 700 for logs of motion as loggers write them and as they break; 330 for curves of
-# drives that changed between stations of a model without curves, stations compared with parts of
-# themselves, the doubt, and trackers that misread; 41 for where an instrument stands under an error that persists, priors
-# that make no reading exact, and what a model lacked; 107 for stamps of packets and rows that stand late or twice in logs;
-# 74 for machines that are far off among few, types that can't be, and stores worked on in three quarters of the time;
-# 61 for the chance of a bump by errors in other orders, and curves that end finer; 180 for clocks that jump by a frame,
-# targets that were interpolated, and IMUs that were polled or beside joints that were commanded.
-MOST_LINES = 72_484
+# Lines of the library when this was last lowered, of which fleets, sessions in motion and programs of controllers are 8 350;
+# 44 000 was the aim before these. It is raised only for a feature that replaces nothing, which is then named here with its
+# lines.
+MOST_LINES = 70_871
 TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [
