@@ -92,7 +92,7 @@ def test_what_is_not_given_is_the_default_of_the_field_or_of_the_verb() -> None:
 @pytest.mark.parametrize("wrong", [["", "--out", "b.csv"], ["a.csv", "--out", ""]])
 def test_no_text_is_no_file(wrong: list[str]) -> None:
     """It is refused, and not the current folder."""
-    with pytest.raises(click.UsageError, match="names nothing; expected a file or a folder"):
+    with pytest.raises(click.UsageError, match="is not a name; expected a file or a folder"):
         read(*wrong)
 
 

@@ -83,7 +83,7 @@ def test_predictions_are_true_at_the_place(
     assert np.abs(columns_of(tmp_path / "out.csv", "xyz") - true).max() < 3e-4
     if "--placement" in options:
         assert json.loads(told.out)["placement"]["moved_mm"] == pytest.approx(1300.0, abs=0.5)
-        assert "placed by 10 rows of few.csv: the instrument moved by 1300 mm" in told.err
+        assert "placement from 10 rows of few.csv: the instrument moved by 1300 mm" in told.err
     elif model == "model.json":
         assert "base_drift of the calibration's station is left out: poses.csv has no column time" in told.err
 

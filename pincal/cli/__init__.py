@@ -155,7 +155,7 @@ def entry() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.stdout.flush()
     if results.lost:
-        click.echo(f"pincal: stdout can't be written ({results.lost}); the requested files are complete", err=True)
+        click.echo(f"pincal: can't write to stdout ({results.lost}); the requested files are complete", err=True)
         code = code or Exit.BAD_INPUT
     sys.stderr.flush()
     os._exit(code)

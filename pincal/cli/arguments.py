@@ -93,7 +93,7 @@ class _Place(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if value == "":
-            self.fail("'' names nothing; expected a file or a folder (. for the current one)", param, ctx)
+            self.fail("'' is not a name; expected a file or a folder (. for the current one)", param, ctx)
         return super().convert(value, param, ctx)
 
 
@@ -118,7 +118,7 @@ class Output(_Place):
         if self._endings and ending not in self._endings:
             expected = " or ".join(filter(None, self._endings))
             raise OutputError(
-                f"{name} {path}: this can't be written as {ending or 'a file without an ending'}; end the name in {expected}"
+                f"{name} {path}: can't be written as {ending or 'a file without an extension'}; end the name in {expected}"
             )
         if not self._endings and ending in _OF_FILES and not path.is_dir():
             raise OutputError(f"{name} {path}: a folder is written here, not a {ending} file; give the name of a folder")

@@ -121,7 +121,7 @@ class TableArguments:
     """How tables are to be read."""
 
     columns: dict[str, str] | None = option(
-        "Map columns to the quantities that they hold.", type=columns, metavar=COLUMNS, words="by their names"
+        "Assign columns to quantities.", type=columns, metavar=COLUMNS, words="by the names of the columns"
     )
     orientation: Literal["kuka", "fanuc", "abb", "ur", "rpy", "xyzw", "wxyz"] | None = option(
         "Convention of the orientation: A B C, W P R, q1..q4, rx ry rz, roll pitch yaw, or a quaternion in this order.",
@@ -304,7 +304,7 @@ class FitOptions:
     stages: Literal["joint", "paper"] = option("Fit all parameters jointly, or in the paper's four stages.", "joint")
     loss: Literal["screen", "huber", "none"] = option("Outlier handling: reject, down-weight (Huber), or none.", "screen")
     zeros: str | None = option(
-        "Joints whose zeros are unknown altogether: unknown for all, or unknown:joint_3,joint_5.",
+        "Joints whose zeros are completely unknown: unknown for all, or unknown:joint_3,joint_5.",
         metavar="unknown[:JOINT,...]",
         words="within a few mrad of the URDF's, unless the data show otherwise",
     )

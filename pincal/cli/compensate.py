@@ -189,7 +189,7 @@ def compensate(arguments: CompensateArguments) -> Exit:
     columns = _columns(calibrated, done, arguments)
     if arguments.only_numbers:
         if not table.has_joints:
-            raise click.UsageError("--only-numbers is for tables with joint columns, whose numbers it changes; leave it out")
+            raise click.UsageError("--only-numbers changes the numbers of joint columns; this table has none: leave it out")
         kept = np.where(done.found.is_ok[:, None], done.found.q, robot.as_reported(done.seeds.q))
         columns = dict(zip(robot.joint_names, kept.T, strict=True))
     write_returned(arguments.out, table.cells, columns, robot.joint_names)

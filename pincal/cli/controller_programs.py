@@ -35,7 +35,7 @@ class ProgramOptions:
     """Properties of the cell that a controller's program does not contain."""
 
     tools: tuple[tuple[str, str], ...] = option(
-        "Values of a tool that the program names or numbers.", (), name="--tool", type=_named, metavar="NAME=X,Y,Z,..."
+        "Values of a tool, by its name or number in the program.", (), name="--tool", type=_named, metavar="NAME=X,Y,Z,..."
     )
     bases: tuple[tuple[str, str], ...] = option(
         "Values of a base, user frame or work object.", (), name="--base", type=_named, metavar="NAME=X,Y,Z,..."

@@ -210,7 +210,7 @@ def _print_hidden(found: Discovery, screen: Console, *, folder: Path) -> None:
 
 def _print_program(missed: dict[str, dict[str, float]], screen: Console) -> None:
     screen.rule("Compensation")
-    screen.print(f"\nA program of {_PROGRAM} other poses, made with the nominal robot, is run on this machine:\n")
+    screen.print(f"\nA program of {_PROGRAM} other poses, written for the nominal robot, is run on this machine:\n")
     for name, words in (("as programmed", "as programmed"), ("corrected", "corrected with this model")):
         mean, largest = missed[name]["mean"], missed[name]["max"]
         screen.print(f"  {words:28s} error: mean {mean:8.4f} mm, max {largest:8.4f} mm")
@@ -224,7 +224,7 @@ def _print_collision(diagnosis: Diagnosis, screen: Console) -> None:
     screen.rule("A collision")
     screen.print(
         f"\nA collision shifts the zero of {_HIT_JOINT} by {_HIT * 1e3:g} mrad, and the tracker has been moved.\n"
-        f"{_HIT_ROWS} poses are measured. Has the robot changed, and what?\n"
+        f"{_HIT_ROWS} poses are measured. Has the robot changed, and if so, how?\n"
     )
     for line in lines(diagnosis.found):
         screen.print(line)
@@ -243,7 +243,7 @@ def _print_files(out: Path, screen: Console) -> None:
         (folder / "discovery.json", "the findings, machine-readable"),
         (folder / "corrected.csv", "the corrected program: the joint positions to command"),
         (hit / "report.html", "what the collision changed, and what it did not"),
-        (hit / "model.json", "the re-identified model: only what changed was estimated again"),
+        (hit / "model.json", "the updated model: only what changed was re-estimated"),
     ):
         screen.print(f"  {path!s:40s} {words}", soft_wrap=True)
     screen.print("\nThen try your own robot, or a simulated one:", style="bold")

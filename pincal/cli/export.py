@@ -28,12 +28,12 @@ Examples:
   pincal export results/model.json --page corrector.html
   pincal export results/model.json --frames kuka
 
-Each file is read back and compared with the model (--c and --page by their formulas) before it is kept; it
+Each file is read back and compared with the model (--c and --page by their formulas) before it is kept, and
 lists what it can't represent. --c, --python and --page represent every effect of the model and also compensate;
 the others represent the geometry, --mjcf also the elasticity as springs. --urdf, --mjcf, --dh and --ur-kinematics
 describe the robot alone and need no --station.
 
---page works in a browser without a network: drop a table or a URScript program, save it corrected. The file of
+--page works in a browser without a network: drop a table or a URScript program on it and save the corrected one. The file of
 --python is also a program: python arm.py program.csv corrected.csv
 """
 
@@ -145,7 +145,7 @@ class ViewArguments:
     model: Path = model_argument()
     data: Path | None = argument("[DATA.csv]", "Measurements to show.", required=False)
     html_file: Path | None = option(
-        "Write one self-contained page instead.", metavar="FILE.html", name="--html", type=Output(".html", ".htm")
+        "Write one self-contained page, not served.", metavar="FILE.html", name="--html", type=Output(".html", ".htm")
     )
     pose: str | None = option(
         "Initial pose: a row of DATA, counted from 1, or joint positions [rad or m].", metavar='ROW|"q1,q2,.."'

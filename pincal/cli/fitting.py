@@ -333,7 +333,7 @@ def _connected(address: str, stack: ExitStack) -> Any:
     try:
         found = asyncio.run(asyncio.wait_for(_identity(address), _ANSWER))
         if found["type"] != "Scheduler":
-            raise ValueError(f"it is a {found['type'].lower()}'s")
+            raise ValueError(f"this is the address of a {found['type'].lower()}")
     except (OSError, ValueError) as error:
         why = str(error) or f"no answer within {_ANSWER:g} s"
         raise BadInputError(

@@ -339,7 +339,7 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
     if chosen.placement is not None and chosen.station is not None:
         raise click.UsageError("--placement identifies a new pose, --station takes one of the model; give one of them")
     if (chosen.start or chosen.to) and (chosen.placement or chosen.station):
-        raise click.UsageError("--from and --to are about links, --placement and --station about an instrument; choose one")
+        raise click.UsageError("--from and --to refer to links, --placement and --station to an instrument; use one pair")
     stations = load_stations(path)
     first = next(iter(stations.models.values()))
     if chosen.start or chosen.to:
@@ -364,7 +364,7 @@ def _placed(file: Path, model: CalibratedModel, path: Path, reading: TableOption
     found = place_station(model, table)
     if doubt := doubt_of(table, found):
         raise other_robot(doubt, file)
-    words = f"placed by {len(table)} rows of {path.name}: {found.moved}"
+    words = f"placement from {len(table)} rows of {path.name}: {found.moved}"
     contents = {"placement": {"rows": len(table), "ratio": found.misfit.ratio} | found.moved.to_dict()}
     return PlacedModel(found.model, (words, *found.notes), contents)
 

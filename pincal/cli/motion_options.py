@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionOptions:
-    """Streams of an arm in motion, each on a clock of its own, in place of a folder."""
+    """Streams of an arm in motion, each with its own clock, in place of a folder."""
 
     imu: Path | None = option(
         "Log of an IMU on the tool while the arm moves (time, ax ay az, wx wy wz); --joints is then its joint log (time and "
-        "a column for each).",
+        "a column per joint).",
         metavar="LOG",
     )
     tracker: Path | None = option(
@@ -85,7 +85,7 @@ _MOST_RATE = 10_000.0
 
 
 def _densities(text: str) -> tuple[float, float]:
-    """Return noise densities of accelerometer and gyroscope, such as ``1mg,0.01deg/s``, in SI units per root of a hertz."""
+    """Return noise densities of accelerometer and gyroscope, such as ``1mg,0.01deg/s``, in SI units per root hertz."""
     found, words = list[float](), text.split(",")
     for word, quantity, example in zip(words, ("acceleration", "angular rate"), ("1mg", "0.01deg/s"), strict=False):
         units = {unit: size_of(unit, quantity) for unit in UNITS[quantity]}
@@ -134,14 +134,14 @@ class MotionArguments:
     """A path and its loggers."""
 
     path: float | Path | None = option(
-        "Drive a random path of this duration, or from pose to pose of a table by its column time, instead of holding "
-        "poses; --out is then a folder of joints.csv, imu.csv and tracker.csv, each on a clock of its own.",
+        "Drive a random path of this duration, or through the poses of a table at the times in its column time, instead of "
+        "holding poses; --out is then a folder of joints.csv, imu.csv and tracker.csv, each with its own clock.",
         metavar="DURATION|FILE",
         type=_path,
     )
     imu: bool = option("Log an IMU on the tool, and a tracker as well if --sensor is given.", False)
     imu_noise: tuple[float, float] | None = option(
-        "Noise densities of accelerometer and gyroscope, per root of a hertz.",
+        "Noise densities of accelerometer and gyroscope, per square root of hertz.",
         metavar="ACC,GYRO",
         type=_densities,
         words="1mg,0.01deg/s",
@@ -150,7 +150,7 @@ class MotionArguments:
         "Vibration of the arm at full speed [m/s^2 rms].", metavar="SIZE", type=NumberType(0.0, 100.0), words="0.1"
     )
     resolution: float | None = option(
-        "Step of the recorded joint positions.",
+        "Resolution of the recorded joint positions.",
         metavar="ANGLE",
         type=QuantityType(ANGLES, "0.001deg", zero=True),
         words="0.001deg",
@@ -162,7 +162,7 @@ class MotionArguments:
         "Drift of the clocks of IMU and tracker.", metavar="PPM", type=NumberType(-1e5, 1e5), words="random within 100"
     )
     dropped: float | None = option(
-        "Share of rows that loggers lose.", metavar="PERCENT", type=NumberType(0.0, 20.0), words="0.5"
+        "Percentage of rows lost by the loggers.", metavar="PERCENT", type=NumberType(0.0, 20.0), words="0.5"
     )
 
     def first_given(self) -> str | None:

@@ -29,7 +29,7 @@ Examples:
   pincal validate results/model.json new_measurements.csv --max-error 0.1mm
   pincal validate results/model.json monday.csv tuesday.csv
 
-Instrument and target are assumed to be where they were calibrated unless the rows indicate another placement,
+Instrument and target are assumed to be where they were at calibration unless the rows indicate another placement,
 which is then identified from them and reported as a displacement; the errors refer to it. If no placement
 explains the rows, they belong to another robot, or it has changed: exit code 6; run pincal diagnose. Of several
 tables, those that the model was not fitted to come first, and --max-error applies to them.
@@ -154,7 +154,7 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
         out.print(hanging("never seen", f"by the model: {', '.join(unseen)}: mean {result['mean_mm']:.4f} mm"))
     for each in found:
         is_there = each.placed == "as calibrated"
-        place = "are where they were calibrated" if is_there else f"were located again from these rows: {each.moved}"
+        place = "are where they were at calibration" if is_there else f"were located again from these rows: {each.moved}"
         out.print(hanging(f"{each.name}:", f"instrument and target {place}; {each.verdict}"))
     parts = {part["name"]: part["error"] for part in result["stations"]}
     if len(found) == 1 and found[0].fitted_rows:

@@ -167,7 +167,7 @@ class InstrumentOptions:
 class CheckOptions:
     """Requirements of a health check."""
 
-    check: bool = option("Choose the fewest poses of a health check for pincal diagnose.", False)
+    check: bool = option("Choose the fewest poses for a health check by pincal diagnose.", False)
     notice: float = option("Motion of any point within reach that must be detected.", 1e-4, type=LENGTH, words="0.1mm")
     power: float = option("Probability of detecting it.", 0.95)
     alpha: float = option("Probability of a false alarm.", 0.01)
@@ -179,7 +179,7 @@ class DesignArguments:
     """Arguments of design."""
 
     robot: str = argument(
-        "ROBOT", "URDF or xacro file, or the name of a robot of example-robot-data; with --check a model.json, too."
+        "ROBOT", "URDF or xacro file, or the name of a robot of example-robot-data; with --check also a model.json."
     )
     out: Path = option("Table of poses to write, with empty columns for the readings.", MISSING, type=TABLE)
     poses: int | None = option("Number of poses to choose.", metavar="N", type=_COUNT)

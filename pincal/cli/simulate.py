@@ -139,7 +139,7 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
     try:
         arguments.out.mkdir(exist_ok=True)
     except OSError as error:
-        raise OutputError(f"{arguments.out}: can't be made ({error.strerror}); choose another --out") from None
+        raise OutputError(f"{arguments.out}: can't be created ({error.strerror}); choose another --out") from None
     write_all(files | _further_files(arguments, seen.setup, found | origin))
     end_progress()
     rows = {name: len(table["time"]) for name, table in tables.items()}
@@ -272,7 +272,7 @@ def _summary(arguments: SimulateArguments, truth: dict[str, Any], *, setup: Sens
         f"{truth['sensor']}, noise {_noise(setup)}"
     ]
     if drawn := truth.get("drawn_masses_kg"):
-        lines.append(f"  the URDF has no masses of {len(drawn)} links: {sum(drawn.values()):.3g} kg were drawn for them")
+        lines.append(f"  the URDF has no masses for {len(drawn)} links: {sum(drawn.values()):.3g} kg were drawn for them")
     lines += _hidden_lines(truth)
     given = arguments.sensor
     further = {"the truth": arguments.truth, "named points": given.points_out, "the camera": given.camera_out}
@@ -375,7 +375,7 @@ def _read(text: str, kind: type[HiddenEffect], key: str, word: str) -> Any:
     except msgspec.ValidationError:
         found = math.nan
     if isinstance(found, float | tuple) and not np.isfinite(found).all():
-        expected = _EXPECTED.get(of, "three numbers, as 1/0/0")
+        expected = _EXPECTED.get(of, "three numbers, such as 1/0/0")
         raise BadInputError(f"effect {text!r}: {key}={word}; expected {expected}")
     return found
 

@@ -72,7 +72,7 @@ class _LensType(click.ParamType[dict[str, float]]):
         for pair in str(value).split(","):
             key, _, word = (part.strip() for part in pair.partition("="))
             if key not in known:
-                raise BadInputError(f"lens {value!r}: no key {key!r}; expected of {', '.join(known)}, as key=value")
+                raise BadInputError(f"lens {value!r}: no key {key!r}; expected one of {', '.join(known)}, as key=value")
             least = 1.0 if key in ("fx", "fy", "width", "height") else -math.inf
             (found[key],) = plain_numbers([word]) or [math.nan]
             if not math.isfinite(found[key]) or found[key] < least:
@@ -122,7 +122,7 @@ class MachineArguments:
     )
     gravity: Triple | None = gravity_option()
     effects: tuple[str, ...] = option(
-        "Hidden effect, see below.", (), metavar="NAME[:JOINT][:KEY=VALUE,...]", name="--effect"
+        "Hidden effect; see below.", (), metavar="NAME[:JOINT][:KEY=VALUE,...]", name="--effect"
     )
 
 
@@ -218,7 +218,7 @@ class SimulateArguments:
     """Arguments of simulate."""
 
     robot: str = robot_argument()
-    out: Path = option("Table to write, with --path a folder.", MISSING, type=Output(*TABLE_ENDINGS, ""))
+    out: Path = option("Table to write; with --path, a folder.", MISSING, type=Output(*TABLE_ENDINGS, ""))
     truth: Path | None = option("Write the true errors, effects, noise and seeds.", metavar="FILE.json")
     campaign: CampaignArguments = group("Poses and conditions")
     sensor: SensorArguments = group("Sensor")
@@ -288,7 +288,7 @@ class SimulateArguments:
                 raise click.UsageError(f"--{name.replace('_', '-')} is for an arm in motion; add --path DURATION|FILE")
             if self.out.suffix.lower() not in TABLE_ENDINGS:
                 raise OutputError(
-                    f"--out {self.out}: a table can't be written as a file without an ending; end the name in "
+                    f"--out {self.out}: a table can't be written as a file without an extension; end the name in "
                     f"{' or '.join(TABLE_ENDINGS)}"
                 )
             return
@@ -329,7 +329,7 @@ class SimulateArguments:
         value, given = (_NOISE[unit], unit) if self.sensor.noise is None else self.sensor.noise
         if value and given != unit:
             example = "0.1px" if unit == "px" else "0.05mm"
-            raise click.UsageError(f"--noise: {self.kind} is measured in {unit}; expected such as {example}")
+            raise click.UsageError(f"--noise: {self.kind} is measured in {unit}; expected a value such as {example}")
         return value
 
 
