@@ -265,7 +265,7 @@ def test_a_missing_mesh_is_told_and_not_checked():
     """What is there is checked; what is not is named."""
     alone = Bodies.of(folding_arm("package://somewhere/fore.stl"))
 
-    assert any("'package://somewhere/fore.stl' is not here" in note for note in alone.notes)
+    assert any("'package://somewhere/fore.stl' was not found" in note for note in alone.notes)
     assert alone.collisions is None
 
 

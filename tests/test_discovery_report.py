@@ -520,7 +520,7 @@ def test_words_never_contradict_their_numbers(
     found = Findings(**bare, gap={"before": gap, "after": gap}, scatter=scatter, verdict=judgement, unexplained_mm=left)
     verdict = verdict_of_search(found)
     assert verdict.judgement == judgement
-    assert ("look like noise" in verdict.reason) != is_misfit and ("unexplained" in verdict.reason) <= is_misfit
+    assert ("consistent with noise" in verdict.reason) != is_misfit and ("unexplained" in verdict.reason) <= is_misfit
     assert "0.000 mm" not in verdict.reason and (f"{left:.3f} mm" in verdict.reason) == (left >= 5e-4)
 
     sizes = dict(zip(("gap_before_mm", "gap_before_mrad"), before, strict=True))

@@ -146,5 +146,5 @@ def test_what_can_not_be_meant_is_refused(family: Family, of: RobotType) -> None
     with pytest.raises(BadInputError, match="alpha"):
         fleet_changes(of, [], alpha=2.0)
     other = replace(machine, information=msgspec.structs.replace(machine.information, geometry=5))
-    with pytest.raises(BadInputError, match="another nominal geometry"):
+    with pytest.raises(BadInputError, match="a different nominal geometry"):
         FleetWatch(of).take(0, [Visit("r1", "2026-01-01", other, is_calibration=True)])

@@ -145,7 +145,7 @@ def test_tables_models_and_diagnoses_go_into_a_store(
     printed = capsys.readouterr().out
 
     assert "5 robots, 3 checks: 2 changed" in printed and "joint_3.theta" in printed and "see its diagnosis" in printed
-    assert "left out: checks of r9, for which there is no calibration" in printed
+    assert "ignored: checks of r9, which have no calibration" in printed
     page = (folder / "fleet.html").read_text(encoding="utf-8")
     assert 0 < page.find(">r0<") < page.find(">r1<")
     assert {key.machine for key in open_store(store).keys("models")} == {f"r{k}" for k in range(5)}
@@ -165,7 +165,7 @@ def test_what_is_none_is_refused(folder: Path, of: Path, capsys: pytest.CaptureF
         (("fleet", "check", of, tmp_path / "store"), "no store"),
         (("calibrate", robot, few, "--type", folder / "r0" / "model.json", "--out", tmp_path / "x"), "pincal fleet learn"),
         (("calibrate", "ur10", few, "--type", of, "--out", tmp_path / "x"), "joint"),
-        (("design", "ur10", "--poses", "9", "--type", of, "--out", tmp_path / "p.csv"), "another nominal geometry"),
+        (("design", "ur10", "--poses", "9", "--type", of, "--out", tmp_path / "p.csv"), "a different nominal geometry"),
     ):
         assert run(*words) == Exit.BAD_INPUT, words
         assert reason in capsys.readouterr().err, words

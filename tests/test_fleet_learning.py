@@ -229,10 +229,10 @@ def test_a_file_holds_a_type_to_the_last_digit(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "places", "value", "words"),
     [
-        ("covariance", ([0, 1], [1, 0]), 1.0, "is no covariance"),
-        ("covariance", ([0], [1]), 1e-6, "is no covariance"),
-        ("mean_covariance", ([0], [0]), 1e6, "is no covariance"),
-        ("seen", ([0], [0]), 2.0, "is no projector"),
+        ("covariance", ([0, 1], [1, 0]), 1.0, "is not a covariance"),
+        ("covariance", ([0], [1]), 1e-6, "is not a covariance"),
+        ("mean_covariance", ([0], [0]), 1e6, "is not a covariance"),
+        ("seen", ([0], [0]), 2.0, "is not a projection matrix"),
         ("mean", ([2],), 1e300, "invalid numbers"),
         ("mean", ([2],), np.nan, "finite"),
         ("spread_variance", ([2],), -0.1, "invalid numbers"),
@@ -264,7 +264,7 @@ def test_what_is_not_of_one_type_is_refused(tmp_path: Path) -> None:
     other = replace(machines[0], name="other", information=msgspec.structs.replace(machines[0].information, geometry=2))
     with pytest.raises(BadInputError, match="different nominal geometries"):
         learn_type([*machines, other])
-    with pytest.raises(BadInputError, match="another nominal geometry"):
+    with pytest.raises(BadInputError, match="a different nominal geometry"):
         found.type.judge(other)
     with pytest.raises(BadInputError, match="one or more"):
         learn_type([])

@@ -173,8 +173,8 @@ def test_what_is_printed_says_what_is_noticed_and_what_is_not() -> None:
         print_check(found, out)
     said = " ".join(out.file.getvalue().split())  # type: ignore[attr-defined]
 
-    assert "more than 1 mm is detected with 95 % at 1 % false alarms" in said
-    assert "6 poses, 2 minutes" in said and "not met: this many poses do not detect 0.1 mm" in said
+    assert "more than 1 mm is detected with a probability of 95 %, at 1 % false alarms" in said
+    assert "6 poses, 2 minutes" in said and "not met: too few poses to detect 0.1 mm" in said
     assert found.noticeable > found.notice and "joint_1.theta" in said
 
 

@@ -215,7 +215,7 @@ def test_no_mesh_is_fetched_or_read_from_elsewhere(name: str) -> None:
     """A name that is no mesh file here leads to simple shapes, whatever it says."""
     _, notes = shapes_of(small_robot(links=LOOK.format(f'<mesh filename="{name}"/>')))
 
-    assert "is not here" in notes[0]
+    assert "was not found" in notes[0]
 
 
 def test_a_mesh_beyond_what_can_be_worked_on_is_not_read(tmp_path: Path) -> None:

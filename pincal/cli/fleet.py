@@ -56,7 +56,7 @@ class LearnArguments:
         type=Output(".parquet"),
     )
     robot: str | None = option(
-        "URDF of the arm, to give differences as motion of the tool.", metavar="URDF", words="that of the first model.json"
+        "URDF of the arm, to state differences as motion of the tool.", metavar="URDF", words="that of the first model.json"
     )
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
@@ -114,7 +114,7 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
     if at is not None:
         out.print(summary.poses_summary(at))
     else:
-        click.echo("note: to give this as motion of the tool, the arm is needed: give a model.json, or --robot URDF")
+        click.echo("note: to express this as motion of the tool, the arm must be known: give a model.json, or --robot URDF")
     written = [str(path) for path in (arguments.out, arguments.share, arguments.report) if path is not None]
     click.echo(f"written to {' '.join(written)}")
     return Exit.DONE
@@ -143,7 +143,7 @@ def _machines(texts: Sequence[str]) -> tuple[list[Machine], CalibratedModel | No
         else:
             model = load_stations(text).robot_model()
             if model.information is None:
-                raise BadInputError(f"{text}: written by a version that kept no information of the rows; calibrate again")
+                raise BadInputError(f"{text}: written by a version that stored no information matrix; calibrate again")
             found, first = [*found, Machine(names[text], model.information)], first or model
     return found, first
 
@@ -197,7 +197,7 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
             console().print(summary.look_first(found))
         if strangers := sorted({visit.machine for visit in visits} - begun.keys()):
             names = ", ".join(strangers[:_PARAMETERS]) + (" and others" if len(strangers) > _PARAMETERS else "")
-            click.echo(f"note: left out: checks of {names}, for which there is no calibration")
+            click.echo(f"note: ignored: checks of {names}, which have no calibration")
         if left := len(without_information(store)):
             click.echo(
                 f"note: {counted(left, 'table')} of the store not calibrated yet: pincal fleet calibrate ROBOT.urdf "

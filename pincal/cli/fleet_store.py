@@ -133,7 +133,7 @@ def fleet_add(arguments: AddArguments) -> Exit:
         found = ", ".join(counted(count, kind) for kind, count in Counter(kinds).items())
         click.echo(f"added to {arguments.store}: {found} of {day}")
     if without:
-        words = f"{counted(without, 'model')} of a version that kept no information of the rows: calibrate again"
+        words = f"{counted(without, 'model')} of a version that stored no information matrix: calibrate again"
         echo_notes([words], quiet=arguments.general.quiet)
     return Exit.DONE
 
@@ -158,7 +158,7 @@ class FitTablesArguments(_TablesArguments):
     """Arguments of fleet calibrate."""
 
     type: Path | None = option(
-        "Prior knowledge of machines of this type; checks are then calibrated, too.", metavar="TYPE.json"
+        "Prior knowledge of machines of this type; checks are then also calibrated.", metavar="TYPE.json"
     )
 
 

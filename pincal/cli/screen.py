@@ -338,7 +338,7 @@ def print_check(found: HealthCheck, out: Console) -> None:
     """Print the poses of a health check, which changes it detects and which not, and the simulated rates."""
     out.print(one_line(found.summary()), markup=False)
     if not found.is_met:
-        text = f"this many poses do not detect {1e3 * found.notice:.3g} mm; calibrate from more poses, or reduce the noise"
+        text = f"too few poses to detect {1e3 * found.notice:.3g} mm; calibrate from more poses, or reduce the noise"
         out.print(hanging("not met:", text))
     hardest = found.changes[0]
     where = f"{hardest.change.name} {hardest.change.joint or ''}".strip()
@@ -354,7 +354,7 @@ def print_check(found: HealthCheck, out: Console) -> None:
         known, new = ([c for c in found.absorbed if (c.effect is None) is is_known] for is_known in (True, False))
         parts = [*dict.fromkeys(name for change in known for name in change.parameters)]
         names = ", ".join([*parts, *([f"{len(new)} new effects"] if new else [])])
-        why = "the new poses of instrument and target absorb them, or they never cause a motion of this size"
+        why = "the new poses of instrument and target absorb them, or they never move any point this far"
         out.print(hanging("undetectable:", f"{names}: {why}"))
     curves = "free curves of a drive, and dependences on temperature, time or direction of approach"
     out.print(hanging("not covered:", curves))

@@ -80,7 +80,7 @@ def read_collisions(robot: Robot, clearance: float) -> tuple[Collisions | None, 
     root = parse_xml(robot.urdf, robot.source)
     notes = list(_settle_meshes(root, robot.source))
     if root.find("link/collision") is None:
-        why = "none of its collision meshes is here" if notes else "the URDF has no collision geometry"
+        why = "none of its collision meshes was found" if notes else "the URDF has no collision geometry"
         return None, [*notes, f"self-collision is not checked: {why}"]
     text = arm_text(etree.tostring(root), robot.joint_names, robot.source)
     model = pin.buildModelFromXML(text)

@@ -119,7 +119,7 @@ class HealthCheck:
     def summary(self) -> str:
         """Return the effort of the check and its detectable change, in a sentence."""
         what = "any change of the robot that moves some point by more than"
-        rates = f"is detected with {100 * self.power:g} % at {100 * self.alpha:g} % false alarms"
+        rates = f"is detected with a probability of {100 * self.power:g} %, at {100 * self.alpha:g} % false alarms"
         size = self.notice if self.is_met else self.noticeable
         return f"{len(self.conditions)} poses, {self.minutes:.0f} minutes: {what} {1e3 * size:.3g} mm {rates}"
 

@@ -152,7 +152,7 @@ def design_motion(
         raise BadInputError(f"constraints leave {len(drawn.q)} poses to move between; expected {_POSES}: {drawn.in_words()}")
     moves = _Moves.of(reach, drawn.q, speed, acceleration)
     if not moves.allowed.any():
-        raise BadInputError("constraints leave no move between any two poses; expected a wider floor, box or span")
+        raise BadInputError("constraints leave no move between any two poses; expected a lower floor or a wider box or span")
     cared = Conditions.at(robot.random_configurations(_CARED, rng))
     design = DesignModel.of(robot, cared, options, SensorSetup())
     worth = _worth(robot, moves, options, design, cared)
@@ -170,7 +170,7 @@ def design_motion(
     if times[-1] < duration:
         warn(
             f"the motion ends after {times[-1]:.0f} s of {duration:.0f} s, as all moves between its {_POSES} poses are "
-            "used; expected fewer constraints or less time"
+            "used; expected fewer constraints or a shorter duration"
         )
     return MotionDesign(
         robot,

@@ -277,9 +277,9 @@ def _check_limit(study: Study, n: int) -> None:
     error, limit = (study.quality(study.H + count * study.mean).error for count in (n, _MANY))
     if limit > _MOSTLY * error:
         warn(
-            f"{1e3 * limit:.3g} mm of the predicted error remain however many such poses are measured: they do not show all "
-            "that the task depends on, as contacts without a known length do not show the scale; expected a known length or "
-            "an instrument as well, or --criterion determinant for the best of what they do show"
+            f"{1e3 * limit:.3g} mm of the predicted error remain however many such poses are measured: they do not "
+            "determine all that the task depends on (contacts without a known length do not determine the scale); expected "
+            "a known length or an instrument as well, or --criterion determinant for the best of what they do determine"
         )
 
 

@@ -214,7 +214,7 @@ class FleetWatch:
 
     def _begin(self, visit: Visit) -> None:
         if visit.found is None:
-            raise BadInputError(f"robot {visit.machine!r}: a calibration without the information of its readings")
+            raise BadInputError(f"robot {visit.machine!r}: a calibration without an information matrix; calibrate again")
         H, g = self._form(visit.found)
         number = self._epochs[visit.machine].number + 1 if visit.machine in self._epochs else 1
         groups = (WHOLE_FLEET, *(f"{key}={value}" for key, value in sorted(visit.found.labels.items())))

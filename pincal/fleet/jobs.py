@@ -311,7 +311,7 @@ def load_diagnosis(path: Path) -> DiagnosisFile:
     Raises:
         ModelFileError: if it can't be read.
     """
-    return read_json(path, DiagnosisFile, FileKind("a diagnosis", ModelFileError, whole="what pincal diagnose writes"))
+    return read_json(path, DiagnosisFile, FileKind("a diagnosis", ModelFileError, whole="a file written by pincal diagnose"))
 
 
 def add_diagnosis(store: Store, machine: str, day: str, path: Path) -> None:

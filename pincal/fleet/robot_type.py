@@ -46,7 +46,7 @@ _ROUNDED, _INDEFINITE, _ABSURD = 1e-9, 1e-6, 1e3
 EVERYTHING = "all"
 """Stands for more than one element in which a machine differs."""
 
-_FILE = FileKind("a type", ModelFileError, whole="what pincal fleet learn writes")
+_FILE = FileKind("a type", ModelFileError, whole="a file written by pincal fleet learn")
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ class RobotType(Record, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(set(self.names)) < len(self.names):
-            raise Fault("has a parameter twice", "each once", key=".entries")
+            raise Fault("lists a parameter twice", "each once", key=".entries")
         counts = self.machines > 0 and 0.0 <= self.hit < 1.0
         sound = counts and np.all(self.priors > 0.0) and np.all(self.spread_variance >= 0.0)
         if not sound or np.any(np.abs(self.mean) > _ABSURD * self.priors):
@@ -123,9 +123,9 @@ class RobotType(Record, frozen=True, kw_only=True):
             unit = matrix / np.outer(size, size)
             is_even = np.all(np.abs(unit - unit.T) <= _ROUNDED) and np.linalg.eigvalsh(unit).min(initial=0.0) > -_INDEFINITE
             if not is_even or np.any(size > _ABSURD * self.priors):
-                raise Fault("is no covariance", "a symmetric matrix without negative eigenvalues", key=f".{name}")
+                raise Fault("is not a covariance", "a symmetric matrix without negative eigenvalues", key=f".{name}")
         if np.any(np.abs(self.seen @ self.seen.T - self.seen) > _INDEFINITE):
-            raise Fault("is no projector", "a symmetric matrix that equals its square", key=".seen")
+            raise Fault("is not a projection matrix", "a symmetric matrix that equals its square", key=".seen")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -173,8 +173,8 @@ class RobotType(Record, frozen=True, kw_only=True):
         """
         if geometry != self.geometry:
             raise BadInputError(
-                f"the type describes {self.robot}, and {robot} has another nominal geometry; expected the same URDF, base "
-                "and tip, and the same robots of a cell (pincal calibrate --beside; fleet add takes its model.json)"
+                f"the type describes {self.robot}, but {robot} has a different nominal geometry; expected the same URDF, "
+                "base and tip, and the same robots of a cell (pincal calibrate --beside; fleet add takes its model.json)"
             )
 
     def prior(self, *, names: Collection[str] | None = None, member: Membership | None = None) -> Estimate:

@@ -321,7 +321,7 @@ def open_store(place: str | os.PathLike[str], *, create: bool = False) -> Store:
     content = store.read(_MARK)
     if content is None:
         if not create:
-            raise BadInputError(f"{store.place}: no store of pincal here (no {_MARK}); expected one created by adding to it")
+            raise BadInputError(f"{store.place}: no {_MARK} here; expected a store created by pincal fleet add")
         store.write(_MARK, (json.dumps({"format": _FORMAT, "format_version": _VERSION}) + "\n").encode())
         return store
     try:

@@ -151,8 +151,8 @@ def parameter_summary(of: RobotType, found: AtTool | None = None, *, most: int |
         rows.append((p.name, p.unit, *([*numbers, at] if share[k] > _DETERMINED else (None,) * 4), float(share[k])))
     note = (
         "mean: of all machines minus the data sheet, with half the width of its 95 % interval; differ: standard deviation "
-        "of machines, at the tool after fitting base and tool; determined: share of the parameter that readings "
-        "distinguish from others, the rest is a matter of convention"
+        "of machines, at the tool after fitting base and tool; determined: share of the parameter that the "
+        "readings separate from the others; the rest is a matter of convention"
     )
     return Table("Machines of the type", columns, tuple(rows), (note,))
 
@@ -161,7 +161,7 @@ def effect_summary(found: AtTool) -> Table:
     """Return the differences between machines at the tool, by effect."""
     columns = (Column("effect", kind=Kind.LABEL), Column("at the tool", "mm", Kind.NUMBER, fixed(3)))
     rows = [(effect, 1e3 * size) for effect, size in sorted(found.by_effect.items(), key=lambda one: -one[1])]
-    return Table("By each effect alone", columns, tuple(rows))
+    return Table("Differences by effect", columns, tuple(rows))
 
 
 def poses_summary(found: AtTool) -> Table:
@@ -172,7 +172,7 @@ def poses_summary(found: AtTool) -> Table:
         Column("without", "mm", Kind.NUMBER, fixed(3)),
     )
     rows = tuple((poses, *(1e3 * error for error in both)) for poses, both in found.needed.items())
-    return Table("Random poses of a further one", columns, rows)
+    return Table("Random poses of a further machine", columns, rows)
 
 
 def strangers(members: Sequence[Membership]) -> list[tuple[Membership, float]]:
@@ -196,7 +196,7 @@ def member_summary(learned: Learned) -> Table:
     rows = [(member.machine or "-", p, ", ".join(member.off)) for member, p in strangers(learned.members)]
     hit = f"of which an estimated {100 * learned.type.hit:.1f} % are unlike the others"
     count = f"{counted(len(learned.members), 'machine')}, {hit}"
-    return Table("Machines that do not belong", columns, tuple(rows), (count,))
+    return Table("Machines unlike the others", columns, tuple(rows), (count,))
 
 
 def type_lines(learned: Learned, at: AtTool | None, *, error: float | None = None) -> Iterator[str]:
@@ -214,7 +214,7 @@ def type_lines(learned: Learned, at: AtTool | None, *, error: float | None = Non
         yield f"differ by:         {1e3 * at.spread:.3f} mm rms at the tool from their mean, after fitting base and tool"
         yield f"exchangeability:   {1e3 * at.exchangeability:.3f} mm (ISO 9283, five machines)"
         yield f"data sheet:        {1e3 * at.sheet:.3f} mm rms off the mean machine, {_off_sheet(of)}"
-    yield f"not like others:   {apart} of {of.machines}; {100.0 * of.hit:.1f} % are to be expected"
+    yield f"unlike the others: {apart} of {of.machines}; {100.0 * of.hit:.1f} % are expected"
     if at is not None and error is not None:
         words = ["more than " + str(_NUMBERS[-1]) if count is None else str(count) for count in at.poses_for(error)]
         yield f"a further machine: {words[0]} random poses reach {1e3 * error:.3g} mm; without the type {words[1]}"
@@ -284,7 +284,7 @@ def change_summary(found: FleetHistory, *, groups: bool | None = None) -> Table:
         for one in reversed(found.changes)
         if groups in (None, one.is_group)
     ]
-    note = "since: the first check after the change; e: likelihood ratio of the readings with the change and without"
+    note = "since: the first check after the change; e: likelihood ratio of the readings with and without the change"
     return Table("Changes", columns, tuple(rows), (note,) if rows else ())
 
 
@@ -317,10 +317,10 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
         for one in ranked[:most]
     ]
     note = (
-        "p-value: of the last check if nothing changed; adjusted: for the false discovery rate among all checks of "
+        "p-value: of the last check, if nothing has changed; adjusted: for the false discovery rate among all checks of "
         "that round (Benjamini and Hochberg 1995)"
     )
-    return Table("Look at these first", columns, tuple(rows), (note,))
+    return Table("Inspect these first", columns, tuple(rows), (note,))
 
 
 def history_lines(found: FleetHistory) -> Iterator[str]:
@@ -328,7 +328,7 @@ def history_lines(found: FleetHistory) -> Iterator[str]:
     groups = [change for change in found.changes if change.is_group]
     robots = len(found.changes) - len(groups)
     whole = f"{counted(found.robots, 'robot')}, {counted(found.checks, 'check')}"
-    yield f"{whole}: {robots} changed, {len(found.open)} of them not calibrated since"
+    yield f"{whole}: {robots} changed, {len(found.open)} of them not recalibrated since"
     for change in groups:
         yield f"drift: {change.subject} since {change.since}: {change.what} {_by(change)}".removesuffix(" -")
 

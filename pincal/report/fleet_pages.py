@@ -36,7 +36,7 @@ def type_page(learned: Learned, at: summary.AtTool | None, *, version: str) -> s
     )
     who = summary.member_summary(learned)
     nobody = paragraph("None: no machine differs from the others by more than chance, given their number.")
-    made.append(Section("members", "Machines that do not belong", (who if len(who) else nobody,), "Machines"))
+    made.append(Section("members", "Machines unlike the others", (who if len(who) else nobody,), "Machines"))
     if at is not None:
         poses = (figures("poses", [_poses(at)]), summary.poses_summary(at))
         made.append(Section("poses", "How many poses a further machine needs", poses, "Poses"))
@@ -46,7 +46,7 @@ def type_page(learned: Learned, at: summary.AtTool | None, *, version: str) -> s
 
 def _use() -> Markup:
     return bullets((
-        rich("Calibrate a further machine from few poses: {}", code("pincal calibrate ROBOT.urdf FEW.csv --type TYPE.json")),
+        rich("Calibrate another machine from a few poses: {}", code("pincal calibrate ROBOT.urdf FEW.csv --type TYPE.json")),
         rich("Choose its poses: {}", code("pincal design ROBOT.urdf --type TYPE.json --accuracy 0.1mm --out poses.csv")),
         rich("Monitor all machines: {}", code("pincal fleet check TYPE.json STORE --report fleet.html")),
     ))  # fmt: skip
@@ -117,7 +117,7 @@ def _poses(at: summary.AtTool) -> Drawing:
         "Predicted error over random poses after a further machine was measured in this many (medians of several sets); "
         "designed poses do better."
     )
-    return figure, "Error of a further machine by poses", caption
+    return figure, "Error of a further machine by number of poses", caption
 
 
 def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str) -> str:
@@ -129,7 +129,7 @@ def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str
         alpha: fraction of the alarms that may be false.
         version: version of pincal.
     """
-    tone, words = ("bad", f"{len(found.open)} to look at") if found.open else ("good", "nothing to look at")
+    tone, words = ("bad", f"{len(found.open)} to inspect") if found.open else ("good", "nothing to inspect")
     if found.drifted:
         words = f"{words}, {len(found.drifted)} drifted" if found.open else f"{len(found.drifted)} drifted"
         tone = "bad"
@@ -137,7 +137,7 @@ def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str
     answer = rich('<p><span class="tag {}">{}</span> {}</p>', tone, words, lines[0])
     blocks = [answer, *(paragraph(line, "care") for line in lines[1:])]
     first = arranged("split", arranged("plain", *blocks), arranged("plain", heading("How to read this"), _reading(alpha)))
-    made = [Section("first", "Look at these first", (first, summary.look_first(found)), style="panel")]
+    made = [Section("first", "Inspect these first", (first, summary.look_first(found)), style="panel")]
     made.append(Section("evidence", "Evidence", (figures("fleet", [_evidence(found, alpha)]),), "Evidence"))
     for is_group, title in ((True, "Drifts of groups"), (False, "Changes of robots")):
         table = summary.change_summary(found, groups=is_group)
@@ -151,7 +151,7 @@ def _reading(alpha: float) -> Markup:
         f"In the long run at most {100 * alpha:g} % of all alarms are false, however many robots there are and however long "
         "they are monitored.",
         rich("A robot that changed stays on the list until it is calibrated again; see {}.", code("pincal diagnose")),
-        "A change that robots of one supplier, batch or hall share is a drift of that group, and no alarm for its robots.",
+        "A change that robots of one supplier, batch or hall share is reported as a drift of that group, not as an alarm.",
         "watch: no alarm yet, but unusual among the checks of its round; check it again soon.",
     ))  # fmt: skip
 

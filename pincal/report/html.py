@@ -40,14 +40,13 @@ def missing(subject: Subject) -> Section | None:
     intro = (
         "The search starts from a simple model, locates where model and data disagree, names the effect that explains most, "
         f"adds it, refits the whole model, and stops when only noise is left. {noise} amounts to "
-        f"{found.noise_floor_mm:.4f} mm rms{beyond}. A name is a cause that fits the data, not a proof of that "
-        "cause."
+        f"{found.noise_floor_mm:.4f} mm rms{beyond}. A named effect fits the data; this does not prove it to be the cause."
     )
     blocks: list[PageBlock] = [paragraph(intro)]
     if found.where:
         text = (
             "Shares of the residuals in excess of the noise. The share of elasticity is of the residuals of the geometric "
-            "model, those of joints are of the residuals of the elastic one, in sequence, so that nothing counts twice. "
+            "model, those of joints are of the residuals of the elastic one, in sequence, so that nothing is counted twice. "
             "Regions show the same error by location."
         )
         blocks += [heading("Where model and data disagreed"), location_table(found.where), paragraph(text, "mute")]
@@ -61,7 +60,7 @@ def missing(subject: Subject) -> Section | None:
         )
         for entry in found.scatter
     ]
-    blocks += [heading("How the error fell"), figures("search", discovery_drawings(subject.discovery))]
+    blocks += [heading("How the error decreased"), figures("search", discovery_drawings(subject.discovery))]
     text = (
         "Each row starts from the one above; removed effects have their own rows. The shares are parts of the total "
         "reduction of the mean square error, in this order, and add up to 100 %; where the error grew they are negative."

@@ -93,7 +93,7 @@ def verdict_of_search(found: Findings) -> Judged:
     beyond = f"{left:.3f} mm rms beyond the noise" if left >= _SHOWN_MM else ""
     if found.verdict is Verdict.ADEQUATE:
         chance = f": {beyond} may be chance" if beyond else ""
-        return Judged(found.verdict, f"{added}; the remaining residuals look like noise{chance}.")
+        return Judged(found.verdict, f"{added}; the remaining residuals are consistent with noise{chance}.")
     if found.verdict is Verdict.NOT_JUDGED:
         why = (
             "nothing more is detected, but the noise was estimated from the residuals, so they cannot show whether the "
@@ -155,7 +155,7 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
         steps.append(f"These joints moved through little of their range: {narrow}. Outside it the model is not validated.")
     if judgement is not Verdict.NOT_ADEQUATE or not steps:
         steps.append(
-            "Use it: model.json predicts poses (pincal predict), calibrated.urdf carries the geometry to other programs, "
+            "Use it: model.json predicts poses (pincal predict), calibrated.urdf transfers the geometry to other programs, "
             "and pincal validate checks the model against new measurements in a few months."
         )
     return steps
@@ -199,21 +199,21 @@ _ADVICE = (
     Advice(
         (Cause.BASE, Cause.TOOL, Cause.FRAMES),
         "Absorbed by the unknown placement of instrument or target",
-        "Neither the instrument's nor the target's position is known, and moving either looks exactly like a change of "
-        "these parameters. Predictions in the instrument's frame do not depend on the choice. To separate them, measure the "
-        "robot's foot or the target's offset independently and pass it to the calibration (--tool).",
+        "Neither the instrument's nor the target's position is known, and moving either is indistinguishable from a change "
+        "of these parameters. Predictions in the instrument's frame do not depend on the choice. To separate them, measure "
+        "the robot's foot or the target's offset independently and pass it to the calibration (--tool).",
     ),
     Advice(
         (Cause.PARALLEL_AXES, Cause.COMBINATION, Cause.ALIASED, Cause.HIDDEN),
         "Parameters with the same effect",
-        "In every pose these parameters act exactly like others; only the combination moves the target, and the combination "
-        "is calibrated. No measurement of this kind can separate them, and none is needed.",
+        "In every pose these parameters have the same effect as others; only the combination moves the target, and the "
+        "combination is calibrated. No measurement of this kind can separate them, and none is needed.",
     ),
     Advice(
         (Cause.MASS,),
         "Masses missing in the robot description",
-        "Only compliance times moment deflects the arm; predictions need no more. The identified moments are listed under "
-        "Static moments. The robot's mass from its data sheet (--mass) or rows with other payloads would determine "
+        "Only compliance times moment deflects the arm; predictions need nothing else. The identified moments are listed "
+        "under Static moments. The robot's mass from its data sheet (--mass) or rows with other payloads would determine "
         "their common factor.",
     ),
     Advice(

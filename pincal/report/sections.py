@@ -103,7 +103,7 @@ def _headline(subject: Subject) -> Markup:
     noise = (
         "The declared noise of the instrument is"
         if result.noise["source"] == "declared"
-        else "The residuals, which contain the noise and all errors that the model lacks, have a standard deviation of"
+        else "The residuals, which contain the noise and all errors that the model omits, have a standard deviation of"
     )
     return rich(
         "{}, the mean error of the model is <b>{}</b>; before calibration it was <b>{}</b>{}. {} {}.",

@@ -52,7 +52,7 @@ TERMS = (
     ("prior", "knowledge of a parameter before any measurement: a standard deviation about its nominal value."),
     ("compliance", "rotation of a joint or bearing per unit of moment, in rad per N m: the inverse of stiffness."),
     ("rms", "root mean square: like the mean, but large errors count more."),
-    ("p", "probability that noise alone would look like this. A small value shows that there is an effect, not which one."),
+    ("p", "probability that noise alone gives a result as extreme. A small value indicates an effect, not which one."),
 )
 """The terms of the report; every text uses them in this sense."""
 
@@ -131,12 +131,12 @@ def bootstrap_words(last: Bootstrap) -> str:
 
     Example:
         >>> bootstrap_words(Bootstrap(effect="base_drift", joint=None, p_value=2 / 201, draws=200))
-        'Of 200 tables drawn from the model without base_drift, accepted last, 1 has a candidate that looks as good.'
+        'Of 200 tables drawn from the model without base_drift, accepted last, 1 has a candidate that fits as well.'
     """
     as_good = round(last.p_value * (last.draws + 1)) - 1
     count = f"{as_good or 'none'} has" if as_good < 2 else f"{as_good} have"
     words = f"Of {last.draws} tables drawn from the model without {effect_words(last)}, accepted last, {count}"
-    return f"{words} a candidate that looks as good."
+    return f"{words} a candidate that fits as well."
 
 
 def gain_words(entry: FoundEffect) -> str:

@@ -52,7 +52,7 @@ class Meshes:
         """Return the file of a name or URL in the URDF, to be read once; or None and the reason."""
         path = find_mesh(name, self._source, self._folders)
         if path is None:
-            return None, "is not here"
+            return None, "was not found"
         size = path.stat().st_size
         if size > _LARGEST_MESH:
             return None, f"has {size / 1e6:.0f} MB, more than the {_LARGEST_MESH / 1e6:.0f} MB that are read: simplify it"

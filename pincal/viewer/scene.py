@@ -331,7 +331,7 @@ def held_out_rows(
         return None, f"the model names no input files, so it is unknown which rows of {data.name} it was fitted to"
     digest, unseen = hashlib.sha256(data.read_bytes()).hexdigest(), np.ones(len(measurements), bool)
     if digest not in known:
-        return unseen, f"{data.name} is none of the model's input files: all rows count as held out"
+        return unseen, f"{data.name} is not one of the model's input files: all rows count as held out"
     try:
         table = pl.read_csv(residuals)
         if "station" in table.columns:
@@ -341,7 +341,7 @@ def held_out_rows(
             return unseen, f"{data.name} was held out of the fit as a whole"
         fitted = table.filter(pl.col("rows") == "fitted")["line"].cast(pl.Int64).to_numpy()
     except (OSError, pl.exceptions.PolarsError):
-        return None, f"{residuals.name}, which lists the held-out rows, is not in the model's folder: none is marked"
+        return None, f"{residuals.name}, which lists the held-out rows, is not in the model's folder: no row is marked"
     held = ~np.isin(measurements.rows, fitted)
     words = f"{held.sum()} of {len(held)} rows were held out of the fit" if held.any() else "no row was held out of the fit"
     return held, words

@@ -68,7 +68,7 @@ def shapes_of(
             notes = [f"the visuals of the robot can't be read from its URDF ({error})"]
     bare = sorted(set(range(1, robot.n_joints + 1)) - {shape.body for shape in drawn})
     if not drawn:
-        why = "the URDF shows no link" if not notes else "none of the URDF's meshes can be shown"
+        why = "the URDF has no visual geometry" if not notes else "none of the URDF's meshes can be shown"
         notes.append(f"{why if robot.urdf else 'the model holds no URDF'}: the arm is drawn in simple shapes")
         bare = list(range(robot.n_joints + 1))
     elif bare:
@@ -149,7 +149,7 @@ def _geometry(visual: Any, files: Meshes) -> list[_Mesh]:
         raise _NotShown(f"a visual of kind {shape.tag} is not shown")
     name = shape.get("filename", "")
     known = Path(name).suffix.lower() in _SUFFIXES
-    path, why = files.find(name) if known else (None, "is not here")
+    path, why = files.find(name) if known else (None, "was not found")
     if path is None:
         raise _NotShown(f"mesh {name} {why}")
     try:

@@ -52,7 +52,7 @@
     viewer = new Viewer(document.getElementById("view"));
   } catch (error) {
     document.getElementById("view").append(
-      element("p", { id: "message", textContent: `This page needs WebGL, which this browser does not offer (${error.message}).` }),
+      element("p", { id: "message", textContent: `This page needs WebGL, which this browser does not support (${error.message}).` }),
     );
     return;
   }
