@@ -475,8 +475,8 @@ def test_arguments_that_make_no_sense_are_refused(kuka: Robot, rng: np.random.Ge
     good = np.zeros((3, 3))
     for wanted, given, message in (
         (np.zeros((2, 3)), {}, r"shape \(2, 3\); expected \(3, 3, 4\) or \(3, 3\)"),
-        (np.full((3, 3), np.nan), {}, "wanted pose 0 is not finite"),
-        (np.tile(np.eye(4)[:3] * [1.0, 1.0, -1.0, 1.0], (3, 1, 1)), {}, "wanted pose 0: .* are not a rotation matrix"),
+        (np.full((3, 3), np.nan), {}, "desired pose 0 is not finite"),
+        (np.tile(np.eye(4)[:3] * [1.0, 1.0, -1.0, 1.0], (3, 1, 1)), {}, "desired pose 0: .* are not a rotation matrix"),
         (good, {"frame": "world"}, "frame 'world'; expected one of instrument, base"),
         (good, {"orientation": "up"}, "orientation 'up'; expected one of keep, free"),
     ):
@@ -670,7 +670,7 @@ def test_rows_that_are_not_reached_are_told_and_the_rest_is_served(bench: Bench,
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda c: {"payload": c["payload"]}, "neither wanted positions nor joints; expected columns x y z, or joint_1"),
+        (lambda c: {"payload": c["payload"]}, "neither desired positions nor joints; expected columns x y z, or joint_1"),
         (lambda c: c | {"x": c["joint_1"], "y": c["joint_1"]}, "x y without z; add what is missing"),
         (lambda c: c | {"qx": c["joint_1"]}, "qx without qy qz qw"),
         (lambda c: c | {"xx": c["joint_1"]}, 'unknown column "xx"'),

@@ -243,9 +243,9 @@ def test_what_can_not_be_read_is_refused_by_name(made: Made, tmp_path: Path) -> 
         (b"", "header"),
         (b"joint_1,joint_2\n0,0\n", 'no column for joint'),
         (f"{joints}\n0,0,0,0,0\n".encode(), "line 2: 5 cells; expected 6"),
-        (f"{joints}\n0,0,zero,0,0,0\n".encode(), '"zero" is no number'),
+        (f"{joints}\n0,0,zero,0,0,0\n".encode(), '"zero" is not a number'),
         (f"{joints}\n0,-90,90,0,90,0\n".encode(), "looks like degrees"),
-        (f"{joints.replace('joint_1', 'joint_1 [mm]')}\n0,0,0,0,0,0\n".encode(), "[mm] is no unit of it"),
+        (f"{joints.replace('joint_1', 'joint_1 [mm]')}\n0,0,0,0,0,0\n".encode(), "[mm] is not a unit of it"),
         (b"x,y,z\n1,1,1\n", "orientation"),
         (b"x,y,z,A,B,C,rx,ry,rz\n1,1,1,0,0,0,0,0,0\n", "delete one of them"),
     ):  # fmt: skip

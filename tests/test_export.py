@@ -374,7 +374,9 @@ def test_a_wanted_pose_is_a_rotation(kuka: Robot, tmp_path: Path, rng: np.random
     for i in range(5):
         mixed = true.copy()
         mixed[i] = wanted[i]
-        with pytest.raises(ValueError, match=f"wanted pose {i}: expected a rotation and a translation, all of them numbers"):
+        with pytest.raises(
+            ValueError, match=f"desired pose {i}: expected a rotation and a translation, all of them numbers"
+        ):
             source["compensate"](mixed, at.q, **columns_of(at))
     with pytest.raises(ValueError, match=r"shape \(4, 3, 4\); expected \(5, 3, 4\)"):
         source["compensate"](wanted[:4], at.q, **columns_of(at))

@@ -168,7 +168,7 @@ def test_a_line_that_takes_no_points_is_named(model: Path, tmp_path: Path, capsy
     [
         ("a.src", "DEF a( )\nPTP {A1 0\nEND\n", "a.src, line 2, column 10"),
         ("a.src", "DEF a( )\nLOOP\nPTP XP1\nEND\n", "a.src, line 4, column 1: 'END' within LOOP of line 2"),
-        ("a.src", "MODULE a\nENDMODULE\n", "a.src, line 1, column 1: a statement outside of DEF"),
+        ("a.src", "MODULE a\nENDMODULE\n", "a.src, line 1, column 1: a statement outside DEF"),
         (
             "a.src",
             "DEF a( )\nPTP XP1\n",

@@ -81,7 +81,7 @@ CASES: dict[str, tuple[tuple[str, str], set[str], str]] = {
         krl(f"{FRAMES}A={P}\nCALC(A)\n$TOOL=$NULLFRAME\n$BASE=$WORLD\nPTP A\n", "DEF CALC(X:IN)\nY=X.X\nEND\n"), {"A"}, "",
     ),
     "an array with a computed index": (
-        krl(f"P[1]={P}\nP[2]={P}\n{FRAMES}PTP P[1]\n$TOOL=TOOL_DATA[5]\nPTP P[I]\n"), {"P[2]"}, "P[1]: used with other frames",
+        krl(f"P[1]={P}\nP[2]={P}\n{FRAMES}PTP P[1]\n$TOOL=TOOL_DATA[5]\nPTP P[I]\n"), {"P[2]"}, "P[1]: used with different frames",
     ),
     "speeds are no frames": (krl(f"{FRAMES}BAS(#VEL_PTP,50)\nA={P}\nPTP A\n"), {"A"}, ""),
     "positions are displaced": (rapid("PDispOn a,gun;\nMoveJ a,v1,fine,gun;\n"), set(), "A: it is a tool or a base"),

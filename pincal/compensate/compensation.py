@@ -167,14 +167,14 @@ def _as_poses(wanted: np.ndarray, count: int) -> np.ndarray:
     """Return a copy of wanted poses as an array of shape (N, 3, 4)."""
     given = np.asarray(wanted, float)
     if given.shape not in ((count, 3), (count, 3, 4)):
-        raise BadInputError(f"wanted poses have shape {given.shape}; expected ({count}, 3, 4) or ({count}, 3)")
+        raise BadInputError(f"desired poses have shape {given.shape}; expected ({count}, 3, 4) or ({count}, 3)")
     if not np.isfinite(given).all():
         row = int(np.flatnonzero(~np.isfinite(given.reshape(count, -1)).all(axis=1))[0])
-        raise BadInputError(f"wanted pose {row} is not finite; expected numbers")
+        raise BadInputError(f"desired pose {row} is not finite; expected numbers")
     if given.ndim == 2:
         return np.concatenate([np.tile(np.eye(3), (count, 1, 1)), given[:, :, None]], axis=2)
     turns = given[:, :, :3]
     off = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2)) + np.abs(np.linalg.det(turns) - 1.0)
     if off.max(initial=0.0) > ORTHONORMAL:
-        raise BadInputError(f"wanted pose {int(off.argmax())}: its first three columns are not a rotation matrix")
+        raise BadInputError(f"desired pose {int(off.argmax())}: its first three columns are not a rotation matrix")
     return given.copy()

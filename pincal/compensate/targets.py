@@ -95,7 +95,7 @@ def read_targets(path: str | os.PathLike[str], robot: Robot, *, options: TableOp
     has_joints = "q" in cells.arrays
     if not has_joints and "position" not in cells.arrays:
         raise MeasurementError(
-            f"{path.name}: neither wanted positions nor joints; expected columns x y z, or {' '.join(robot.joint_names)}"
+            f"{path.name}: neither desired positions nor joints; expected columns x y z, or {' '.join(robot.joint_names)}"
         )
     arrays = {"q": np.zeros((len(cells.rows), robot.n_joints))} | cells.arrays
     rows = measurements_from_arrays(robot.joint_names, **arrays, rows=cells.rows, source=path.name, units=cells.units)
@@ -184,6 +184,6 @@ def _check_unit(calibrated: CalibratedModel, targets: Targets, *, seeds: Conditi
     away = float(np.median(np.linalg.norm(places, axis=1)))
     if away > _OTHER_UNIT * reach and "x" not in targets.rows.units:
         raise MeasurementError(
-            f"{targets.rows.source}: wanted positions lie {away:.4g} m from the robot's base, whose reach is {reach:.3g} m; "
-            "this looks like millimetres: write `x [mm]` in the header, or `x [m]` if it is correct"
+            f"{targets.rows.source}: desired positions lie {away:.4g} m from the robot's base, whose reach is "
+            f"{reach:.3g} m; this looks like millimetres: write `x [mm]` in the header, or `x [m]` if it is correct"
         )

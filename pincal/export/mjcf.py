@@ -212,9 +212,9 @@ def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
     masses = model.layout(calibrated.model_values).masses
     below = [f"{name} ({mass:.3g} kg)" for name, mass in zip(robot.joint_names, masses, strict=True) if mass < 0.0]
     if below:
-        notes += (f"masses after {', '.join(below)}: negative, which is not physical; left out, so that moments differ",)
+        notes += (f"masses after {', '.join(below)}: negative, which is not physical; omitted, so moments differ",)
     if springs.refused:
-        notes += (f"{', '.join(springs.refused)}: negative, which is not physical; left out",)
+        notes += (f"{', '.join(springs.refused)}: negative, which is not physical; omitted",)
     if springs.rigid:
         notes += (f"bearings of {', '.join(springs.rigid)}: rigid here, as springs in a closed loop would share its loads",)
     if robot.closures:
@@ -226,7 +226,7 @@ def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
             *([] if model.equilibrium else [_bent(calibrated)]),
         )
     if robot.massless:
-        notes += ("inertia of links without one in the URDF is a placeholder: statics is right, dynamics is not",)
+        notes += ("inertia of links without one in the URDF is a placeholder: statics are correct, dynamics are not",)
     return notes
 
 

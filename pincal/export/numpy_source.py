@@ -114,7 +114,7 @@ def refuse_wrong(calibrated: CalibratedModel, *, text: str) -> float:
         error = _error(alone, numpy_source(formulas_of(alone), frame="instrument"))
         if not error <= TOLERANCE:
             raise BadInputError(
-                f"{effect.name}: its formula differs from what it predicts by up to {error:.2g} m, expected at most "
+                f"{effect.name}: its formula differs from its prediction by up to {error:.2g} m, expected at most "
                 f"{TOLERANCE:g} m; it can't be exported"
             )
     raise BadInputError(f"formulas differ from the model by up to {worst:.2g} m; expected at most {TOLERANCE:g} m")

@@ -104,7 +104,7 @@ class Draft:
                     framed = replace(point, tool=point.tool or motion.tool, base=point.base or motion.base)
                     before = used.setdefault(point.key, framed)
                     if point.kind == "pose" and (before.tool, before.base) != (framed.tool, framed.base):
-                        ambiguous[point.key] = f"used with other frames on line {motion.statement.line} than before"
+                        ambiguous[point.key] = f"used with different frames before and on line {motion.statement.line}"
                 stops.append(points[0].key if len(points) == 1 else None)
             program.motions.append((motion, tuple(stops)))
         for point in known.values():
@@ -112,7 +112,7 @@ class Draft:
                 continue
             is_framed = point.tool is not None and point.base is not None
             if point.name in self._read or _any(point.name) in self._read:
-                program.skipped.append(point.skip("other positions are computed from it, and no motion uses it itself"))
+                program.skipped.append(point.skip("other positions are computed from it, and no motion uses it directly"))
             elif point.kind == "joints" or (self.by_itself and is_framed):
                 used[point.key] = point
             else:
@@ -134,7 +134,7 @@ class Draft:
             if name in frames:
                 reason = "it is a tool or a base, or one is computed from it"
             elif len(points) > 1:
-                reason = f"it has a value on line {points[0].line} and another on line {points[1].line}"
+                reason = f"it has different values on lines {points[0].line} and {points[1].line}"
             if reason:
                 program.skipped += [point.skip(reason) for point in points]
             else:

@@ -164,11 +164,11 @@ def _blocks(source: Source, statements: Sequence[Statement], steps: Sequence[Ste
             word = str(statements[i].items[0])
             if not blocks:
                 opened = " or ".join(step.closes)
-                raise source.error(f"{word!r} closes nothing; expected {opened} before it", statements[i].start)
+                raise source.error(f"{word!r} has nothing to close; expected {opened} before it", statements[i].start)
             block = blocks[-1]
             if steps[block].opens not in step.closes:
                 raise source.error(
-                    f"{word!r} within {steps[block].opens} of line {statements[block].line}; expected the end of that first",
+                    f"{word!r} within {steps[block].opens} of line {statements[block].line}; expected its end first",
                     statements[i].start,
                 )
             blocks = blocks[:-1]

@@ -123,7 +123,7 @@ class Jbi(ControllerLanguage):
         if kind == "PULSE":
             return Point(name, i, line, "joints", numbers)
         if kind not in ("BASE", "ROBOT", "USER") or len(numbers) not in (6, 7):
-            return f"positions of the type {kind} are not understood"
+            return f"positions of the type {kind} are not supported"
         if len(numbers) == 7 and numbers[6].value:
             return "its elbow angle is not 0"
         base = Frame(tags["USER"] or "USER") if kind == "USER" else Frame(kind, np.eye(4))

@@ -98,7 +98,7 @@ class Krl(ControllerLanguage):
             outside = [s for k, s in enumerate(statements) if not flows[i][k].depth and not steps[k].opens]
             if outside or not statements:
                 raise source.error(
-                    "a statement outside of DEF or DEFDAT; expected " + _WORDS, outside[0].start if outside else 0
+                    "a statement outside DEF or DEFDAT; expected " + _WORDS, outside[0].start if outside else 0
                 )
             readers.append(_Reader(draft, i, statements, steps, flows[i], _HARMLESS | by_value, self))
         data = _Data()

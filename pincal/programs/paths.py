@@ -124,7 +124,7 @@ class Follower:
                 base = np.linalg.inv(end.frames[0])
                 return [base @ transform(tip[:, :3], tip[:, 3]) @ leg.tool for tip in tips]
             parts *= 2
-        return f"not kept with {_MOST_PARTS} parts"
+        return f"the limit is exceeded even with {_MOST_PARTS} parts"
 
     def inserted(self, program: Program, legs: Sequence[Leg], limit: float) -> tuple[list[Edit], list[Skipped], int]:
         """Return inserted statements that keep lines within a limit [m], motions without any, and the number of points."""

@@ -195,7 +195,7 @@ class _Reader(Reader):
             for index, part in enumerate(group.parts):
                 self._value(line, f"{stem}[{index + 1}]", kind, part)
         else:
-            self.draft.write(stem, "an array of targets whose values are not all there")
+            self.draft.write(stem, "an array of targets whose values are incomplete")
 
     def _value(self, line: int, name: str, kind: str, value: Sequence[Any]) -> None:
         """Note the value with which a target is declared."""

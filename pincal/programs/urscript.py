@@ -68,7 +68,7 @@ class UrScript(ControllerLanguage):
             statements = source.statements(_TOKENS, _WORDS, over_lines=True)
             steps = [_step(statement) for statement in statements]
             if not any(step.opens or call_of(statements[k].items) is not None for k, step in enumerate(steps)):
-                raise source.error(f"nothing that is called or defined; expected {_WORDS}", 0)
+                raise source.error(f"no statement that calls or defines anything; expected {_WORDS}", 0)
             files.append((source, statements, steps))
         flows = followed(files)
         displaced = {name for _, _, steps in files for step in steps for name in step.sets if name != "tcp"}

@@ -68,7 +68,7 @@ function ask() {
   for (const { option, name } of new Map(open.map((one) => [`${one.option} ${one.name}`, one])).values()) {
     entry("asked", `${option === "tool" ? "Tool" : "Base"} ${name}`, `X, Y, Z [${length === 1 ? "m" : "mm"}], ${columns}`, () => said[option][name] ?? "", (text) => { said[option][name] = text; });
   }
-  if (result.pulses || said.pulses) entry("asked", "Pulses of each axis for a degree", "P1 P2 ...", () => said.pulses, (text) => { said.pulses = text; });
+  if (result.pulses || said.pulses) entry("asked", "Pulses per degree of each axis", "P1 P2 ...", () => said.pulses, (text) => { said.pulses = text; });
 }
 
 // --- files
@@ -120,17 +120,17 @@ function tell() {
   const most = (list, k) => Math.max(0, ...list.map((row) => row.before[k])), all = rows.length + (result.left?.length ?? 0) - (result.kind ? left.length : 0);
   const mean = ok.length ? ok.reduce((sum, row) => sum + row.before[0], 0) / ok.length : 0;
   $("summary").textContent = `${chosen.map((file) => file.name).join(", ")}: ${ok.length} of ${all} points corrected. ` + (ok.length
-    ? `Without correction this robot misses by ${(1e3 * mean).toFixed(3)} mm in the mean and ${(1e3 * most(ok, 0)).toFixed(3)} mm at most.` : "");
+    ? `Without correction this robot misses by ${(1e3 * mean).toFixed(3)} mm on average and ${(1e3 * most(ok, 0)).toFixed(3)} mm at most.` : "");
   $("saves").replaceChildren(...result.files.map((one) => Object.assign(document.createElement("button"), { textContent: `Save ${one.name}`, disabled: !ok.length, onclick: () => save(one) })));
   const named = (list) => `${list.length > 1 ? `${list.length} lines` : "line"} ${list.length > 1 ? "(" : ""}` +
     `${list.slice(0, 20).join(", ")}${list.length > 20 ? ", ..." : ""}${list.length > 1 ? ")" : ""}`;
-  const notes = result.kind ? result.left.map(({ file, line, name, reason }) => ["bad", `left as it was: ${file} line ${line}, ${name}: ${reason}`])
+  const notes = result.kind ? result.left.map(({ file, line, name, reason }) => ["bad", `left unchanged: ${file} line ${line}, ${name}: ${reason}`])
     : Object.entries(WORDS).map(([status, words]) => [words, left.filter((row) => row.status === status).map((row) => row.line)])
-      .filter(([, list]) => list.length).map(([words, list]) => ["bad", `left as it was, ${words}: ${named(list)}`]);
+      .filter(([, list]) => list.length).map(([words, list]) => ["bad", `left unchanged, ${words}: ${named(list)}`]);
   const turned = Math.max(0, ...ok.map((row) => row.after[1]));
-  if (JOINTS.length < 6 && ok.length) notes.push(["bad", `an arm of ${JOINTS.length} joints reaches positions: orientations stay off by ${(1e3 * turned).toFixed(3)} mrad at most`]);
+  if (JOINTS.length < 6 && ok.length) notes.push(["bad", `an arm of ${JOINTS.length} joints reaches positions: orientations remain off by ${(1e3 * turned).toFixed(3)} mrad at most`]);
   const moved = ok.filter((row) => row.q.some((q, i) => Math.abs(q - row.seed[i]) > 2 * DEGREE)).map((row) => row.line);
-  if (moved.length) notes.push(["bad", `a joint moves by more than 2° in ${named(moved)}: look at it before the robot moves`]);
+  if (moved.length) notes.push(["bad", `a joint moves by more than 2° in ${named(moved)}: check it before the robot moves`]);
   notes.push(...(result.notes ?? []).map((note) => ["", note]));
   if (result.kind && ok.length) notes.push(["", "between corrected points lines and circles are not checked: pincal compensate --path-error does that"]);
   if (rows.length > SHOWN_ROWS) notes.push(["", `the table shows the first ${SHOWN_ROWS} of ${rows.length} points; all are in the file`]);
@@ -246,7 +246,7 @@ function draw() {
     Object.assign(ctx, { lineWidth: 2, strokeStyle: colour("text") });
     ctx.stroke();
   }
-  $("legend").textContent = good.length ? `Arrows: from the point that is meant to where this robot goes without correction, ${factor.toLocaleString("en")} times as long; the longest is ${(1e3 * longest).toFixed(3)} mm.`
+  $("legend").textContent = good.length ? `Arrows: from the intended point to where this robot goes without correction, ${factor.toLocaleString("en")} times as long; the longest is ${(1e3 * longest).toFixed(3)} mm.`
     : "Drag to turn, scroll or pinch to zoom.";
 }
 

@@ -19,7 +19,7 @@ const DECIMALS = { m: 11, cm: 9, mm: 8, um: 5, "µm": 5, in: 10, rad: 11, mrad: 
 // Sizes beyond which numbers without a unit are taken to be in another one: rad, and reaches of the robot.
 const MOST_RAD = 13, MOST_REACHES = 50;
 const OTHERS = { tp: "a FANUC binary: save it as .ls", xlsx: "an Excel workbook: save it as CSV", xls: "an Excel workbook: save it as CSV",
-  ods: "a spreadsheet: save it as CSV", parquet: "a Parquet table", json: "a JSON file", urp: "a packed PolyScope program: the .script beside it is the program" };
+  ods: "a spreadsheet: save it as CSV", parquet: "a Parquet table", json: "a JSON file", urp: "a packed PolyScope program: the .script next to it is the program" };
 
 function refuseOther(name, text) {
   const end = name.toLowerCase().split(".").pop();
@@ -165,7 +165,7 @@ function understood(labels) {
     if (name in columns) throw new Refused(`two columns "${name}": delete or rename one of them`);
     if (unit && quantityUnit(unit, quantity) === null) {
       const expected = Object.keys(ABOUT.units[quantity]).map((u) => `[${u}]`).join(", ") || "no unit";
-      throw new Refused(`column "${label}": [${unit}] is no unit of it; expected ${expected}`);
+      throw new Refused(`column "${label}": [${unit}] is not a unit of it; expected ${expected}`);
     }
     columns[name] = { index, unit: unit && quantityUnit(unit, quantity), quantity, said: Boolean(unit) };
     taken.add(index);
@@ -210,7 +210,7 @@ function understood(labels) {
   const hasPoses = axes.length === 3;
   if (!hasJoints && !convention) throw new Refused("positions without an orientation and without joints: add the columns of either");
   if (!hasJoints && JOINTS.length !== 6) {
-    throw new Refused(`poses do not say how an arm of ${JOINTS.length} joints bends: add the columns ${JOINTS.join(" ")}`);
+    throw new Refused(`poses do not determine the configuration of an arm with ${JOINTS.length} joints: add the columns ${JOINTS.join(" ")}`);
   }
   const left = labels.filter((_, index) => !taken.has(index));
   return { columns, convention: hasPoses ? convention : null, hasJoints, hasPoses, left };
@@ -235,7 +235,7 @@ function readTable(text, options) {
     }
     const number = (name) => {
       const { index: at, unit } = columns[name], value = readNumber(cells[at].text, separator !== ",");
-      if (!Number.isFinite(value)) throw new Refused(`line ${index + 1}, column "${labels[at]}": "${utf8(cells[at].text)}" is no number`);
+      if (!Number.isFinite(value)) throw new Refused(`line ${index + 1}, column "${labels[at]}": "${utf8(cells[at].text)}" is not a number`);
       return toSI(value, unit);
     };
     const spots = {};
@@ -251,7 +251,7 @@ function readTable(text, options) {
   });
   if (!rows.length) throw new Refused("no row below the header");
   checkUnits(rows, columns, options);
-  return { lines, rows, convention, hasJoints, hasPoses, notes: meaning.left.length ? [`columns left as they are: ${meaning.left.join(", ")}`] : [] };
+  return { lines, rows, convention, hasJoints, hasPoses, notes: meaning.left.length ? [`columns left unchanged: ${meaning.left.join(", ")}`] : [] };
 }
 
 function conditionsOf(columns, number, text, options, line) {
