@@ -49,30 +49,36 @@ def turned(table: Measurements, change: Callable[[np.ndarray], np.ndarray]) -> M
 
 
 WRONG: dict[str, tuple[Change, str]] = {
-    "a column late": (lambda t: replace(t, q=moved(t.q, 1, 1)), "'joint_2' looks 1 row late"),
-    "a column early": (lambda t: replace(t, q=moved(t.q, 3, -1)), "'joint_4' looks 1 row early"),
-    "all joints late": (lambda t: replace(t, q=np.roll(t.q, 1, axis=0)), "all joint columns look 1 row late"),
-    "lengths short": (lambda t: placed(t, lambda p: 0.9 * p), "the measured lengths look 0.9"),
+    "a column late": (lambda t: replace(t, q=moved(t.q, 1, 1)), "'joint_2' appears to be 1 row late"),
+    "a column early": (lambda t: replace(t, q=moved(t.q, 3, -1)), "'joint_4' appears to be 1 row early"),
+    "all joints late": (lambda t: replace(t, q=np.roll(t.q, 1, axis=0)), "all joint columns appear to be 1 row late"),
+    "lengths short": (lambda t: placed(t, lambda p: 0.9 * p), "the measured lengths appear scaled by 0.9"),
     "axes swapped": (
         lambda t: placed(t, lambda p: p[:, [1, 0, 2]]),
-        "'x' and 'y' look swapped, or the frame is left-handed",
+        "'x' and 'y' appear to be swapped, or the frame is left-handed",
     ),
-    "joints swapped": (lambda t: replace(t, q=t.q[:, [0, 1, 2, 5, 4, 3]]), "'joint_4' and 'joint_6' look swapped"),
+    "joints swapped": (lambda t: replace(t, q=t.q[:, [0, 1, 2, 5, 4, 3]]), "'joint_4' and 'joint_6' appear to be swapped"),
 }
 STOOD = 0.03 * np.random.default_rng(3).normal(size=(160, 6))  # [rad], beside where the table has it
 WRONG |= {
-    "commanded elsewhere": (lambda t: replace(t, q=t.q + STOOD, droop=STOOD), "joints stood where they were read back, not"),
-    "read elsewhere": (lambda t: replace(t, q=t.q + STOOD, droop=-STOOD), "joints stood where they were commanded, not"),
-    "all joints four rows early": (lambda t: replace(t, q=np.roll(t.q, -4, axis=0)), "all joint columns look 4 rows early"),
+    "commanded elsewhere": (
+        lambda t: replace(t, q=t.q + STOOD, droop=STOOD),
+        "joints stood at their read-back positions, not",
+    ),
+    "read elsewhere": (lambda t: replace(t, q=t.q + STOOD, droop=-STOOD), "joints stood at their commanded positions, not"),
+    "all joints four rows early": (
+        lambda t: replace(t, q=np.roll(t.q, -4, axis=0)),
+        "all joint columns appear to be 4 rows early",
+    ),
 }
 TURNED: dict[str, tuple[Change, str]] = {
-    "axis turned": (lambda t: placed(t, lambda p: p * [1, -1, 1]), "'y' looks inverted in sign"),
+    "axis turned": (lambda t: placed(t, lambda p: p * [1, -1, 1]), "'y' appears to have the wrong sign"),
     "w first": (lambda t: turned(t, lambda v: v[:, [3, 0, 1, 2]]), "written with w first: "),
     "left-handed": (
         lambda t: turned(placed(t, lambda p: p[:, [1, 0, 2]]), lambda v: v[:, [1, 0, 2, 3]] * [-1, -1, -1, 1]),
-        "the frame of the readings looks left-handed",
+        "the frame of the readings appears to be left-handed",
     ),
-    "inverse": (lambda t: turned(t, lambda v: v * [-1, -1, -1, 1]), "looks inverted"),
+    "inverse": (lambda t: turned(t, lambda v: v * [-1, -1, -1, 1]), "appears to be inverted"),
 }
 
 
@@ -129,7 +135,7 @@ def test_the_table_of_another_robot_is_told(mine: str, true: str) -> None:
     """A UR10 is told from a UR5 whose joints have the same names."""
     robot = Robot.from_urdf(mine, tip="tool0")
     machine = sim.TrueMachine.from_urdf(find_file(true), tip="tool0")
-    with pytest.raises(MeasurementError, match=f"looks like that of a {true}: .*give the URDF of that robot"):
+    with pytest.raises(MeasurementError, match=f"appears to be of a {true}: .*give the URDF of that robot"):
         run_calibration(robot, measured(machine, robot, poses=120), Options(effects=GEOMETRIC))
 
 
@@ -160,7 +166,7 @@ def test_a_strange_table_costs_a_fixed_number_of_fits(
     monkeypatch.setattr(agreement, "roughly_placed", lambda *given: fits.append(1) or placed(*given))
     monkeypatch.setattr(agreement, "minimize_scalar", lambda *_, **__: SimpleNamespace(x=0.1))
     order = np.random.default_rng(0).permutation(len(table))
-    with pytest.raises(MeasurementError, match="base and tool alone leave"):
+    with pytest.raises(MeasurementError, match="with only base and tool fitted"):
         run_calibration(kuka, replace(table, q=table.q[order]), Options(effects=GEOMETRIC))
     assert len(looked) > 80
     assert len(fits) == agreement._PLACED + 1
@@ -207,7 +213,7 @@ def test_what_outliers_have_in_common_is_told(kuka: Robot, table: Measurements) 
 
     assert in_common(fit.station, fit.values, table, first) == f"nearly all of them have line at most {table.rows[49]}"
     assert "joint_2 at least" in in_common(fit.station, fit.values, table, region)
-    assert in_common(station, fit.values, table, some) == "joint_3 looks read 5 mrad wrong in them"
+    assert in_common(station, fit.values, table, some) == "joint_3 appears to be misread by 5 mrad in them"
     assert in_common(fit.station, fit.values, table, some) == ""
 
 
@@ -227,8 +233,8 @@ def test_a_third_of_the_rows_is_no_exception(kuka: Robot, table: Measurements) -
 @pytest.mark.parametrize(
     ("mine", "file", "words"),
     [
-        ("ur10", "ur5_tracker/grid.csv", "looks like that of a ur5"),
-        ("ur5", "ur10_tmac/series_B.csv", "looks like that of a ur10"),
+        ("ur10", "ur5_tracker/grid.csv", "appears to be of a ur5"),
+        ("ur5", "ur10_tmac/series_B.csv", "appears to be of a ur10"),
         ("ur5", "ur5_tracker/grid.csv", ""),
         ("ur10", "ur10_tmac/series_B.csv", ""),
         ("panda", "panda_sockets/panda_3.csv", ""),

@@ -160,7 +160,7 @@ def test_one_position_far_away_is_located() -> None:
     assert position is not None
     position = position.copy()
     position[11] += 50
-    with pytest.raises(MeasurementError, match="look at line 13"):
+    with pytest.raises(MeasurementError, match="check line 13"):
         check_reach(_table(position=position), REACH)
 
 
@@ -169,7 +169,7 @@ def test_metres_declared_as_millimetres_are_refused() -> None:
     position = np.random.default_rng(4).uniform(-1e-3, 1e-3, (40, 3))
     with pytest.raises(MeasurementError, match=r"under `x \[mm\]`\? Then write `x \[m\]`"):
         check_reach(_table(position=position, units={"x": "mm"}), REACH)
-    with pytest.warns(PincalWarning, match="held, or the instrument stuck"):
+    with pytest.warns(PincalWarning, match="held in place, or has the instrument frozen"):
         check_reach(_table(position=position / 5), REACH)
 
 

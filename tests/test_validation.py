@@ -126,7 +126,7 @@ def test_a_robot_that_changed_is_doubted(
 
     doubt = validate_rows([model], altered(table, change)).doubt
     assert "times what noise and the uncertainty of the calibration allow" in doubt
-    assert ("'joint_2' and 'joint_3' look swapped" in doubt) == (change == "swapped")
+    assert ("'joint_2' and 'joint_3' appear to be swapped" in doubt) == (change == "swapped")
     assert validate_rows([model], table).doubt == ""
 
 
@@ -160,7 +160,7 @@ def test_the_demos_robot_is_known_again_and_another_is_not(kuka: Robot) -> None:
 
     assert found.placed == "refitted" and found.doubt == "" and np.linalg.norm(MOVE[:3, 3]) > 1.0
     assert np.linalg.norm(found.station.residuals(found.values), axis=0).mean() < 2.0 * NOISE
-    assert "wherever instrument and target stand" in refused.doubt
+    assert "for any pose of instrument and target" in refused.doubt
 
 
 def test_a_calibration_that_is_another_robots_does_no_good() -> None:
@@ -190,7 +190,7 @@ def test_the_nearest_station_is_taken(machine: sim.TrueMachine, kuka: Robot) -> 
 
     assert found.placed == "as calibrated" and found.model is models["tuesday"]
     forced = validate_rows([models["monday"]], rows, refit=False)
-    assert forced.placed == "as calibrated" and "fit another pose" in forced.notes[0].text and forced.doubt == ""
+    assert forced.placed == "as calibrated" and "fit a different pose" in forced.notes[0].text and forced.doubt == ""
 
 
 ENDS = (("monday", FIRST), ("tuesday", AWAY))

@@ -140,7 +140,7 @@ def test_what_is_stated_is_taken(table: Measurements, kuka: Robot, tmp_path: Pat
 
     turned = written(tmp_path / "turned.csv", replace(table, q=table.q * [1, 1, 1, -1, 1, 1]))
     assert run("calibrate", kuka_urdf_path(), turned, "--model", "geometric", "--out", tmp_path / "other") == 0
-    assert "joint_4 counts the other way" in capsys.readouterr().out
+    assert "joint_4 counts in the opposite sense" in capsys.readouterr().out
     for wrong in (
         ("--zeros", "known"),
         ("--coupling", "joint_3=joint_3"),

@@ -111,7 +111,7 @@ def _shifts(robot: Robot, q: np.ndarray, degrees: dict[int, float]) -> Reported:
 def one_sign(arm: Arm, robot: Robot, q: np.ndarray, rng: np.random.Generator) -> Reported:
     """One joint counts the other way."""
     i = int(rng.integers(robot.n_joints))
-    return q * np.where(np.arange(robot.n_joints) == i, -1.0, 1.0), (f"{robot.joint_names[i]} counts the other way",)
+    return q * np.where(np.arange(robot.n_joints) == i, -1.0, 1.0), (f"{robot.joint_names[i]} counts in the opposite sense",)
 
 
 def coupled(sign: float) -> Callable[[Arm, Robot, np.ndarray, np.random.Generator], Reported]:
@@ -163,7 +163,7 @@ def tried(arm: Arm, case: str, seed: int) -> tuple[bool, float, float, str]:
 
 def corrections(found: Calibration) -> tuple[str, ...]:
     """Return the notes of a calibration on how the description was corrected."""
-    words = (" is shifted by ", " counts the other way ", " reports its position ")
+    words = (" is shifted by ", " counts in the opposite sense ", " reports its position ")
     return tuple(str(note) for note in found.notes if any(word in str(note) for word in words))
 
 

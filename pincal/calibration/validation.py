@@ -197,7 +197,7 @@ def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, na
     if len(table) < len(measurements):
         # Called for its warning about rows left out.
         scorable_rows(measurements, model.setup)
-    note = f"{name or table.source}: these rows fit another pose of instrument and target: {placed.moved}"
+    note = f"{name or table.source}: these rows fit a different pose of instrument and target: {placed.moved}"
     return as_calibrated(before, doubt=doubt_of(table, placed), note=note if is_moved else "", of_day=placed.notes)
 
 
@@ -259,7 +259,7 @@ def doubt_of(table: Measurements, placed: Placed) -> str:
         if not misfit.is_significant:
             continue
         unit, errors = next(iter(pose_error_sizes(station.select(rows), values).items()))
-        off = f"{table.source}: mean error {errors.mean():.3g} {unit} wherever instrument and target stand"
+        off = f"{table.source}: mean error {errors.mean():.3g} {unit} for any pose of instrument and target"
         if misfit.is_far(factor):
             mixed = mix_up(table, station, values, options=known.options(effects=()))
             beyond = f"{off}, {misfit.ratio:.3g} times what noise and the uncertainty of the calibration allow"

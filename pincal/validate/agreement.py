@@ -102,7 +102,7 @@ def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: ModelFit)
         if error[0] < _SUSPICIOUS * robot.reach and limits.exceeded(left) < 1.0 and not pulled:
             continue
         options = fit.options.at(station.name)
-        got = f"base and tool alone leave {error[0] * 1e3:.0f} mm on an arm of {robot.reach:.1f} m"
+        got = f"with only base and tool fitted, {error[0] * 1e3:.0f} mm remain at a reach of {robot.reach:.1f} m"
         found = [
             (exceeded, cure, after)
             for cure, after in _cured(robot, table, error=limits.exceeded(error), limits=limits, options=options)
@@ -118,7 +118,7 @@ def check_agreement(robot: Robot, tables: Iterable[Measurements], fit: ModelFit)
             return _chosen(found, f"{table.source}: ", got, is_held=fit.options.earlier is not None)
         if error[0] > _HOPELESS * robot.reach:
             raise MeasurementError(
-                f"{table.source}: {got}; expected some mm. "
+                f"{table.source}: {got}; expected a few mm. "
                 f"Are units, joint zeros, tip ({robot.tip}) and URDF those of this robot?"
             )
     return None
@@ -139,7 +139,7 @@ def _chosen(
     if cure.correction is not None and not rivals and not is_held:
         return cure.correction
     words = f"{cure.words}, or {rivals[0]}" if rivals else cure.words
-    raise MeasurementError(f"{source}{words}: {got}, with this undone {after[0] * 1e3:.1f} mm; {cure.advice}")
+    raise MeasurementError(f"{source}{words}: {got}, with this corrected {after[0] * 1e3:.1f} mm; {cure.advice}")
 
 
 def _is_same(sign: TableCorrection, zero: TableCorrection) -> bool:
@@ -176,7 +176,7 @@ def _shifted(robot: Robot, table: Measurements, options: Options) -> tuple[Table
     offsets = {p.name: value for p, value in zip(fit.problem.parameters, fit.values, strict=True)}
     shifts = {name: shift + float(offsets[f"{name}.theta"]) for name, shift in shifts.items()}
     words = " and ".join(f"{name!r} by {np.rad2deg(shift):+.1f} deg" for name, shift in shifts.items())
-    return Correction(shifts).cure(robot, few, f"joints look shifted: {words}"), left
+    return Correction(shifts).cure(robot, few, f"joints appear to be shifted: {words}"), left
 
 
 def implausible(fit: ModelFit, tables: Iterable[Measurements]) -> Iterator[tuple[str, str]]:

@@ -114,7 +114,7 @@ def roughly_placed(
 HEADER = "correct the header of the table and run again"
 _TABLE = "correct the table and run again"
 _FRAME = "give positions and orientations in a right-handed frame and run again"
-_RECORD = "name their columns as the joints (--columns) and run again"
+_RECORD = "map the other columns to the joints (--columns) and run again"
 # Rows by which a column may be late: it was recorded before or after the motion.
 _DELAYS = tuple(sign * rows for rows in (1, 2, 3, 4, 5) for sign in (1, -1))
 _OPTION = "if so, declare it (--sign, --coupling or --zeros), and run again"
@@ -156,19 +156,19 @@ class Correction:
     def lacks(self) -> tuple[str, ...]:
         """The reports of coupled joints in words, one each."""
         ways = (f"{'minus' if one.factor > 0.0 else 'plus'} {_FRACTIONS.get(abs(one.factor), '')}" for one in self.couplings)
-        return tuple(f"like its position {way}that of {one.source!r}" for way, one in zip(ways, self.couplings, strict=True))
+        return tuple(f"its position {way}that of {one.source!r}" for way, one in zip(ways, self.couplings, strict=True))
 
     @property
     def notes(self) -> tuple[str, ...]:
         """The notes on it, in words."""
         notes = [shift_words(name, shift) for name, shift in self.shifts.items()]
         notes += [
-            f"{name} counts the other way than in the URDF: the model reverses its axis, and takes and gives positions as "
-            "they are reported"
+            f"{name} counts in the opposite sense to the URDF: the model reverses its axis, and accepts and "
+            "returns positions as they are reported"
             for name in self.turned
         ]
         for one, lacks in zip(self.couplings, self.lacks, strict=True):
-            way = lacks.removeprefix("like ").replace("'", "")
+            way = lacks.replace("'", "")
             added = f"{'+' if one.factor > 0.0 else '-'} {_FRACTIONS.get(abs(one.factor), '')}{one.source} reported"
             notes.append(
                 f"{one.joint} reports {way}, as coupled drives do: the model has {one.joint} = {one.joint} reported {added}"
@@ -178,7 +178,7 @@ class Correction:
 
 def shift_words(joint: str, shift: float) -> str:
     """Return the note on a joint whose true position differs from the reported one [rad]."""
-    return f"{joint} is shifted by {np.rad2deg(shift):+.1f} deg: is it mastered?"
+    return f"{joint} is shifted by {np.rad2deg(shift):+.1f} deg: has it been mastered?"
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ def exchanges(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     for i, j in combinations(range(robot.n_joints), 2):
         q = table.q.copy()
         q[:, [i, j]] = q[:, [j, i]]
-        yield TableCorrection(f"the columns {names[i]!r} and {names[j]!r} look swapped", robot, replace(table, q=q))
+        yield TableCorrection(f"the columns {names[i]!r} and {names[j]!r} appear to be swapped", robot, replace(table, q=q))
 
 
 def descriptions(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
@@ -217,7 +217,7 @@ def descriptions(robot: Robot, table: Measurements) -> Iterator[TableCorrection]
     free = free_joints(robot)
     for name in free:
         correction = Correction(turned=(name,))
-        yield correction.cure(robot, table, f"the column {name!r} looks reversed in sign")
+        yield correction.cure(robot, table, f"the column {name!r} appears to have the wrong sign")
     # Two joints are coupled once: mutual couplings would not determine positions.
     coupled = [{robot.joint_names.index(name) for name in (one.joint, one.source)} for one in robot.couplings]
     pairs = [(i, j) for i, j in permutations(robot.own_joints, 2) if abs(i - j) == 1 and {i, j} not in coupled]
@@ -225,14 +225,14 @@ def descriptions(robot: Robot, table: Measurements) -> Iterator[TableCorrection]
     for i, j in (pair for pair in pairs if turns[pair[0]] and turns[pair[1]]):
         for factor in (*_ADDED, *(_OF_WRISTS if min(i, j) >= robot.n_joints - _WRIST else ())):
             correction = Correction(couplings=(Coupling(robot.joint_names[i], robot.joint_names[j], factor),))
-            yield correction.cure(robot, table, f"the column {robot.joint_names[i]!r} looks {correction.lacks[0]}")
+            yield correction.cure(robot, table, f"the column {robot.joint_names[i]!r} appears to hold {correction.lacks[0]}")
 
 
 def delays(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     """Yield a joint column, or all of them, recorded some rows too late or too early."""
     n, each = len(table), np.eye(robot.n_joints, dtype=bool)
-    columns = {f"the column {name!r} looks": column for name, column in zip(robot.joint_names, each, strict=True)}
-    columns["all joint columns look"] = np.ones(robot.n_joints, bool)
+    columns = {f"the column {name!r} appears to be": column for name, column in zip(robot.joint_names, each, strict=True)}
+    columns["all joint columns appear to be"] = np.ones(robot.n_joints, bool)
     for rows in _DELAYS:
         kept = np.arange(max(-rows, 0), n - max(rows, 0))
         if len(kept) < 2:
@@ -247,7 +247,7 @@ def records(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     """Yield the other positions of the joints, where a table has both commanded and read-back ones."""
     if table.droop is not None:
         for name, other, sign in (("commanded", "read back", 1.0), ("read back", "commanded", -1.0)):
-            words = f"the joints stood where they were {name}, not where the columns of the joints say, as {other}"
+            words = f"the joints stood at their {name} positions, not at those in the joint columns, which are {other}"
             yield TableCorrection(words, robot, replace(table, q=table.q + sign * table.droop, droop=None), _RECORD)
 
 
@@ -262,7 +262,7 @@ def misreadings(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     # For a single field that is one of its own mistakes.
     if len(mirrors) > 1:
         changed = table.with_readings(**{name: mirror(table.readings[name]) for name, mirror in mirrors.items()})
-        yield TableCorrection("the frame of the readings looks left-handed", robot, changed, _FRAME)
+        yield TableCorrection("the frame of the readings appears to be left-handed", robot, changed, _FRAME)
 
 
 def scaled(robot: Robot, table: Measurements, factor: float) -> TableCorrection | None:
@@ -273,14 +273,14 @@ def scaled(robot: Robot, table: Measurements, factor: float) -> TableCorrection 
         return None
     changed = table.with_readings(**{name: table.readings[name] * factor for name in lengths})
     advice = "check the units of the table and the scale of the instrument, and run again"
-    return TableCorrection(f"the measured lengths look {1.0 / factor:.3g} times what they should be", robot, changed, advice)
+    return TableCorrection(f"the measured lengths appear scaled by {1.0 / factor:.3g}", robot, changed, advice)
 
 
 def others(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     """Yield other robots with joints of these names."""
     for name, other in _robots_alike(robot):
         yield TableCorrection(
-            f"the table looks like that of a {name}", other, table, "give the URDF of that robot and run again"
+            f"the table appears to be of a {name}", other, table, "give the URDF of that robot and run again"
         )
 
 

@@ -278,7 +278,7 @@ def in_common(station: Station, values: np.ndarray, table: Measurements, apart: 
         angle = float(np.sum(off * along) / max(float(np.sum(along**2)), 1e-300))
         explained.append((1.0 - float(np.sum((off - along * angle) ** 2)) / squares, field.name, angle, field.unit))
     share, name, angle, unit = max(explained, default=(0.0, "", 0.0, ""))
-    return f"{name} looks read {abs(angle) * 1e3:.3g} m{unit} wrong in them" if share >= _EXPLAINED else ""
+    return f"{name} appears to be misread by {abs(angle) * 1e3:.3g} m{unit} in them" if share >= _EXPLAINED else ""
 
 
 def _features(table: Measurements) -> Iterator[tuple[str, str, np.ndarray]]:

@@ -49,7 +49,7 @@ def check_spread(table: TableRows, points: np.ndarray, *, label: str, reach_m: f
     is_unit = np.mean(from_centre > most) > _MANY and spread / 1000 <= most
     if is_unit and label not in table.units:
         raise MeasurementError(f"{text}; looks like millimetres: write `{label} [mm]` in the header, or their unit")
-    raise MeasurementError(f"{text}; look at line {table.rows[worst]}, at the unit and at the robot's size")
+    raise MeasurementError(f"{text}; check line {table.rows[worst]}, the unit and the robot's size")
 
 
 # Pairs of axes.
@@ -65,8 +65,8 @@ def _mirrored(positions: np.ndarray, *, axes: tuple[int, ...]) -> np.ndarray:
 
 # Positions alone do not distinguish these reflections; orientations do.
 _OR = "or the frame is left-handed"
-_SWAPS = ((f"the columns {'xyz'[i]!r} and {'xyz'[j]!r} look swapped, {_OR}", (i, j)) for i, j in _PAIRS)
-_TURNS = ((f"the column {axis!r} looks inverted in sign, {_OR}", (i,)) for i, axis in enumerate("xyz"))
+_SWAPS = ((f"the columns {'xyz'[i]!r} and {'xyz'[j]!r} appear to be swapped, {_OR}", (i, j)) for i, j in _PAIRS)
+_TURNS = ((f"the column {axis!r} appears to have the wrong sign, {_OR}", (i,)) for i, axis in enumerate("xyz"))
 POSITION = Field(
     "position",
     ("x", "y", "z"),
@@ -96,7 +96,7 @@ class PlausiblePositions(Plausible):
         if unit != "m" and spread <= _LEAST_SPREAD * span_m(reach_m):
             raise MeasurementError(f"{text}; values in metres under `x [{unit}]`? Then write `x [m]` in the header")
         if spread < _LEAST_SPREAD * reach_m:
-            warn(f"{text}; is the target held, or the instrument stuck?")
+            warn(f"{text}; is the target held in place, or has the instrument frozen?")
 
 
 @dataclass(frozen=True)
@@ -159,10 +159,10 @@ QUATERNION = Field(
     Rule(f"norm 1 within {_TOLERANCE:.0%}", lambda value: np.abs(np.linalg.norm(value, axis=1) - 1) <= _TOLERANCE),
     is_unit=True,
     mistakes=(
-        ("the quaternion looks written with w first", lambda value: value[:, [1, 2, 3, 0]]),
-        ("the quaternion looks inverted", lambda value: value * [-1.0, -1.0, -1.0, 1.0]),
+        ("the quaternion appears to be written with w first", lambda value: value[:, [1, 2, 3, 0]]),
+        ("the quaternion appears to be inverted", lambda value: value * [-1.0, -1.0, -1.0, 1.0]),
         (
-            "the quaternion looks written with w first and inverted",
+            "the quaternion appears to be inverted and written with w first",
             lambda value: value[:, [1, 2, 3, 0]] * [-1.0, -1.0, -1.0, 1.0],
         ),
     ),
