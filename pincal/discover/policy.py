@@ -101,7 +101,7 @@ class Policy:
         "0.5 % of the error: less than any user would act on")
     gain: float = _number(100.0, "noise variance", _DECISIONS + "test_what_matters_to_nobody_is_left_out",
         "reduction of the weighted squares that is enough, however many readings there are",
-        "ten standard deviations of one parameter: sure, whatever its share")
+        "ten standard deviations of one parameter: certain, however small its share")
     close: int = _number(12, "effects", _EXAMPLES,
         "named effects that take part when unnamed ones are tested", "chosen: it bounds the size of the second table")
     most_steps: int = _number(14, "steps", _EXAMPLES,
@@ -139,12 +139,12 @@ class ScoreNumbers:
         "one in six by chance; other criteria are stricter")
     searched: float = _number(2.0, "standard errors", _STAGE,
         "the same for an effect selected among many on all blocks, such as waves of all orders",
-        "selection favours chance in the held-out blocks as well: of the significant ripples on a real UR10 only one is "
+        "selection favours chance in held-out blocks, too: of the significant ripples on a real UR10 only one is "
         "found in both series, at 2.4 and 2.2; the others reach 1.7 at most")
     veto: float = _number(2.0, "standard errors", _BLOCKS,
         "that blocks of poses have to improve for one of them not to have a veto", "1 in 40 by chance")
     fewest_blocks: int = _number(6, "blocks", _BLOCKS,
-        "among which the extreme ones can be identified", "four are left without them")
+        "among which the extreme ones can be identified", "four remain without them")
     against: float = _number(2.0, "standard errors", _BENT,
         "by which the prediction of blocks has to deteriorate with a prior to contradict it", "1 in 40 by chance")
     most_explained: float = _number(0.999999, "ratio", _EXAMPLES,
@@ -155,7 +155,7 @@ class ScoreNumbers:
         "would explain")
     held: float = _number(1e6, "ratio", _TWO_SOFT,
         "prior information of held parameters, in units of that of the data",
-        "a thousandth of their standard deviation: nothing")
+        "a thousandth of their standard deviation: negligible")
     mass: float = _number(0.05, "ratio", "test_stability.py::test_masses_add_what_the_data_leave_of_their_priors",
         "relative uncertainty of the mass of a link in a URDF", "chosen: a few per cent, as for the masses of real arms")
     centre: float = _number(0.05, "ratio", "test_stability.py::test_masses_add_what_the_data_leave_of_their_priors",
@@ -212,7 +212,7 @@ class WaveNumbers:
     close: float = _number(1.0, "cycles per revolution", "test_tones.py::test_a_wave_found_again_close_by_came_in_so",
         "orders closer than this are the same wave", "stages of a drive differ by more")
     line: float = _number(2.0, "resolutions", _LINE,
-        "up to which two waves may be one line", "each is within one of the middle")
+        "up to which two waves may be one line", "each is within one resolution of their mean")
     map_forms: int = _number(3, "resolutions", "test_maps.py::test_a_map_is_as_fine_as_rows_and_positions_allow",
         "of the likeliest map, of which the coarsest and the finest are tested",
         "chosen: its other resolutions are tried once it has entered")
@@ -223,7 +223,7 @@ class WaveNumbers:
     tone: float = _number(0.7, "ratio", _PERIOD,
         "fraction of the excess that one tone has to explain for that", "chosen: most of it")
     period: float = _number(1e-3, "probability", _PERIOD,
-        "p-value of the strongest tone for that", "chosen: a word in a report")
+        "p-value of the strongest tone for that", "chosen: it only affects the wording of a report")
     fewest: int = _number(20, "rows", _PERIOD,
         "below which no period is searched for", "chosen: ten per period")
     finest: float = _number(0.25, "periods per row", _PERIOD,
@@ -252,14 +252,14 @@ class CurveNumbers:
     least: float = _number(1e-5, "rad^-0.5", _SMOOTH,
         "least roughness", "below it a curve strays from a straight line by less than 0.01 mrad in a radian")
     least_noise: float = _number(1e-3, "ratio", _SMOOTH,
-        "lower bound on the estimated noise, as a fraction of its variance", "curves through all readings leave none")
+        "lower bound on the estimated noise, as a fraction of its variance", "curves through all readings leave no noise")
     firm: float = _number(30.0, "ratio", _SMOOTH,
         "additional prior information of other parameters in the step with the curves, in units of their priors'",
-        "where compliances multiply places of bearings, a full step leads far off")
+        "a full step diverges where compliances multiply positions of bearings")
     enough_pieces: int = _number(180, "pieces", "test_smooth_curves.py::test_a_curve_ends_finer_up_to_enough_pieces",
         "up to which a curve ends finer than the shortest resolved wave", "for time: 12000 poses resolve more")
     densely: int = _number(8, "positions per piece", _SMOOTH,
-        "at which a curve is resampled to another resolution", "chosen: a spline is smooth between them")
+        "at which a curve is resampled when its resolution changes", "chosen: a spline is smooth between them")
 
 
 @dataclass(frozen=True, kw_only=True)

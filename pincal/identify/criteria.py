@@ -45,18 +45,18 @@ class Criteria:
 
     bearing: float = number(10.0, _GAIN, "test_bearings.py::test_of_bearings_and_names_what_explains_more_enters_first",
         "that a bearing feature has to gain to be accepted",
-        "odds of 150 to 1; of a sound arm's twelve features one enters in one fit out of fifty")
+        "odds of 150 to 1; one of a sound arm's twelve features enters in one fit out of fifty")
     moment_frame: float = number(10.0, _GAIN, "test_calibrate.py::test_the_papers_convention_is_taken_among_equals",
         "by which another moment convention has to be more likely", "the same odds")
     wider_prior: float = number(3.84, _GAIN, _PRIORS,
         "that readings may lose under wider priors where no instrument observes the robot", "one-sided limit at 2.5 %")
     unseen_direction: float = number(0.03, "ratio", "test_contacts.py::test_directions_without_contact_are_named",
-        "of the squares in one direction to those in all, below which nothing was measured in it",
+        "of the sum of squares in one direction to that in all, below which nothing was measured in it",
         "sin^2 of 10 degrees, the variation of contact directions by themselves")
     not_improved: float = number(0.9, "ratio", _NOT_HELD,
-        "of the standard deviation of predictions after a calibration to before, above which nothing is improved", "chosen")
+        "of predictions' standard deviations after and before a calibration, above which nothing has improved", "chosen")
     mount_moved: float = number(0.02, "m", _NOT_HELD,
-        "displacement of an arm's mount by readings without an instrument", "arms stand within a cm of their drawings")
+        "displacement of an arm's mount by readings without an instrument", "arms are mounted to a cm of their drawings")
     mount_held: float = number(0.1, "ratio", _NOT_HELD,
         "of its standard deviation to the displacement, above which it is undetermined", "ten standard deviations")
     unexcited: float = number(1e-6, "probability", "test_calibrate.py::test_simulated_elastic_arms_are_predicted",
@@ -79,12 +79,12 @@ class Criteria:
         "that correlation along the rows has to gain", "two parameters at a p-value of 1e-4")
     fewest_in_order: int = number(20, "rows", _ORDER, "that can show dependence along them", "the longest band of lags")
     as_likely: float = number(2.0, _GAIN, _ORDER,
-        "within which a memory along the rows is as likely as the best, and the longest is taken",
-        "one standard deviation of a parameter, twice")
+        "within which a correlation length is as likely as the best, and the longest is used",
+        "twice the value at one standard deviation")
     of_blocks: float = number(4.0, "standard deviations", _OF_BLOCKS,
         "by which scores of blocks of rows exceed those of permuted rows before they widen the uncertainty",
         "as for dependence along rows")
-    fewest_blocks: int = number(8, "blocks", _OF_BLOCKS, "of rows that can show it", "a variance is known to a half")
+    fewest_blocks: int = number(8, "blocks", _OF_BLOCKS, "of rows that can show it", "a variance is then known to 50 %")
     identified: float = number(0.5, "ratio", _REASON,
         "of posterior to prior standard deviation, below which a parameter counts as identified",
         "the data hold three times the information of the prior (1 / 0.25 - 1)")
@@ -92,7 +92,7 @@ class Criteria:
         "the same, above which the data count as uninformative", "no prior's size is known to 3 %")
     unseen: float = number(1e-3, "ratio", _REASON,
         "share in unobservable directions above which a parameter is not identifiable by itself",
-        "far above rounding, far below any share that matters")
+        "far above rounding errors, far below any relevant share")
     worth_naming: float = number(0.05, "ratio", _REASON,
         "share of a parameter's effect below which another one is not named as its counterpart", "chosen: negligible")
     moment: float = number(1.0 / 3.0, "ratio", _MOMENTS,
@@ -104,46 +104,46 @@ class ChangeNumbers:
     """Thresholds of decisions on changes, from station to station or since a calibration."""
 
     moved: float = number(0.01, "probability", _STATIONS,
-        "that any change is reported for a robot that is the same at all stations", "a robot in a hundred")
+        "that any change is reported for a robot that is the same at all stations", "one robot in a hundred")
     usual: float = number(2.0 * log(10.0), _ODDS, "test_diagnosis.py::test_changes_are_named_in_97_of_100",
         "prior odds of a lost zero of a drive against any other change", "odds of 10 to 1")
     wide: float = number(30.0, "prior sizes", _INTERVALS, "by which values of stations may differ", "chosen: not critical")
     wrong_rows: float = number(0.05, "ratio", _JUMP,
-        "of rejected to all rows of a station, up to which the rejected ones are wrong readings",
-        "so many rows do not contradict the robot by mistake")
+        "of rejected to all rows of a station, up to which they are considered wrong readings",
+        "more are unlikely to be wrong readings")
     too_quiet: float = number(1e-3, "probability", "test_moves.py::test_each_station_has_its_repeatability",
-        "of as little noise as at one station, below which the fit has taken something else for noise",
+        "of noise as low as at one station, below which the fit has mistaken something else for noise",
         "one sound station in a thousand")
     uneven: float = number(0.05, "probability", "test_moves.py::test_what_no_model_knows_moves_nothing",
-        "of as large differences between parts of a station, below which stations may differ by as much", "usual")
+        "of differences as large between parts of a station, below which stations may differ as much", "usual")
     matters: float = number(0.01, "ratio", _STATIONS,
-        "of a station's squares that a changed parameter explains, above which the model is not right there",
-        "as of an effect that is named")
+        "of a station's squares that a changed parameter explains, above which the model is wrong there",
+        "as for an effect that is named")
     unmodelled: float = number(1e-3, "probability", "test_diagnosis.py::test_an_adequate_model_left_nothing",
-        "of an unmodelled effect by chance, all candidates counted, above which none is taken for real",
-        "a new diagnosis compares with it, so it has to be there")
+        "of an unmodelled effect by chance, given all candidates, above which none is accepted",
+        "a new diagnosis is compared with it, so it has to be real")
     false_alarm: float = number(0.01, "probability", _SAME, "of an alarm for a robot that has not changed",
         "one check in a hundred")
-    for_changes: float = number(0.8, "ratio", _SAME, "of it spent on single changes", "chosen: most changes have a name")
-    for_misfit: float = number(0.2, "ratio", _SAME, "of it spent on a misfit that no change explains", "the rest")
+    for_changes: float = number(0.8, "ratio", _SAME, "of it allotted to single changes", "chosen: most changes have a name")
+    for_misfit: float = number(0.2, "ratio", _SAME, "of it allotted to a misfit that no change explains", "the rest")
     equivalent: float = number(2.0 * log(100.0), _ODDS, _APART,
         "below which two changes are indistinguishable", "unless one is 100 times as likely")
     wrong_row: float = number(0.001, "probability", "test_diagnosis.py::test_one_wrong_reading_is_no_change",
-        "that a row of a sound table is taken for a wrong reading", "one sound table in a thousand")
+        "that a row of a sound table is mistaken for a wrong reading", "one sound table in a thousand")
     fewest_rows: int = number(8, "rows", "test_diagnosis.py::test_one_wrong_reading_is_no_change",
-        "up to which none is taken for a wrong reading", "too few to decide")
+        "up to which none is considered a wrong reading", "too few to decide")
     too_many: float = number(0.25, "ratio", _GROSS,
-        "of outlying to all rows, from which on they are no exceptions", "of real tables some percent are")
+        "of outlying to all rows, from which on they are not exceptions", "in real tables some per cent are")
     part_of_noise: float = number(0.95, "ratio", "test_diagnosis.py::test_what_a_model_left_is_no_change",
         "of the estimated noise of a calibration that an unmodelled effect may have caused", "nearly all of it")
     hopeless: float = number(0.01, "ratio", _REFUSED,
-        "of the residuals after all changes to the reach, above which the rows are of another robot",
+        "of the residuals after all changes to the reach, above which the rows belong to another robot",
         "a centimetre on a metre")
     strange: float = number(0.1, "ratio", _REFUSED,
         "of the residuals before any change to the reach, above which no change is searched for",
         "a drive with an error of 0.2 rad leaves half as much")
     degrees: float = number(200.0, "degrees of freedom", "test_diagnosis.py::test_an_instrument_with_more_noise_tells_less",
-        "of a calibration's noise estimate, where its number of rows is unknown", "chosen: as of a usual table")
+        "of a calibration's noise estimate, where its number of rows is unknown", "chosen: as for a typical table")
     many: int = number(4, "changes", _REFUSED,
         "from which on another robot of the same type is more likely", "chosen: a bound on what is believable")
     worth_a_note: float = number(0.9, "ratio", _CURVE,
@@ -160,7 +160,7 @@ class ChangeNumbers:
     told_apart: float = number(30.0, "noise variance", _APART,
         "non-centrality at which two changes are distinguishable", "5.5 standard deviations of one parameter")
     same_by_chance: int = number(1, "rows", "test_diagnosis.py::test_rows_that_the_model_was_fitted_to_tell_nothing",
-        "that share the fingerprint of a row of the calibration by chance", "of some thousands of rows hardly one")
+        "that share the fingerprint of a row of the calibration by chance", "hardly one in some thousands of rows")
 
 
 # fmt: on
