@@ -22,4 +22,4 @@ def kuka_urdf_path() -> Path:
     for path in places:
         if path.is_file():
             return path
-    raise RobotFileError(f"built-in robot {_KUKA} not found at {' or '.join(map(str, places))}; install pincal again")
+    raise RobotFileError(f"built-in robot {_KUKA} not found at {' or '.join(map(str, places))}; reinstall pincal")

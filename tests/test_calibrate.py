@@ -356,7 +356,9 @@ def test_the_convention_of_moments_that_fits_best_is_taken_and_named(shared_data
     named = [note.text for note in found.result.warnings if "--moment-frame" in note.text]
 
     assert found.fit.options.moment_frame == found.fit.model.chain.moment_frame == frame
-    assert named == ([] if frame == "paper" else ["moments act as with --moment-frame after: it fits better than paper"])
+    assert named == (
+        [] if frame == "paper" else ["moments are computed as with --moment-frame after, which fits better than paper"]
+    )
     there = calibrate(robot, found.train, Options(moment_frame=frame))
     np.testing.assert_allclose(found.fit.predict(train.q)[:, :, 3], there.predict(train.q)[:, :, 3], rtol=0.0, atol=1e-7)
     assert expected_fit(robot, train, Options(moment_frame="auto")).model.chain.moment_frame == frame

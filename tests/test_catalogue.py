@@ -786,7 +786,7 @@ def test_with_everything_recorded_nearly_everything_can_be_tried(robot: Robot, r
     first = robot.joint_names[0]
     reasons = {effect: reason for effect, reason in untestable(chain, conditions)}
     assert "gravity exerts no moment" in reasons[NonlinearElasticity(first)]
-    assert "lines per revolution are not known" in next(r for e, r in reasons.items() if isinstance(e, EncoderSubdivision))
+    assert "lines per revolution are unknown" in next(r for e, r in reasons.items() if isinstance(e, EncoderSubdivision))
     assert "could be compensated" in reasons[GravityCompensator(first)]
     assert not set(found) & set(reasons)
     excited = largest_basis(Model(chain, found), conditions)[1]
@@ -807,9 +807,9 @@ def test_what_can_not_be_tried_has_a_reason(kuka: Robot, rng: np.random.Generato
     assert reasons[BaseDrift()] == "column time is missing"
     assert reasons[PayloadError.over(chain, poor)] == "column payload is constant"
     assert reasons[Backlash("joint_2")] == "column approach_joint_2 is missing or constant"
-    assert reasons[ShortOfTarget("joint_4")].startswith("joint_4 stands still, or its direction of approach does not follow")
-    assert "joint_4 stands still" in reasons[GearEccentricity("joint_4", 1)]
-    assert "joint_4 stands still" in reasons[JointCoupling("joint_5", "joint_4")]
+    assert reasons[ShortOfTarget("joint_4")].startswith("joint_4 does not move, or its direction of approach does not")
+    assert "joint_4 does not move" in reasons[GearEccentricity("joint_4", 1)]
+    assert "joint_4 does not move" in reasons[JointCoupling("joint_5", "joint_4")]
     found = candidates(chain, poor)
     assert Backlash("joint_1") in found and JointCoupling("joint_4", "joint_5") in found
     assert not any(isinstance(effect, TransmissionError) and effect.joint == "joint_4" for effect in found)

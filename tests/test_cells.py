@@ -92,7 +92,7 @@ def test_a_robot_without_a_place_or_a_name_of_its_own_is_refused() -> None:
     """With what to do."""
     with pytest.raises(RobotFileError, match=r"its placement relative to .* is unknown.*--beside right=ur10@"):
         read_cell("ur5", [Beside("ur10", "right")])
-    with pytest.raises(RobotFileError, match="is a name of another robot; expected another name than right"):
+    with pytest.raises(RobotFileError, match="is already a name of another robot; expected a name other than right"):
         read_cell("ur5", [Beside("ur10", "right", PLACE), Beside("ur10", "right", PLACE)])
 
 

@@ -154,7 +154,7 @@ def test_bad_stations_are_refused(
         ((tracker, tracker), "two stations are called 'tracker'"),
         ((tracker, again), "different kinds (position and socket)"),
         ((tracker, short), "2 position measurements; expected at least 4 to determine the poses of instrument"),
-        ((tracker, sockets, "--holdout", short), "rows to validate on of the station 'few'"),
+        ((tracker, sockets, "--holdout", short), "validation rows of an unknown station, 'few'"),
     ):
         assert run("calibrate", URDF, *arguments, "--model", "geometric", "--quiet", "--out", tmp_path / "none") == 3
         assert said in " ".join(capsys.readouterr().err.split())

@@ -270,7 +270,7 @@ def test_a_joint_off_the_path_rests_where_it_is_told(touching: Measurements, tmp
     told = LinkOptions(rest=(("head_pan", 0.2),))
     general = {"motion": MotionOptions(), "table": TableArguments()}
     robot = load_robot(InputOptions(robot="baxter", data=(tmp_path / "left.csv",), links=told, **general))
-    with pytest.warns(PincalWarning, match=r"which rest: head_pan at 0\.2"):
+    with pytest.warns(PincalWarning, match=r"assumed at rest: head_pan at 0\.2"):
         table = load_table(robot, tmp_path / "left.csv", links=told)
 
     assert set(robot.joint_names) == {"head_pan", *left}

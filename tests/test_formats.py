@@ -356,7 +356,7 @@ def test_text_that_may_be_meant_is_not_left_out(tmp_path: Path) -> None:
         ({"J7": "joint_a1"}, ['no column "J7" for --columns J7=joint_a1', "the table has"]),
         ({"joint_a1": "J1"}, ['is "J1=joint_a1" meant?']),
         ({"joint_a1": "J1 [deg]"}, ['is "J1=joint_a1 [deg]" meant?']),
-        ({"J1": "joint_a1 [mm]"}, ["[mm] is no unit", "[rad]"]),
+        ({"J1": "joint_a1 [mm]"}, ["[mm] is not a unit", "[rad]"]),
         ({"J1": "y"}, ['two columns "y"']),
     ],
 )
@@ -564,7 +564,7 @@ def test_cells_that_are_lists_are_refused(tmp_path: Path) -> None:
     assert len(read(tmp_path / "log.parquet", {"ignore": ("odd",)})) == N
     first = next(iter(table))
     pl.DataFrame(table).with_columns(pl.lit([1.0, 2.0]).alias(first)).write_parquet(tmp_path / "log.parquet")
-    with pytest.raises(MeasurementError, match=f'column "{first}": lists; expected one number or name a cell'):
+    with pytest.raises(MeasurementError, match=f'column "{first}": lists; expected one number or name per cell'):
         read(tmp_path / "log.parquet")
 
 

@@ -127,7 +127,7 @@ def test_readings_in_another_frame_are_not_judged(kuka: Robot) -> None:
     """In the robot's own frame no tracker stands; a distance says nothing of directions."""
     at_base, beside = seen(place=np.eye(4)), seen()
     cases = {
-        "m from the robot's base, where no tracker can stand": calibrate(
+        "m from the robot's base, where no tracker can be": calibrate(
             kuka, at_base, Options(effects=GEOMETRIC)
         ).station.conditions,
         "no positions in an instrument frame": Conditions.at(at_base.q),

@@ -112,7 +112,7 @@ def test_an_imu_is_known_by_the_names_of_loggers(logs: Tables, style: str, tmp_p
     assert plain is not None and found.imu is not None
     for name, values in plain.readings.items():
         np.testing.assert_array_equal(found.imu.readings[name], values)
-    assert "read by what they seem to be" in told and "=wz" in told
+    assert "interpreted by their names" in told and "=wz" in told
 
 
 def test_poses_and_joints_of_a_recording_that_is_text(logs: Tables, tmp_path: Path) -> None:
@@ -394,7 +394,7 @@ def test_stamps_of_arrival_are_told_from_those_of_two_devices(logs: Tables, tmp_
     tables["tracker"]["time"] += np.random.default_rng(0).exponential(0.01, len(tables["tracker"]["time"]))
     session, told = read(tmp_path, tables)
     assert session.tracker is not None and "joints.csv" not in told
-    assert re.search(r"tracker.csv: time runs back \d+ times, by 0.0\d+ s or less: .* assumed to be 16.66", told)
+    assert re.search(r"tracker.csv: time runs backwards \d+ times, by 0.0\d+ s or less: .* assumed to be 16.66", told)
     np.testing.assert_array_equal(session.joints.time, pairs)
     assert np.ptp(session.tracker.time - logs["tracker"]["time"]) < 5e-4
 
@@ -410,7 +410,9 @@ def test_rows_that_are_written_late_or_twice_are_put_in_order(logs: Tables, tmp_
     for name in tables:
         stream = getattr(session, name)
         np.testing.assert_array_equal(stream.time, logs[name]["time"])
-        assert f"{name}.csv: 300 rows occur twice" in told and re.search(rf"{name}.csv: \d+ rows, .* late and are put", told)
+        assert f"{name}.csv: 300 rows occur twice" in told and re.search(
+            rf"{name}.csv: \d+ rows, .* late and are sorted", told
+        )
 
 
 def test_an_imu_that_is_polled_at_nearly_its_own_rate_is_told(logs: Tables, tmp_path: Path) -> None:
@@ -446,7 +448,7 @@ def test_a_range_that_is_too_small_is_no_broken_axis(logs: Tables) -> None:
     rate = np.column_stack([imu[f"w{axis}"] for axis in "xyz"])
     rate[1000:1120, 1] = rate[:, 1].max() + 0.1
     force = np.column_stack([imu[f"a{axis}"] for axis in "xyz"])
-    with pytest.warns(PincalWarning, match="120 rows are cut off at the end of the IMU's range"):
+    with pytest.warns(PincalWarning, match="120 rows are clipped at the limit of the IMU's range"):
         checked_imu(Stream("imu.csv", imu["time"], {"specific_force": force, "angular_rate": rate}, {}))
     slow = Stream("tracker.csv", np.arange(80) + 0.25, {"position": force[:80]}, {})
     with pytest.raises(MeasurementError, match=r"a row every 1 s; .* log faster"):

@@ -391,7 +391,7 @@ def test_a_cut_off_file_is_refused(path: Path, kept: float) -> None:
     content = path.read_bytes()
     path.write_bytes(content[: int(kept * len(content))])
 
-    with pytest.raises(ModelFileError, match=r"model\.json: cut off or no JSON .*run pincal calibrate again"):
+    with pytest.raises(ModelFileError, match=r"model\.json: truncated or not JSON .*run pincal calibrate again"):
         load_model(path)
 
 
@@ -431,20 +431,20 @@ def test_another_format_version_is_refused(path: Path, version: Any, words: str)
         (("covariance",), lambda v: listed(v)[:-1], "covariance: has shape"),
         (("covariance",), lambda v: [*listed(v)[:-1], listed(v)[-1][1:]], "covariance: has rows of unequal length"),
         (("covariance",), lambda v: packed_matrix(np.eye(3)), "covariance: has shape"),
-        (("covariance",), lambda v: v[:-4], "covariance: is cut off or damaged"),
-        (("covariance",), lambda v: v[:40] + "?" + v[41:], "covariance: is cut off or damaged"),
+        (("covariance",), lambda v: v[:-4], "covariance: is truncated or damaged"),
+        (("covariance",), lambda v: v[:40] + "?" + v[41:], "covariance: is truncated or damaged"),
         (("covered", "q"), lambda v: v[:5], r"covered\.q: has shape \(5, 2\)"),
         (("model", "robot", "masses"), lambda v: [*v, 1.0], r"model\.robot\.masses: has shape \(7,\)"),
         (("model", "robot", "joint_types"), lambda v: v[1:], "joint_types: has 5 entries"),
         (("model", "robot", "joint_types", 0), lambda v: "planar", "is 'planar'; expected one of revolute, prismatic"),
         (("model", "chain", "moment_frame"), lambda v: "middle", "is 'middle'; expected one of paper, before, after"),
         (("model", "chain", "targets"), lambda v: [*v, "third"], "tool_rotations: has shape"),
-        (("model", "robot", "urdf"), lambda v: "\ud800", "urdf: is no text"),
+        (("model", "robot", "urdf"), lambda v: "\ud800", "urdf: is not text"),
         (("parameters", 0, "name"), lambda v: "base.w", "parameters: are not those of the effects"),
         (("model", "effects"), lambda v: v[1:], "parameters: are not those of the effects"),
         (("model", "effects", 5, "joints"), lambda v: ["elbow"], "effects: do not fit the robot"),
         (("model", "effects", 2, "colour"), None, "joint_offset has no such field"),
-        (("provenance",), lambda v: [], "provenance: is no object"),
+        (("provenance",), lambda v: [], "provenance: is a list, not an object"),
         (("sigma",), lambda v: 1e-4, r"sigma: has shape \(\); expected numbers of shape \(any,\)"),
     ],
 )
@@ -464,7 +464,7 @@ def test_numbers_that_are_none_are_refused(path: Path, key: str, number: str) ->
     content[key][0] = ["mark"] * len(content[key]) if key == "covariance" else "mark"
     path.write_text(json.dumps(content).replace('"mark"', number))
 
-    with pytest.raises(ModelFileError, match=f"{key}: has entries that are no finite numbers"):
+    with pytest.raises(ModelFileError, match=f"{key}: has entries that are not finite numbers"):
         load_model(path)
 
 
@@ -490,7 +490,7 @@ def test_a_large_covariance_keeps_what_rounding_leaves() -> None:
     assert np.array_equal(again, again.T)
     scale = np.sqrt(np.diag(C))
     assert np.all(np.abs(again - C) <= 2.0**-49 * np.outer(scale, scale))
-    with pytest.raises(Fault, match="cut off or damaged"):
+    with pytest.raises(Fault, match="truncated or damaged"):
         unpacked(text[:-400] + "=" * 4, 10**7)
 
 
@@ -499,7 +499,7 @@ def test_a_matrix_that_unpacks_to_gigabytes_costs_nothing(path: Path) -> None:
     bomb = base64.b64encode(zlib.compress(bytes(64 << 20))).decode()
     edited(path, "covariance", value=f"matrix:{bomb}")
     tracemalloc.start()
-    with pytest.raises(ModelFileError, match="covariance: is cut off or damaged"):
+    with pytest.raises(ModelFileError, match="covariance: is truncated or damaged"):
         load_model(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

@@ -191,7 +191,7 @@ def freeze(values: np.ndarray) -> np.ndarray:
 
 
 AT_THE_DOOR: dict[str, tuple[Corrupt, str]] = {
-    "time that runs back": (change("imu", "time", run_back), "imu.csv, line 2002: time runs back from 19.99 s"),
+    "time that runs back": (change("imu", "time", run_back), "imu.csv, line 2002: time runs backwards from 19.99 s"),
     "frames for time": (
         change("tracker", "time", lambda t: np.arange(len(t), dtype=float)),
         "counts 1, 2, 3.*divide by the rate",
@@ -204,7 +204,7 @@ AT_THE_DOOR: dict[str, tuple[Corrupt, str]] = {
     "a frozen axis": (change("imu", "wy", freeze), "column 'wy' is constant for 3.99 s while others change"),
     "a range that is too small": (
         change("imu", "wx", lambda w: np.clip(w, -0.25, 0.25)),
-        "column 'wx' is cut off at 0.25 in .. % of the rows; choose a larger range",
+        "column 'wx' is clipped at 0.25 in .. % of the rows; choose a larger range",
     ),
 }
 
@@ -335,7 +335,7 @@ def test_what_is_odd_is_told(logs: tuple[dict[str, Table], ImuSetup], tmp_path: 
 
     assert "imu.csv: 1 gaps of more than 0.2 s, the longest 1.52 s from 19.99 s on" in text
     assert "imu.csv: 9 % of the rows repeat the one before" in text
-    assert re.search(r"imu\.csv: \d+ rows are cut off at the end of the IMU's range", text)
+    assert re.search(r"imu\.csv: \d+ rows are clipped at the limit of the IMU's range", text)
     assert "tracker.csv: 1 rows with the stamp of the row before" in text
     assert session.tracker is not None and len(session.tracker) == len(tables["tracker"]["time"]) - 1
 

@@ -377,13 +377,17 @@ def test_side_files_are_read_with_their_units(tmp_path: Path) -> None:
         (read_points, "point,x,y\nA,1,2\n", "no column 'z'"),
         (read_points, "point,x,y,z\nA,1,2,3\nA,1,2,4\n", "'A' occurs twice"),
         (read_distances, "first,second,distance\nA,B,-1\n", "expected more than 0"),
-        (read_camera, "{", "no JSON"),
+        (read_camera, "{", "not JSON"),
         (read_camera, '{"fx": 1}', "expected an object with fx, fy, u0, v0"),
         (read_camera, '{"fx": 0, "fy": 1, "u0": 1, "v0": 1}', "fx is 0 px"),
         (read_camera, '{"fx": "a", "fy": 1, "u0": 1, "v0": 1}', "fx is 'a'; expected a number"),
         (read_camera, "[1]", "expected an object with fx, fy, u0, v0"),
-        (read_camera, f'{{{PINHOLE}, "T_tip_camera": [[1, 2], [3, 4]]}}', "T_tip_camera is no transform"),
-        (read_camera, f'{{{PINHOLE}, "T_tip_camera": {np.diag([1, 1, -1, 1]).tolist()}}}', "T_tip_camera is no transform"),
+        (read_camera, f'{{{PINHOLE}, "T_tip_camera": [[1, 2], [3, 4]]}}', "T_tip_camera is not a rigid transform"),
+        (
+            read_camera,
+            f'{{{PINHOLE}, "T_tip_camera": {np.diag([1, 1, -1, 1]).tolist()}}}',
+            "T_tip_camera is not a rigid transform",
+        ),
     ],
 )
 def test_side_files_that_cannot_be_right_are_refused(

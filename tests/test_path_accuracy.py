@@ -37,7 +37,7 @@ def test_figures_of_a_circle_are_the_closed_forms() -> None:
     assert found["AT_a_mrad"] == pytest.approx(2.0, rel=1e-3) and found["AT_c_mrad"] == found["RT_c_mrad"] == 0.0
     assert found["RT_b_mrad"] == pytest.approx(3e3 * own.std(ddof=1), rel=1e-3)
     assert found["RT_a_mrad"] < 1e-4
-    assert path_words(found).endswith("RT c 0.0000 mrad; 4 cycles; ISO 9283 asks for 10")
+    assert path_words(found).endswith("RT c 0.0000 mrad; 4 cycles; ISO 9283 specifies 10")
 
 
 def test_one_cycle_has_accuracy_alone() -> None:

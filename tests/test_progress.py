@@ -97,7 +97,7 @@ def test_every_verb_tells_what_it_does(
         (["check", "ur10", files[0], "--model", "geometric"], ("reading robot", "analysing what these poses")),
         (
             ["calibrate", "ur10", files[0], "--model", "geometric", "--out", files[1]],
-            ("judging the fit", "drawing the report"),
+            ("assessing the fit", "drawing the report"),
         ),
         (["predict", model, files[0], "--out", files[2]], ("predicting 60 poses",)),
         (["compensate", model, files[0], "--out", files[3]], ("finding the joints of 60 rows",)),

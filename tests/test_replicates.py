@@ -150,7 +150,7 @@ def test_few_cycles_are_said_to_be_few():
     """The standard asks for 30; with those nothing more is said."""
     enough = {"poses": {"test": 1}, "cycles": {"min": 30, "max": 30, "standard": 30}}
     assert cycle_words(enough) == "1 pose, 30 cycles each"
-    assert "asks for 30" in cycle_words(enough | {"cycles": {"min": 29, "max": 40, "standard": 30}})
+    assert "specifies 30" in cycle_words(enough | {"cycles": {"min": 29, "max": 40, "standard": 30}})
 
 
 # Lack of fit
@@ -297,7 +297,7 @@ def test_the_report_has_a_section_on_visits(soft, monkeypatch):
     """AP, RP, the number of cycles and the test stand there; not where no pose was visited twice."""
     monkeypatch.setattr("pincal.report.illustrations.inline_svg", lambda *_, **__: "")
     page = page_of(soft)
-    assert 'id="repeatability"' in page and "3 cycles each; ISO 9283 asks for 30" in page and "Lack of fit" in page
+    assert 'id="repeatability"' in page and "3 cycles each; ISO 9283 specifies 30" in page and "Lack of fit" in page
     bare = replace(soft, result=replace(soft.result, iso9283=None, lack_of_fit=None))
     assert 'id="repeatability"' not in page_of(bare)
     assert not {"iso9283", "lack_of_fit"} & set(bare.result.to_dict())

@@ -485,14 +485,14 @@ BAD = {
     "other root": ("<sdf><model/></sdf>", r"root element is <sdf>, expected <robot>"),
     "entity expansion": (LAUGHS, "entities"),
     "external entity": (OUTSIDE, "entities"),
-    "no links": ('<robot name="empty"/>', "no single tree"),
-    "loop": (urdf(AB, BC, joint("ac", "a", "c")), "in the loop closed by ac nothing can move"),
-    "circle": (urdf(AB, BC, joint("ca", "c", "a")), "circle"),
+    "no links": ('<robot name="empty"/>', "not form a single tree"),
+    "loop": (urdf(AB, BC, joint("ac", "a", "c")), "in the loop closed by ac no joint can move"),
+    "circle": (urdf(AB, BC, joint("ca", "c", "a")), "a cycle"),
     "circle beside the tree": (
         urdf(AB, BC, joint("de", "d", "e"), joint("ed", "e", "d"), links="abcde"),
-        "no single tree",
+        "not form a single tree",
     ),
-    "several roots": (urdf(AB, links="abc"), "no single tree .roots: a, c"),
+    "several roots": (urdf(AB, links="abc"), "not form a single tree .roots: a, c"),
     "unknown parent": (urdf(AB, joint("bd", "b", "d")), "joint 'bd' names the unknown link 'd'"),
     "no child": (urdf('<joint name="ab" type="fixed"><parent link="a"/></joint>', links="a"), "'ab' names no child"),
     "joint without type": (
@@ -676,7 +676,9 @@ def test_a_name_is_the_robot_that_it_says() -> None:
             warnings.simplefilter("ignore", PincalWarning)
             found = robot_name(find_file(name))
             assert found is None or found not in known or name.startswith(found), name
-    with pytest.warns(PincalWarning, match="has ur5_robot.urdf under the name 'ur3', .*; ur3_robot.urdf next to it is read"):
+    with pytest.warns(
+        PincalWarning, match="has ur5_robot.urdf under the name 'ur3', .*; ur3_robot.urdf in the same folder is read"
+    ):
         robot = Robot.from_urdf("ur3")
     # Universal Robots, DH parameters for calculations of kinematics and dynamics: a2, a3 of the UR3.
     assert robot.name == "ur3"

@@ -79,7 +79,7 @@ def test_the_file_is_valid_and_refused_where_damaged(path: Path) -> None:
     for edit, words in (
         (lambda c: c["stations"][1].pop("sensor_kind"), r"stations\[1\]\.sensor_kind: is missing"),
         (lambda c: c["covariance"]["groups"][0]["parameters"].__setitem__(0, 999), r"groups\[0\]\.parameters: has an entry"),
-        (lambda c: c["parameters"][0].__setitem__("name", "red"), "parameters: do not hold"),
+        (lambda c: c["parameters"][0].__setitem__("name", "red"), "parameters: lack"),
         (lambda c: c["values"].pop(), r"values: has shape"),
         (lambda c: c.__setitem__("format_version", 3), "written by a newer pincal"),
     ):

@@ -131,7 +131,7 @@ def test_prismatic_joint_has_a_length(tmp_path: Path) -> None:
 
     assert _read(tmp_path, "joint_1 [mm],joint_2,distance\n250,0,1\n", joint_types=types).q.tolist() == [[0.25, 0.0]]
     text = _refusal(tmp_path, "joint_1 [deg],joint_2,distance\n250,0,1\n", joint_types=types)
-    assert "[deg] is no unit of this column" in text
+    assert "[deg] is not a unit of this column" in text
     assert "[mm]" in text
 
 
@@ -240,9 +240,9 @@ def test_unusable_cell_is_located(tmp_path: Path, text: str | bytes, parts: list
         ("joint_1,joint_2,distance,paylod", ['"paylod"', "nearest first: payload, "]),
         ("joint_1,joint_2,distance,joint_1 [deg]", ['two columns "joint_1"']),
         ("joint_1,joint_2,distance [mm", ['column 3 ("distance [mm")', "unclosed unit", "[m], [mm]"]),
-        ("joint_1,joint_2,distance [kg]", ["[kg] is no unit", "[m], [mm]"]),
-        ("joint_1,joint_2 [],distance", ["[] is no unit", "[rad]"]),
-        ("joint_1,joint_2,socket [mm]", ["[mm] is no unit", "no unit"]),
+        ("joint_1,joint_2,distance [kg]", ["[kg] is not a unit", "[m], [mm]"]),
+        ("joint_1,joint_2 [],distance", ["[] is not a unit", "[rad]"]),
+        ("joint_1,joint_2,socket [mm]", ["[mm] is not a unit", "no unit"]),
         ("joint_1,joint_2,x,y", ["x y without z"]),
         ("joint_1,joint_2,u,v", ["u v without point"]),
         ("joint_1,joint_2,qx,qy,qz,qw", ["qx qy qz qw without x y z"]),

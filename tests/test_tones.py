@@ -130,7 +130,7 @@ def test_a_power_of_two_is_an_encoder_beside_the_ripple_that_it_looks_like(machi
     could_be = [(e.effect, e.order) for e in found.equivalent]
 
     assert (found.effect, found.joint, found.order) == ("encoder_subdivision", "joint_2", 128.0)
-    assert found.origin.startswith("2^7, as of an encoder")
+    assert found.origin.startswith("2^7, as for an encoder")
     assert ("gear_ripple", pytest.approx(128.0, abs=0.3)) in could_be
     assert ("encoder_subdivision", pytest.approx(64.0, abs=0.15)) in could_be
 
@@ -251,5 +251,5 @@ def test_an_order_is_named_by_the_user() -> None:
     assert find_effect("encoder_subdivision:joint_1:order=512", chain, conditions) == EncoderSubdivision("joint_1", 512.0)
     with pytest.raises(BadInputError, match="order=many; expected a number of cycles per revolution"):
         find_effect("gear_ripple:joint_3:order=many", chain, conditions)
-    with pytest.raises(BadInputError, match="lines per revolution are not known"):
+    with pytest.raises(BadInputError, match="lines per revolution are unknown"):
         find_effect("encoder_subdivision:joint_1", chain, conditions)

@@ -96,9 +96,9 @@ def test_what_is_wrong_with_a_xacro_file_is_said(workspace: Path, monkeypatch: p
         Robot.from_urdf(part)
     with pytest.raises(RobotFileError, match=r"arm\.xacro: xacro can't expand it .*arguments, .*: name:=arm, long:=\$"):
         Robot.from_urdf(workspace, xacro_args={"long": "${1/0}"})
-    with pytest.warns(PincalWarning, match="does not declare the xacro argument 'lang'; those that it has: long, name"):
+    with pytest.warns(PincalWarning, match="does not declare the xacro argument 'lang'; its arguments: long, name"):
         Robot.from_urdf(workspace, xacro_args={"lang": "0.9"})
-    with pytest.raises(RobotFileError, match="no xacro file"):
+    with pytest.raises(RobotFileError, match="not a xacro file"):
         Robot.from_urdf("ur10", xacro_args={"long": "1"})
     (part.parents[1] / "package.xml").unlink()
     with pytest.raises(RobotFileError, match="Package not found: missing"):

@@ -151,8 +151,8 @@ def run_calibration(
     notes += [note for note in unseen[0] if all(note in other for other in unseen)]
     chosen, first = fit.options.moment_frame, options.first_frame
     if chosen != first:
-        notes.append(f"moments act as with --moment-frame {chosen}: it fits better than {first}")
-    log.info("judging the fit")
+        notes.append(f"moments are computed as with --moment-frame {chosen}, which fits better than {first}")
+    log.info("assessing the fit")
     left_out = leave_out_stations(robot, admitted.tables, options, executor=executor) if split == "station" else ()
     sorted_notes = doubts_first(notes)
     result = result_of(fit, rows, seconds=time.perf_counter() - begun, notes=sorted_notes, left_out=tuple(left_out))

@@ -59,8 +59,8 @@ class CaveatKind(Enum):
     NOISE_OVERSTATED = "the residuals are smaller than the declared noise allows: the declared noise is too large"
     NO_INSTRUMENT = (
         "no instrument measured the robot, so what its readings do not determine keeps its nominal value; priors are as "
-        "wide as the readings require: {lengths:g} times the usual in lengths, {angles:g} in angles, {drives:g} in drive "
-        "compliances, {bearings:g} in others. Elsewhere the standard deviation of a predicted position falls {how}"
+        "wide as the readings require: {lengths:g} times the usual for lengths, {angles:g} for angles, {drives:g} for drive "
+        "compliances, {bearings:g} for others. Elsewhere the standard deviation of a predicted position falls {how}"
     )
     UNSEEN_DIRECTION = (
         "all readings are within 10 degrees of {where} in the axes of {base}: nothing was measured perpendicular to it; "
@@ -68,7 +68,7 @@ class CaveatKind(Enum):
     )
     BLIND = (
         "these readings hardly determine {link}: the standard deviation of its predicted position in its workspace was "
-        "{before:.2g} mm and is {after:.2g} mm; do not use the model to correct its positions"
+        "{before:.2g} mm and is now {after:.2g} mm; do not use the model to correct its positions"
     )
     MOUNT_MOVED = (
         "the readings alone move the mount of {joint} by {moved:.3g} mm, with a standard deviation of {sigma:.2g} mm: they "
@@ -76,26 +76,26 @@ class CaveatKind(Enum):
     )
     MASSES_FOUND = (
         "the robot description has no usable masses for {links} links: they were estimated with the compliances, "
-        "{mass:.3g} kg in total, to {percent:.0f} %; predictions do not depend on their common factor"
+        "{mass:.3g} kg in total (standard deviation {percent:.0f} %); predictions do not depend on their common factor"
     )
     IMPLAUSIBLE = (
         "{how}: too large for any calibrated arm, so this is not a model of this robot; check table, URDF and tip. If "
         "the instrument is that noisy, declare it (--noise, or a column sigma)"
     )
     OWN_POSE = (
-        "base and tool alone leave {left}: no instrument is that accurate, these are the controller's own poses, computed "
-        "from the joints (or simulated without noise). They contain nothing about the robot's errors; supply the readings "
-        "of an instrument, or name their columns (--columns)"
+        "with only base and tool fitted, {left} remain: no instrument is that accurate, so these are the controller's own "
+        "poses, computed from the joints (or simulated without noise). They contain nothing about the robot's errors; "
+        "supply the readings of an instrument, or name their columns (--columns)"
     )
     OWN_MODEL = (
-        "the calibration leaves {left}: no instrument is that accurate, these are poses that a controller computed with its "
-        "own parameters (or simulated without noise). The result is these parameters, not the robot's errors"
+        "the calibration leaves {left}: no instrument is that accurate, so these are poses that a controller computed with "
+        "its own parameters (or simulated without noise). The result is these parameters, not the robot's errors"
     )
     MANY_OUTLIERS = (
         "{count} of {rows} rows do not fit the others, so the calibration is rejected: {common}; find the cause "
         "before using the model. Lines {lines}"
     )
-    STEP = "from line {line} on {what} If so, make the rows before and after two stations (column station)"
+    STEP = "from line {line} on {what} If so, make the rows before and after it two stations (column station)"
     DEPENDENT_ROWS = (
         "the residuals depend on the order of the rows: {what}; rows were weighted accordingly; look for what changed "
         "during the measurement: the instrument's set-up, temperature, the clamping of robot and target"
@@ -125,7 +125,7 @@ class CaveatKind(Enum):
         "its drive has a local error that the model does not describe; measure more poses there. Lines {lines}"
     )
     MOVED = (
-        "{what} since the first station: one value for all stations is right at none of them; calibrate each separately, or "
+        "{what} since the first station: a single value for all stations is wrong at each; calibrate each separately, or "
         "run pincal discover on all of them, which names what changed"
     )
     MISREAD = (

@@ -27,7 +27,7 @@ from pincal.robot.robot import Robot
 _DIGITS = 9
 # Asymmetry of a matrix, relative to its largest entry, that rounding explains.
 _ROUNDING = 1e-9
-_FILE = FileKind("an information file", ModelFileError, whole="what save() of pincal's RobotInformation writes")
+_FILE = FileKind("an information file", ModelFileError, whole="a file written by save() of pincal's RobotInformation")
 
 
 class RobotInformation(Record, frozen=True, kw_only=True):
@@ -74,7 +74,7 @@ class RobotInformation(Record, frozen=True, kw_only=True):
         if np.any(self.whole < 0.0) or np.any(np.diag(self.H) < -_ROUNDING * self.whole):
             raise Fault("has a negative entry on its diagonal", "an information matrix", key=".H")
         if self.priors is not None and np.any(self.priors <= 0.0):
-            raise Fault("holds a size that can't be meant", "standard deviations above 0", key=".priors")
+            raise Fault("holds a standard deviation that is not positive", "standard deviations above 0", key=".priors")
 
     @classmethod
     def of(cls, fit: ModelFit) -> RobotInformation:

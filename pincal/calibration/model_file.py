@@ -231,7 +231,7 @@ class StationsFile(Record, frozen=True, kw_only=True):
         for k, group in enumerate(self.covariance.groups):
             if any(not 0 <= i < n for i in group.parameters):
                 key = f".covariance.groups[{k}].parameters"
-                raise Fault("has an entry that is no fitted parameter", f"numbers from 0 to {n - 1}", key=key)
+                raise Fault("has an entry that is not a fitted parameter", f"numbers from 0 to {n - 1}", key=key)
         known = {parameter.name for parameter in self.parameters}
         for k, station in enumerate(self.stations):
             shaped(f".stations[{k}].covered.q", station.covered.q, ArrayShape(len(self.robot.joint_names), 2), {})
@@ -240,7 +240,7 @@ class StationsFile(Record, frozen=True, kw_only=True):
             missing = [name for name in names if not known & {name, f"{station.name}/{name}", here.get(name, name)}]
             missing += [name for name in station.table_names if name not in known]
             if missing:
-                raise Fault(f"do not hold {missing[0]!r}", f"all those of station {station.name!r}", key=".parameters")
+                raise Fault(f"lack {missing[0]!r}", f"all those of station {station.name!r}", key=".parameters")
 
     def model(self, k: int) -> Model:
         """Return the model of the k-th station."""

@@ -156,7 +156,7 @@ class StationModel:
         if conditions is None:
             return 0.0, treated
         size = float(np.sqrt(np.mean(np.sum(self.varied_by(effect, conditions) ** 2, axis=1))))
-        return size, f"{treated}; that adds {format_readable(size, 'm', '.2g')} of uncertainty, its variation there"
+        return size, f"{treated}; its variation there adds {format_readable(size, 'm', '.2g')} of uncertainty"
 
     def notes_on_day(self, rows: Measurements) -> tuple[str, ...]:
         """Return how effects of a temperature, time or move that rows lack are treated."""

@@ -60,7 +60,7 @@ def update(
     if verdict.changed:
         raise ChangedRobotError(
             f"{measurements.source}: the robot no longer matches its model (p = {verdict.p_value:.2g}), so its old "
-            "rows and these can't be combined; pincal diagnose finds out what has changed and re-identifies it. With --anew "
+            "rows and these can't be combined; pincal diagnose identifies what has changed and re-estimates it. With --anew "
             "EFFECT:JOINT the rows are added nevertheless, and that effect is re-estimated"
         )
     kept = np.delete(np.arange(len(measurements)), rows[list(verdict.wrong_rows)])

@@ -213,7 +213,7 @@ def _joined(state: SearchState, step: SearchStep) -> SearchState:
     if line is None:
         return state
     parts = (*line.effects, *step.effects)
-    log.info("%s: one line with %s", listed(step.effects), listed(line.effects[:1]))
+    log.info("%s and %s are one line", listed(step.effects), listed(line.effects[:1]))
     others = tuple(other for other in line.equivalent if not any(is_near(other, part, near) for part in parts))
     return state.with_replaced(line, replace(line, effects=parts, equivalent=others)).without_step(step)
 
@@ -235,7 +235,7 @@ def _as_suggested(state: SearchState, step: SearchStep, search: Search) -> Searc
     after = refit(rest, [*rest.options.effects, cause], start={})
     if deviance(after) > deviance(state.fit) + search.policy.tie:
         return state
-    log.info("%s is %s by its order", listed([wave]), listed([cause]))
+    log.info("%s is %s, judging by its order", listed([wave]), listed([cause]))
     rivals = each_heading_once([wave, *(e for e in step.equivalent if not is_near(e, cause, width))], cause, search.policy)
     state = state.tuned(step, replace(step, effects=(cause,), equivalent=rivals, after=after))
     if removed := [part for part in inside if part[0] is not wave]:

@@ -44,7 +44,7 @@ class Motions(Effect):
 
     coordinates: tuple[int, ...]
     name: ClassVar[str] = "motions"
-    meaning: ClassVar[str] = "coordinates of the chain move by themselves"
+    meaning: ClassVar[str] = "coordinates of the chain move independently"
     locus: ClassVar[Locus] = Locus()
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:

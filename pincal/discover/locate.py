@@ -67,7 +67,7 @@ class MovedPlace(Effect):
     depends_on: str
     curves: np.ndarray
     name: ClassVar[str] = "motion"
-    meaning: ClassVar[str] = "something moves by a curve of a variable"
+    meaning: ClassVar[str] = "a frame moves as a smooth function of a variable"
 
     @property
     def locus(self) -> Locus:

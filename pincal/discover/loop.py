@@ -109,7 +109,7 @@ def withdraw_names_at_change(found: History) -> History:
     fit = refit(found.final, [e for e in found.final.options.effects if e.identity not in gone], start={})
     if not _is_changed_midway(fit):
         return found
-    log.info("withdrawn because of a change midway: %s", listed(effects))
+    log.info("withdrawn because of a change during the session: %s", listed(effects))
     steps = tuple(step for step in found.steps if step.is_elastic)
     return found.changed(fit, steps, (), effects)
 

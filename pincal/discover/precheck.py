@@ -243,7 +243,7 @@ def minimum_detectable(fit: ModelFit, effects: Sequence[Effect], *, sigma: np.nd
 
 
 def _too_few(found: ScoreTests) -> str:
-    return f"{found.readings} readings leave {found.dof:.0f} degrees of freedom to judge by; measure more poses"
+    return f"{found.readings} readings leave only {found.dof:.0f} degrees of freedom for the tests; measure more poses"
 
 
 def _sizes(fit: ModelFit, found: ScoreTests, i: int, groups: int) -> Iterator[Detectable]:

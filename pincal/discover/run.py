@@ -222,12 +222,10 @@ def _search(
     ]
     if trail is not found:
         names = listed(trail.changes[-1].left)
-        notes.append(
-            f"withdrawn, since a change midway may look the same: {names}; make two stations of the table and run again"
-        )
+        notes.append(f"withdrawn, since a change during the session may explain them: {names}; run again with two stations")
     was, frame = first.fit.options.moment_frame, trail.final.options.moment_frame
     if frame != was:
-        notes.append(f"moments act as with --moment-frame {frame}: it fits better than {was}")
+        notes.append(f"moments are computed as with --moment-frame {frame}, which fits better than {was}")
     if of_joints := note_on_joints(trail.final):
         notes.append(of_joints)
     return trail, doubts_first(notes)

@@ -67,7 +67,7 @@ class Excess:
             return f"{self.joint} does not return to the same position about its own axis, even when a pose is repeated"
         if self.shown_by:
             return (
-                f"{self.joint} does not return to the same position about its own axis, whatever the pose and the recorded "
+                f"{self.joint} does not return to the same position about its own axis, regardless of pose and recorded "
                 "columns: neighbouring poses have unrelated errors"
             )
         if self.follows:

@@ -182,7 +182,7 @@ def _trusting_clusters(state: SearchState) -> SearchState:
             trusted = np.zeros(len(station), bool) if station.trusted is None else station.trusted.copy()
             trusted[found.rows] = True
             if station.trusted is None or (trusted != station.trusted).any():
-                log.info("%d rows cluster at %s and count from now on", len(found.rows), found.variable)
+                log.info("%d rows cluster at %s and are included from now on", len(found.rows), found.variable)
                 station = replace(station, trusted=trusted)
         stations.append(station)
     if all(a is b for a, b in zip(stations, fit.problem.stations, strict=True)):
@@ -242,7 +242,7 @@ def add_hidden_waves(state: SearchState, search: Search) -> SearchState:
 
     def offers(state: SearchState) -> Iterator[Scored[SearchStep]]:
         if (found := hidden_wave(state.fit, search)) is not None:
-            log.info("found %s behind the curves", listed(found.effects))
+            log.info("found %s as the cause of the curves", listed(found.effects))
             yield Scored(named_step(state.fit, found, search, until=Tolerance.SETTLED), found.row.cost)
 
     return select_stepwise(state, offers, SearchState.with_step, most=search.policy.most_steps)

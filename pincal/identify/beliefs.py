@@ -74,7 +74,7 @@ def require_named(problem: Problem, options: Options) -> None:
         if not _named(problem, pattern):
             close = ", ".join(difflib.get_close_matches(pattern, dict.fromkeys(known), n=3, cutoff=0.0))
             raise BadInputError(
-                f"a prior is given for {pattern!r}, which is no parameter of this model (base and targets excluded); "
+                f"a prior is given for {pattern!r}, which is not a parameter of this model (base and targets excluded); "
                 f"expected one such as {close}, or a pattern such as '*.theta'"
             )
 

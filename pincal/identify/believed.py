@@ -55,7 +55,7 @@ class Earlier:
         foreign = [p.name for p in estimate.parameters if p.station or p.is_extrinsic]
         if foreign:
             raise BadInputError(
-                f"{foreign[0]} belongs to a station; expected the robot's own parameters, such as model.robot_estimate has"
+                f"{foreign[0]} belongs to a station; expected the robot's own parameters, as in model.robot_estimate"
             )
         free = estimate.free
         root, sigma = estimate.covariance.root, np.sqrt(estimate.covariance.variance)

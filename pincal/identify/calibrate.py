@@ -154,7 +154,7 @@ def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurem
     for pattern in options.zeros:
         if not filter_names(robot.joint_names, pattern):
             known = ", ".join(nearest_first([pattern], robot.joint_names))
-            raise BadInputError(f"zeros of the joint {pattern!r} are unknown; expected one of {known}")
+            raise BadInputError(f"zeros of an unknown joint, {pattern!r}; expected one of {known}")
     if len(tables) == 1:
         ((name, table),) = tables.items()
         options = options.at(name)
@@ -184,7 +184,7 @@ def _by_all(fit: ModelFit, problem: Problem, executor: Executor | None) -> Model
     """Return a fit to some rows of a problem, refitted to all of them; itself if these are all."""
     if len(fit.problem) == len(problem):
         return fit
-    log.info("all %d rows, from the fit to %d of them", len(problem), len(fit.problem))
+    log.info("fitting all %d rows, starting from the fit to %d of them", len(problem), len(fit.problem))
     whole = over_all(fit, problem, executor)
     if whole.options.serial and is_dependent(whole):
         # The residuals of all rows under the fit to some show how noise is correlated, which saves one fit.
@@ -248,7 +248,7 @@ def _in_best_frame(fit: ModelFit) -> ModelFit:
         few = some_rows_of(fit)
         tried = [few if few is fit else with_bearings(refit(few, effects))]
         for other in (other for other in MOMENT_FRAMES if other != present):
-            log.info("how well --moment-frame %s fits, by %d rows", other, len(few.problem))
+            log.info("assessing --moment-frame %s with %d rows", other, len(few.problem))
             tried.append(with_bearings(refit(few, effects, moment_frame=other)))
         if (best := best_of(tried)) != present:
             return with_bearings(refit(fit, effects, moment_frame=best))

@@ -62,13 +62,13 @@ class ArrayShape:
 
 def _check_rotations(found: np.ndarray) -> None:
     if not are_rotations(found, tolerance=_ROTATION):
-        raise Fault("is no rotation", "orthonormal rows of a right-handed system")
+        raise Fault("is not a rotation", "orthonormal rows of a right-handed system")
 
 
 def _check_transforms(found: np.ndarray) -> None:
     last = found[..., 3, :]
     if not are_rotations(found[..., :3, :3], tolerance=_EXACT) or not (last == [0.0, 0.0, 0.0, 1.0]).all():
-        raise Fault("is no transform", "4 rows of 4, rotation and metres, the last row 0 0 0 1")
+        raise Fault("is not a rigid transform", "4 rows of 4, rotation and metres, the last row 0 0 0 1")
 
 
 def _numbers(depth: int, *, null: bool = False) -> msgspec.Meta:
@@ -121,7 +121,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             if isinstance(value, np.ndarray):
                 if np.isnan(value).any():
                     if shape.null is None:
-                        raise Fault("has entries that are no finite numbers", "an array of numbers", key=f".{name}")
+                        raise Fault("has entries that are not finite numbers", "an array of numbers", key=f".{name}")
                     value = np.where(np.isnan(value), shape.null, value)
                 msgspec.structs.force_setattr(self, name, shaped(f".{name}", value, shape, counts))
             elif value is not None:
@@ -164,7 +164,7 @@ def array_of(value: Any) -> np.ndarray:
     with suppress(OverflowError):
         if kinds <= _NUMBERS:
             return np.array(value, float)
-    raise Fault("has entries that are no finite numbers", "an array of numbers")
+    raise Fault("has entries that are not finite numbers", "an array of numbers")
 
 
 @lru_cache
@@ -220,11 +220,11 @@ def unpacked(text: str, most: int) -> np.ndarray:
     """
     kind = next((kind for kind in (_COVARIANCE, _MATRIX) if text.startswith(kind)), None)
     if kind is None:
-        raise Fault("has entries that are no finite numbers", "an array of numbers")
+        raise Fault("has entries that are not finite numbers", "an array of numbers")
     words = _words(text.removeprefix(kind), most)
     found = _covariance(words) if kind == _COVARIANCE else _matrix(words)
     if found is None or not np.isfinite(found).all():
-        raise Fault("is cut off or damaged", _EXPECTED)
+        raise Fault("is truncated or damaged", _EXPECTED)
     return found
 
 
@@ -257,7 +257,7 @@ def _words(text: str, most: int) -> np.ndarray:
     try:
         planes = unpacking.decompress(base64.b64decode(text, validate=True), most)
     except (ValueError, zlib.error):
-        raise Fault("is cut off or damaged", _EXPECTED) from None
+        raise Fault("is truncated or damaged", _EXPECTED) from None
     if not unpacking.eof or unpacking.unused_data or len(planes) % 8:
-        raise Fault("is cut off or damaged", _EXPECTED)
+        raise Fault("is truncated or damaged", _EXPECTED)
     return np.frombuffer(planes, np.uint8).reshape(8, -1).T.copy().view("<u8").ravel()

@@ -42,7 +42,7 @@ class CameraFile(Lens):
             is_whole = mount.shape == (4, 4) and bool(np.isfinite(mount).all())
             is_rigid = is_whole and are_rotations(mount[:3, :3], tolerance=_ROTATION)
             if not is_rigid or not np.array_equal(mount[3], [0.0, 0.0, 0.0, 1.0]):
-                raise Fault("is no transform", "4 rows of 4, rotation and metres", key=".T_tip_camera")
+                raise Fault("is not a rigid transform", "4 rows of 4, rotation and metres", key=".T_tip_camera")
 
     def lens(self) -> Lens:
         """Return the lens."""
@@ -62,4 +62,4 @@ def _matrix(kind: Any, value: Any) -> np.ndarray:
     try:
         return array_of(value)
     except Fault:
-        raise Fault("is no transform", "4 rows of 4, rotation and metres") from None
+        raise Fault("is not a rigid transform", "4 rows of 4, rotation and metres") from None

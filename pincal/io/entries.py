@@ -228,7 +228,7 @@ def effect_from_entry(entry: Any) -> Effect:
     if "name" not in entry:
         raise Fault(MISSING, "this key", key=".name")
     if not isinstance(name, str):
-        raise Fault(what_is(name, "a text"), "a text", key=".name")
+        raise Fault(what_is(name, "a string"), "a string", key=".name")
     if name not in known:
         if isinstance(module := entry.get("module"), str):
             raise Fault(f"effect {name!r} is not pincal's own", f"its module to be loaded: --plugin {module}", key=".name")
@@ -244,7 +244,7 @@ def effect_from_entry(entry: Any) -> Effect:
         place, problem, expected = explained(error, lambda: given, known[name])
         raise Fault(problem, expected, key=f".{place}" if place else "") from None
     except (TypeError, ValueError) as error:
-        raise Fault(f"{name} can't be made of these fields ({error})", "fields as pincal writes them") from None
+        raise Fault(f"{name} can't be built from these fields ({error})", "fields as pincal writes them") from None
 
 
 def _fields(effect: Effect | type[Effect]) -> tuple[Field[Any], ...]:
@@ -257,7 +257,7 @@ def _plain(value: Any) -> Any:
         return {"array": value.tolist()}
     if isinstance(value, np.generic):
         return value.item()
-    raise TypeError(f"a field of type {type(value).__name__} can't be written to model.json; use numbers, texts and tuples")
+    raise TypeError(f"a field of type {type(value).__name__} can't be written to model.json; use numbers, strings, tuples")
 
 
 def _restored(kind: Any, value: Any) -> Any:

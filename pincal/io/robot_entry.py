@@ -66,7 +66,7 @@ class PathEntry(Record, frozen=True, kw_only=True):
     def path(self, n_joints: int, key: str) -> LinkPath:
         """Return the path in a robot of n joints; raise a Fault at ``key`` for other joints."""
         if not all(-1 <= joint < n_joints for joint in (self.start_joint, self.tip_joint)):
-            raise Fault("names no joints", f"numbers from -1 to {n_joints - 1}", key=key)
+            raise Fault("refers to joints that do not exist", f"numbers from -1 to {n_joints - 1}", key=key)
         return LinkPath(**msgspec.structs.asdict(self))
 
 
@@ -82,7 +82,7 @@ class ClosureEntry(Record, frozen=True, kw_only=True):
         """Return the closure in a robot of n joints; raise a Fault below ``key`` for other joints or equations."""
         found = Closure(self.name, self.kind, self.path.path(n_joints, f"{key}.path"), self.rows)
         if not self.rows or not set(self.rows) <= set(range(found.size)):
-            raise Fault("are no equations", f"numbers from 0 to {found.size - 1}", key=f"{key}.rows")
+            raise Fault("are not equations", f"numbers from 0 to {found.size - 1}", key=f"{key}.rows")
         return found
 
 
@@ -126,10 +126,10 @@ class RobotEntry(Record, frozen=True, kw_only=True):
         driven = {mimic.joint for mimic in self.mimics}
         for k, mimic in enumerate(self.mimics):
             if mimic.joint not in self.joint_names or mimic.source not in set(self.joint_names) - driven:
-                raise Fault("names no joints", "one of the arm that follows another one of its own", key=f".mimics[{k}]")
+                raise Fault("names other joints", "a joint of the arm that follows another of its own", key=f".mimics[{k}]")
         for k, one in enumerate(self.couplings):
             if {one.joint, one.source} - set(self.joint_names) or one.joint == one.source:
-                raise Fault("names no joints", "two of the arm's", key=f".couplings[{k}]")
+                raise Fault("names other joints", "two of the arm's", key=f".couplings[{k}]")
         rows = sum(len(closure.rows) for closure in self.closures)
         if len(set(self.passive) & set(self.joint_names) - driven) != rows or len(self.passive) != rows:
             raise Fault("do not fit the loops", f"{rows} joints, one for each equation of the closures", key=".passive")
@@ -137,14 +137,14 @@ class RobotEntry(Record, frozen=True, kw_only=True):
         try:
             self.urdf_bytes()
         except UnicodeEncodeError as error:
-            raise Fault(f"is no text ({error.reason})", "the text of a URDF, or null", key=".urdf") from None
+            raise Fault(f"is not text ({error.reason})", "the text of a URDF, or null", key=".urdf") from None
 
     def _check_tree(self) -> None:
         """Refuse joints that are not carried by the base or an earlier joint, and wrong branches."""
         n, branches = len(self.joint_names), self.frames.branches
         parents = self.parents or tuple(range(-1, n - 1))
         if len(parents) != n or any(not -1 <= parent < i for i, parent in enumerate(parents)):
-            raise Fault("are no tree of the joints", "for each joint an earlier one, or -1 for the base", key=".parents")
+            raise Fault("form no tree of the joints", "for each joint an earlier one, or -1 for the base", key=".parents")
         following = dict(zip(reversed(parents), reversed(range(n)), strict=True))
         if list(branches) != [i for i, parent in enumerate(parents) if following[parent] != i]:
             raise Fault("do not fit the tree", "the joints that are not the first on their link", key=".frames.branches")

@@ -42,11 +42,11 @@ _NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 _SURROGATES = re.compile(rb"\\u[dD][89a-fA-F]")
 _PLACE = re.compile(r" - at `(?P<place>[^`]*)`$")
 _KEY = re.compile(r"\.([^.\[]+)|\[(\d+)\]")
-_KINDS = {dict: "an object", list: "a list", str: "a text", type(None): "null", bool: "true or false"}
+_KINDS = {dict: "an object", list: "a list", str: "a string", type(None): "null", bool: "true or false"}
 _EXPECTED = {
     "object": "an object",
     "array": "a list",
-    "str": "a text",
+    "str": "a string",
     "bool": "true or false",
     "int": "a whole number",
     "float": "a number",
@@ -149,10 +149,10 @@ calibrate again
             place, problem, expected = explained(error, lambda: _loaded(content), wanted)
         except ValueError as other:
             # The decoder stopped at the first fault; the text after it is not JSON.
-            place, problem, expected = "", f"cut off or no JSON ({other})", kind.name
+            place, problem, expected = "", f"truncated or not JSON ({other})", kind.name
         raise kind.fault(file, place, problem, expected) from None
     except ValueError as error:
-        raise kind.fault(file, "", f"cut off or no JSON ({error})", kind.name) from None
+        raise kind.fault(file, "", f"truncated or not JSON ({error})", kind.name) from None
 
 
 def bounded(content: bytes, kind: FileKind, file: str) -> bytes:
@@ -204,7 +204,7 @@ def explained(error: msgspec.ValidationError, loaded: Callable[[], Any], wanted:
     if match := re.fullmatch(r"Object missing required field `(.+)`", message):
         return f"{place}.{match[1]}".removeprefix("."), MISSING, "this key"
     if message == "Number out of range":
-        return re.sub(r"(\[[^]]*\])+$", "", place), "has entries that are no finite numbers", "finite numbers"
+        return re.sub(r"(\[[^]]*\])+$", "", place), "has entries that are not finite numbers", "finite numbers"
     value = _value_at(loaded(), place)
     if message.startswith("Invalid enum value"):
         return place, f"is {value!r}", f"one of {', '.join(map(str, get_args(_type_at(wanted, place))))}"
@@ -218,7 +218,7 @@ def what_is(value: Any, expected: str) -> str:
     """Return a value in words: a short text or number itself, else its kind."""
     if isinstance(value, (str, bool, int, float)) and len(repr(value)) <= 40:
         return f"is {value!r}"
-    return f"is no {expected.split(' ', 1)[-1]} but {_KINDS.get(type(value), 'a number')}"
+    return f"is {_KINDS.get(type(value), 'a number')}, not {expected}"
 
 
 def _steps(place: str) -> list[str | int]:

@@ -89,14 +89,14 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
     edited = write_origins(text, _origins(segments, old, before, after) | pins, tree.source)
     tip, notes = robot.tip, rigid_notes(model)
     if open_pins:
-        notes = (*notes, f"loops are as the URDF closes them at {', '.join(open_pins)}; where they do is in model.json only")
+        notes = (*notes, f"the loops at {', '.join(open_pins)} are as in the URDF; their calibration is in model.json only")
     is_moved = {end: np.abs(after[end] - before[end]).max() > _TIP_MOVED for end in ends if not segments[end]}
     if is_moved.pop(tip, False):
         edited, tip = _with_tip(edited, tree, robot, np.linalg.inv(before[tip]) @ after[tip])
         notes = (*notes, f"no fixed joint holds {robot.tip}; link {tip} was inserted behind it as the calibrated tip")
     held = [end for end, moved in is_moved.items() if moved]
     if held:
-        notes = (*notes, f"no fixed joint holds {', '.join(held)}; where calibration moved them is in model.json only")
+        notes = (*notes, f"no fixed joint holds {', '.join(held)}; their calibrated placement is in model.json only")
     new = read_origins(edited, tree.source)
     changed = tuple(name for name in old if not np.array_equal(new[name].matrix, old[name].matrix))
     lost = (*held, *ends, tip) if open_pins else held
@@ -223,7 +223,7 @@ def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
         )
     if others:
         notes.append(
-            f"{', '.join(others)}: varies from pose to pose; the {what} has its value at q = 0, model.json all of it"
+            f"{', '.join(others)}: varies from pose to pose; the {what} has its value at q = 0, model.json the whole effect"
         )
     if read:
         notes.append(f"{', '.join(read)}: an error of the instrument, not of the robot; it is in model.json only")

@@ -192,13 +192,13 @@ def _check_count(measurements: Measurements, setup: Setup, *, joints: int, purpo
     if sensor.pose_limit and poses < fewest:
         raise MeasurementError(
             f"{measurements.source}: {poses} poses {sensor.pose_limit}: expected at least {fewest}, "
-            f"and better {min(better, 30)} or more"
+            f"preferably {min(better, 30)} or more"
         )
     needed = -(-(len(sensor.base_symbols) + own + tool + joints) // sum(block.size for block in sensor.blocks))
     if len(measurements) < needed:
         raise MeasurementError(
             f"{measurements.source}: {len(measurements)} {measurements.kind} measurements; expected at least {needed} "
-            f"{purpose}, and better {better} or more"
+            f"{purpose}, preferably {better} or more"
         )
 
 

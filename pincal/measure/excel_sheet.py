@@ -47,7 +47,7 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
 
     title, lines = _lines(path, sheet, joints)
     if not lines:
-        raise MeasurementError(f"{path.name}: is empty; expected a header line and one line a pose")
+        raise MeasurementError(f"{path.name}: is empty; expected a header line and one line per pose")
     found = find_heading([["" if cell is None else str(cell) for cell in cells] for _, cells in lines[:_LOOKED_AT]], joints)
     found = found or TableHead(0, 1, tuple("" if cell is None else str(cell).strip() for cell in lines[0][1]))
     if found.body > 1:

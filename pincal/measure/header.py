@@ -180,7 +180,7 @@ def _with_vectors(labels: list[Label], sheet: Sheet, quantities: Mapping[str, st
     if not guessed:
         return labels
     pairs = ", ".join(f"{label}={axis}" for label, axis in guessed.items())
-    what = "read by what they seem to be:" if schema.is_stream else "the position is taken from the columns"
+    what = "interpreted by their names:" if schema.is_stream else "the position is taken from the columns"
     warn(f"{sheet.path.name}: {what} {pairs}; if that is wrong, map them with --columns")
     return [replace(label, meant=guessed.get(label.meant, label.meant)) for label in labels]
 

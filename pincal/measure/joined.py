@@ -281,8 +281,8 @@ def _agreed(by_column: _Pairs | None, by_time: _Pairs | None, *, table: Sheet, l
     if any(np.abs(_pooled(q, one) - _pooled(q, other)).max(initial=0.0) > _SAME for q in log.q.T):
         time = "its time" if by_time is not None else "the motion of the arm, which does not hold still there"
         raise MeasurementError(
-            f"{table.path.name}: joints from {log.sheet.path.name} {by_column.words} contradict {time}; expected one pose a "
-            "row: ignore the column if it only counts rows, or correct the times"
+            f"{table.path.name}: joints from {log.sheet.path.name} {by_column.words} contradict {time}; expected one pose "
+            "per row: ignore the column if it only counts rows, or correct the times"
         )
     return by_column
 
@@ -317,7 +317,7 @@ def _by_time(log: Log, time: np.ndarray | None) -> _Pairs | None:
     if log.held is None:
         line = int(np.flatnonzero(np.diff(theirs) <= 0)[0])
         raise MeasurementError(
-            f"{log.sheet.path.name}: its time does not increase in row {line + 2}; expected a log in order, one sample a row"
+            f"{log.sheet.path.name}: time does not increase in row {line + 2}; expected a log in order, one sample per row"
         )
     which = log.held.at(theirs, time)
     rows = np.flatnonzero(which >= 0)

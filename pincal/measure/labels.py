@@ -161,7 +161,7 @@ def unit_of(label: str, quantity: str, *, where: str) -> str:
     if match is None:
         raise MeasurementError(f"{where}: unclosed unit; expected at its end one of {accepted}")
     if "[" in label and unit not in UNITS[quantity]:
-        raise MeasurementError(f"{where}: [{unit}] is no unit of this column; expected one of {accepted}")
+        raise MeasurementError(f"{where}: [{unit}] is not a unit of this column; expected one of {accepted}")
     return unit
 
 

@@ -156,10 +156,10 @@ def _matrices(columns: Mapping[str, np.ndarray], group: str, *, source: str) -> 
         rotations = Rotation.from_quat(turned).as_matrix()
     except (KeyError, ValueError, TypeError) as error:
         raise MeasurementError(
-            f"{source}: {group} is not a pose in each sample; expected translation and rotation"
+            f"{source}: {group} does not hold a pose in each sample; expected translation and rotation"
         ) from error
     if np.isnan(quaternions_of(rotations)).any() or not np.isfinite(place).all():
-        raise MeasurementError(f"{source}: {group} is not a pose in each sample; expected finite numbers")
+        raise MeasurementError(f"{source}: {group} does not hold a pose in each sample; expected finite numbers")
     return transform(rotations, place)
 
 
@@ -312,11 +312,11 @@ def _by_path(data: Any, source: str) -> dict[str, np.ndarray]:
         records = next(iter(lists.values()), None)
     if records is not None:
         if not records or not all(isinstance(record, Mapping) for record in records):
-            raise MeasurementError(f"{source}: a list without records; expected one record with names a pose")
+            raise MeasurementError(f"{source}: a list without records; expected one named record per pose")
         rows = [dict(_flat(record)) for record in records]
         paths = dict.fromkeys(path for row in rows for path in row)
         if len(paths) > _MOST:
-            raise MeasurementError(f"{source}: {len(paths)} values a record; expected at most {_MOST}")
+            raise MeasurementError(f"{source}: {len(paths)} values per record; expected at most {_MOST}")
         return {path: _array([row.get(path) for row in rows]) for path in paths}
     if not isinstance(data, Mapping):
         raise MeasurementError(f"{source}: holds one value; expected a list of records, or columns of one length")
@@ -326,7 +326,7 @@ def _by_path(data: Any, source: str) -> dict[str, np.ndarray]:
     count = max(set(lengths), key=lambda length: (lengths.count(length), length), default=0)
     others = [path for path, v in found.items() if not v.ndim or len(v) != count]
     if others:
-        warn(f"{source}: of another length than the {count} rows and left out: {', '.join(others[:20])}")
+        warn(f"{source}: these differ in length from the {count} rows and are left out: {', '.join(others[:20])}")
     return {path: v for path, v in found.items() if path not in others}
 
 

@@ -111,7 +111,7 @@ class PointSensor(Sensor, OwnParameters, Grouped):
         yield from self.unobservable_with(known)
         if known and self.points.are_in_line and not self.in_link_frame:
             some = "fewer than three of the named points are known" if known < 3 else "the known points are collinear"
-            yield f"{some}, so a rotation of the base about them is undetermined: give one more, off their line"
+            yield f"{some}, so a rotation of the base about them is undetermined: give another one off their line"
 
     @abstractmethod
     def unobservable_with(self, known: int) -> Iterator[str]:

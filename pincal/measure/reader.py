@@ -144,7 +144,7 @@ def cells_of(sheet: Sheet, schema: Schema, *, is_part: bool = False, was_joined:
     values |= {name: np.full(len(rows), schema.resting[name]) for name in resting}
     if resting:
         at = ", ".join(f"{name} at {schema.resting[name]:g}" for name in resting)
-        warn(f"{path.name}: no column for {len(resting)} joints off the paths of these rows, which rest: {at}")
+        warn(f"{path.name}: no column for {len(resting)} joints off the paths of these rows; they are assumed at rest: {at}")
     if joints and (missing := [name for name in joints if name not in values]):
         values |= _followers(schema, values, missing)
     if joints and header.readings and "time" in values and not is_part and not schema.may_lack_joints:

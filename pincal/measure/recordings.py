@@ -95,7 +95,7 @@ def _with_vectors(sheet: FrameSheet) -> FrameSheet:
         if is_named:
             found = tuple(n.removesuffix(".pos") + " [deg]" * n.endswith(".pos") for n in given)
             if any(n.endswith(".pos") for n in given):
-                warn(f"{sheet.path.name}: positions in {name} are taken for degrees, not for shares of the range")
+                warn(f"{sheet.path.name}: positions in {name} are interpreted as degrees, not as fractions of the range")
         if note:
             warn(f"{sheet.path.name}: {note}")
         values = pl.col(name).cast(pl.List(pl.Float64))

@@ -113,7 +113,7 @@ class FrameSheet(Sheet):
 
         kinds = self.frame.collect_schema().dtypes()
         if wrong := [column.label for column in columns if kinds[column.index].is_nested()]:
-            raise MeasurementError(f'{self.path.name}, column "{wrong[0]}": lists; expected one number or name a cell')
+            raise MeasurementError(f'{self.path.name}, column "{wrong[0]}": lists; expected one number or name per cell')
         frame = self.frame.select(pl.nth(column.index).alias(column.name) for column in columns).collect()
         return frame, np.arange(self.start + 2, self.start + frame.height + 2) if self.rows is None else self.rows
 
@@ -143,7 +143,7 @@ def read_cells(
     asked = [*columns, *([] if flag is None else [flag])]
     frame, rows = sheet.read(asked)
     if frame.height == 0:
-        raise MeasurementError(f"{sheet.path.name}: has a header and no rows; expected one line a pose")
+        raise MeasurementError(f"{sheet.path.name}: has a header and no rows; expected one line per pose")
     for column in asked:
         _check_lengths(frame[column.name], rows, column, source=sheet.path.name)
     frame, rows = _with_readings(frame, rows, [column for column in columns if column.name in readings], flag, sheet)

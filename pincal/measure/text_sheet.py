@@ -84,7 +84,7 @@ def open_text(path: Path, joints: Collection[str] = ()) -> Sheet:
     for number, line in enumerate(head.removeprefix(codecs.BOM_UTF8).splitlines(), start=1):
         if _has_cells(line):
             return _sheet_of_header(path, line, number, content=content)
-    raise MeasurementError(f"{path.name}: is empty; expected a header line and one line a pose")
+    raise MeasurementError(f"{path.name}: is empty; expected a header line and one line per pose")
 
 
 # Lines searched for the header.

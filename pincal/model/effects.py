@@ -89,7 +89,7 @@ class JointOffset(_Geometry):
     """
 
     name: ClassVar[str] = "joint_offset"
-    meaning: ClassVar[str] = "the zero position of a joint is off"
+    meaning: ClassVar[str] = "the zero position of a joint is wrong"
     locus: ClassVar[Locus] = Locus(acts_on="drive")
     turning: ClassVar[tuple[str, ...]] = ("theta",)
     sliding: ClassVar[tuple[str, ...]] = ("d",)

@@ -74,7 +74,7 @@ class JointPath:
             (array([[0.283662]]), [True, False])
         """
         if len(time) < 2 or np.any(np.diff(time) <= 0.0):
-            raise MeasurementError("times of the joints do not increase; expected a log in order, one sample a row")
+            raise MeasurementError("times of the joints do not increase; expected a log in order, one sample per row")
         own = np.asarray(time - time[0], float)
         rate = _chosen_rate(own, q) if knots_per_second is None else knots_per_second
         stretches = list(_stretches(own, 1.0 / rate))

@@ -98,17 +98,17 @@ def _sorted(stream: Stream, in_packets: bool) -> Stream:
     is_often = crowded.any() and farthest <= _LATE and back.sum() > _OFTEN_SET
     # Rows in the order of sampling are smoother than in the order of their stamps.
     if is_often and _is_smoother((stream, np.arange(len(time))), (ordered, ordered.time)):
-        return _by_count(stream, f"time runs back {int(back.sum())} times, by {farthest:.2g} s or less")
+        return _by_count(stream, f"time runs backwards {int(back.sum())} times, by {farthest:.2g} s or less")
     if crowded.any() or farthest > _LATE:
         k = int(np.argmax(back))
         raise MeasurementError(
-            f"{stream.name}, line {stream.lines[k + 1]}: time runs back from {_shown(time[k])} to {_shown(time[k + 1])}; "
-            "expected one log with one clock: give logs that were appended to each other, or the parts before and after a "
-            "clock was set, as separate sessions, and add its range to a counter that overflowed; if it runs back "
-            "repeatedly, stamps are times of arrival: log the device's own"
+            f"{stream.name}, line {stream.lines[k + 1]}: time runs backwards from {_shown(time[k])} to "
+            f"{_shown(time[k + 1])}; expected one log with one clock: give logs that were appended to each "
+            "other, or the parts before and after a clock was set, as separate sessions, and add its range to a counter "
+            "that overflowed; if it runs backwards repeatedly, stamps are times of arrival: log the device's own"
         )
     late, name = latest > time, stream.name
-    warn(f"{name}: {int(late.sum())} rows, the first in line {stream.lines[late][0]}, are late and are put in order")
+    warn(f"{name}: {int(late.sum())} rows, the first in line {stream.lines[late][0]}, are late and are sorted by time")
     return ordered
 
 

@@ -249,7 +249,7 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
     rms = float(np.linalg.norm(found.scatter))
     if rms > _OFF * float(np.linalg.norm(position.std(axis=0))):
         raise OtherMotionError(
-            f"{tracker.name}: after the best placement positions are off by {1e3 * rms:.3g} mm rms; expected some mm: "
+            f"{tracker.name}: after the best placement positions are off by {1e3 * rms:.3g} mm rms; expected a few mm: "
             "is it this arm, and is the target fixed to the tool?"
         )
     check_clock(tracker, found)

@@ -237,7 +237,7 @@ def checked_imu(stream: Stream) -> Stream:
         flat = ends[column]
         if flat.mean() > _FEW:
             raise MeasurementError(
-                f"{stream.name}: column {column!r} is cut off at {np.abs(values).max():.4g} in {100 * flat.mean():.0f} "
+                f"{stream.name}: column {column!r} is clipped at {np.abs(values).max():.4g} in {100 * flat.mean():.0f} "
                 "% of the rows; choose a larger range of the IMU, or drive more slowly"
             )
         cut |= flat
@@ -249,7 +249,7 @@ def checked_imu(stream: Stream) -> Stream:
                 "broken or not logged: repair the log, or leave that part out"
             )
     if cut.any():
-        warn(f"{stream.name}: {int(cut.sum())} rows are cut off at the end of the IMU's range and are left out")
+        warn(f"{stream.name}: {int(cut.sum())} rows are clipped at the limit of the IMU's range and are left out")
     kept = stream.without(held, "have constant forces or rates, which jump before or after: they were not updated")
     return kept.select(~(cut | repeats)[~held]) if np.any(cut | repeats) else kept
 

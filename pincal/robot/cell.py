@@ -78,16 +78,16 @@ def read_cell(
             )
         if of.is_found:
             at = ", ".join(f"{number:.4f}" for number in of.place)
-            notes += (f"{of.name} stands at {at} (x y z roll pitch yaw) in the frame of {first.root}, by the readings",)
+            notes += (f"{of.name} is at {at} (x y z roll pitch yaw) in the frame of {first.root}, found from the readings",)
         its, taken = parse_xml(tree.text, tree.source), _names(root)
         notes += tree.notes
         if twice := sorted(_names(its) & taken):
             _prefix(its, prefix, _names(its))
-            notes += (f"two robots have a {twice[0]}: links and joints of {of.source} are {prefix}{twice[0]} and so on",)
+            notes += (f"two robots have a {twice[0]}: names of {of.source} get a prefix, as in {prefix}{twice[0]}",)
         _prefix(its, prefix, _names(its, "material") & _names(root, "material"))
         if twice := sorted((_names(its) | {of.joint}) & taken):
             raise RobotFileError(
-                f"{tree.source}: {twice[0]!r} is a name of another robot; expected another name than {of.name}"
+                f"{tree.source}: {twice[0]!r} is already a name of another robot; expected a name other than {of.name}"
             )
         for mesh in its.iter("mesh"):
             here, there = (find_mesh(mesh.get("filename", ""), source) for source in (tree.source, first.source))

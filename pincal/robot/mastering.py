@@ -44,7 +44,7 @@ def remastered(robot: Robot, *, shifts: Mapping[str, float] | None = None, turne
     for name in (*given, *turned):
         if name not in known:
             raise BadInputError(
-                f"sign or zero of the joint {name!r}; expected one of {', '.join(nearest_first([name], known))}"
+                f"sign or zero of an unknown joint, {name!r}; expected one of {', '.join(nearest_first([name], known))}"
             )
     root = parse_xml(robot.urdf, robot.source)
     for joint in root.iterfind("joint"):

@@ -291,7 +291,7 @@ class Robot:
         given = [Coupling.of(one) if isinstance(one, str) else one for one in couplings]
         own = [self.joint_names[i] for i in self.own_joints]
         for name in (name for one in given for name in (one.joint, one.source) if name not in own):
-            raise BadInputError(f"coupling of the joint {name!r}; expected one of {', '.join(nearest_first([name], own))}")
+            raise BadInputError(f"no joint {name!r} to couple; expected one of {', '.join(nearest_first([name], own))}")
         found = replace(self, couplings=(*self.couplings, *given))
         if abs(np.linalg.det(found.combination)) < _LEAST_DETERMINANT:
             raise BadInputError("the couplings do not determine the positions of the joints; expected other couplings")

@@ -130,7 +130,7 @@ def linkage_of(
     where = f"in the loop closed by {', '.join(closure.name for closure in closures)}"
     if (gap := float(np.abs(free.equations(free.assembled()[None])[0]).max())) > _LOOSE:
         raise RobotFileError(
-            f"{choice.source}: {where} ends stay {1e3 * gap:.3g} mm or mrad apart wherever the joints are; expected frames "
+            f"{choice.source}: {where} ends stay {1e3 * gap:.3g} mm or mrad apart at all joint positions; expected frames "
             "on both links that joints can bring together"
         )
     C = free.equations(_samples(free))[1]
@@ -139,7 +139,7 @@ def linkage_of(
     C[:, turns] *= np.abs(C[:, ~turns]).max()
     rank = int(np.max(_ranks(C[..., loop])))
     if rank in (0, len(loop)):
-        raise RobotFileError(f"{choice.source}: {where} nothing can move; expected joints that do")
+        raise RobotFileError(f"{choice.source}: {where} no joint can move; expected joints that can")
     passive = _followers(C, loop, rank, kinematics, choice)
     for joint in passive:
         name = choice.names[joint]
@@ -150,14 +150,14 @@ def linkage_of(
     recorded = choice.names if choice.recorded is None else choice.recorded
     if unknown := [choice.names[i] for i in drivers if choice.names[i] not in recorded]:
         raise RobotFileError(
-            f"{choice.source}: {where} {len(drivers)} joints move by themselves, {len(unknown)} without a reading; expected "
+            f"{choice.source}: {where} {len(drivers)} joints move independently, {len(unknown)} without a reading; expected "
             f"a column of {' and '.join(unknown)}"
         )
     rows = _equations_of(C[..., passive])
     moves = np.abs(np.linalg.pinv(C[:, rows][..., passive]) @ C[:, rows][..., drivers]).max(axis=(0, 2))
     still = [choice.names[joint] for joint, move in zip(passive, moves, strict=True) if move < STILL]
     if stuck := [name for name in still if name in choice.on_path]:
-        raise RobotFileError(f"{choice.source}: {where} {' and '.join(stuck)} can't move; expected joints that do")
+        raise RobotFileError(f"{choice.source}: {where} {' and '.join(stuck)} can't move; expected joints that can")
     starts = np.cumsum([0, *(closure.size for closure in closures)])
     used = [
         replace(closure, rows=tuple(int(row - a) for row in rows if a <= row < a + closure.size))
@@ -172,9 +172,7 @@ def linkage_notes(linkage: Linkage, choice: Choice) -> tuple[str, ...]:
     passive, drivers = ([choice.names[i] for i in joints] for joints in (linkage.passive, linkage.drivers))
     verb = "follow" if len(passive) > 1 else "follows"
     loops = " and ".join(closure.name for closure in linkage.closures)
-    notes: tuple[str, ...] = (
-        f"{', '.join(passive)} {verb} from {', '.join(drivers)}, as the loops closed by {loops} have it",
-    )
+    notes: tuple[str, ...] = (f"{', '.join(passive)} {verb} from {', '.join(drivers)} through the loops closed by {loops}",)
     if unused := [name for name in passive if name in (choice.recorded or ())]:
         notes = (*notes, f"readings of {', '.join(unused)} are not used: the loops determine these positions")
     return notes

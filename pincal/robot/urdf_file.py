@@ -85,7 +85,7 @@ def read_urdf(path: str | os.PathLike[str], *, xacro_args: Mapping[str, str] | N
     if elements := _xacro_elements(text):
         text = _expand_xacro(Path(path), elements, xacro_args or {})
     elif xacro_args:
-        raise RobotFileError(f"{source}: is no xacro file, so it takes no xacro arguments; leave them out")
+        raise RobotFileError(f"{source}: is not a xacro file, so it takes no xacro arguments; leave them out")
     return parse_urdf(text, source=source)
 
 
@@ -192,7 +192,7 @@ def _check_limit(element: Any, name: str, kind: str, source: str) -> None:
 def _attribute(element: Any, key: str, source: str) -> str:
     value = element.get(key)
     if not value:
-        raise _fault(element, source, f"<{element.tag}> without {key!r}; expected a text")
+        raise _fault(element, source, f"<{element.tag}> without {key!r}; expected a value")
     return str(value)
 
 
@@ -226,7 +226,7 @@ def _find_root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: st
     roots = [link for link in links if link not in children]
     if len(roots) != 1 or len(in_tree_order(roots[0], joints)) != len(joints):
         raise RobotFileError(
-            f"{source}: the links form no single tree (roots: {', '.join(roots) or 'none, the joints run in a circle'});"
+            f"{source}: the links do not form a single tree (roots: {', '.join(roots) or 'none, the joints form a cycle'});"
             " expected all links to descend from one root link"
         )
     return roots[0]
@@ -247,7 +247,7 @@ def _expand_xacro(path: Path, elements: Sequence[Any], arguments: Mapping[str, s
     known = {element.get("name", ""): element.get("default") for element in declared}
     unknown = [name for name in arguments if name not in known]
     if unknown:
-        takes = f"those that it has: {', '.join(nearest_first(unknown, known))}" if known else "it has none"
+        takes = f"its arguments: {', '.join(nearest_first(unknown, known))}" if known else "it has none"
         warn(f"{path}: does not declare the xacro argument {unknown[0]!r}; {takes}")
     # The name of the robot may use an argument before the line that gives its default.
     literal = {name: value for name, value in known.items() if value is not None and "$" not in value}
@@ -295,7 +295,7 @@ def find_file(source: str | os.PathLike[str]) -> Path:
     # A folder with the name of a robot, such as one of results, is not a URDF.
     if path.is_file() or path.suffix or os.sep in os.fspath(source):
         return path
-    what, package = f"{path.name!r} is no file, and robots by name", "example-robot-data-loaders"
+    what, package = f"{path.name!r} is not a file, and robots by name", "example-robot-data-loaders"
     with needed("example-robot-data", what, install=package, error=RobotFileError):
         from example_robot_data import robots_loader
 
@@ -327,5 +327,5 @@ def _of_this_name(name: str, file: Path, known: Collection[str]) -> Path:
     if robot_name(other) != name:
         near = ", ".join(nearest_first([name], sorted(one for one in known if one != name))[:12])
         raise RobotFileError(f"{conflict}; expected {name!r}: give the path of its URDF, or another name, such as {near}")
-    warn(f"{conflict}; {other.name} next to it is read instead")
+    warn(f"{conflict}; {other.name} in the same folder is read instead")
     return other

@@ -130,7 +130,7 @@ def _apart(groups: np.ndarray, count: int, distance: float) -> np.ndarray:
             return np.array(chosen)
         if distance < 1e-3:
             raise BadInputError(
-                f"only {len(groups)} positions at which the tool point can be held well, {count} wanted; ask for fewer"
+                f"only {len(groups)} positions at which the tool point can be held well, {count} requested; request fewer"
             )
         distance *= 0.7
 

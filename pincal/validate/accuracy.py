@@ -210,8 +210,8 @@ def cycle_words(iso: Mapping[str, Any]) -> str:
 
     Example:
         >>> cycle_words({"poses": {"train": 4, "test": 1}, "cycles": {"min": 3, "max": 5, "standard": 30}})
-        '5 poses, 3 to 5 cycles each; ISO 9283 asks for 30, so AP and especially RP are rough estimates'
+        '5 poses, 3 to 5 cycles each; ISO 9283 specifies 30, so AP and especially RP are rough estimates'
     """
     poses, least, most = sum(iso["poses"].values()), iso["cycles"]["min"], iso["cycles"]["max"]
     words = f"{counted(poses, 'pose')}, {least if least == most else f'{least} to {most}'} cycles each"
-    return words if least >= CYCLES else f"{words}; ISO 9283 asks for {CYCLES}, so AP and especially RP are rough estimates"
+    return words if least >= CYCLES else f"{words}; ISO 9283 specifies {CYCLES}, so AP and especially RP are rough estimates"

@@ -127,12 +127,12 @@ def path_words(found: dict[str, Any]) -> str:
 
     Example:
         >>> path_words({"cycles": 1, "points": 9, "standard": 10, "AT_mm": 0.25})
-        'AT 0.2500 mm; one cycle, the noise of the instrument included: repeat the path, ISO 9283 asks for 10 cycles'
+        'AT 0.2500 mm; one cycle, the noise of the instrument included: repeat the path, ISO 9283 specifies 10 cycles'
     """
     parts = {name: name.rsplit("_", 1) for name in found if name.startswith(("AT_", "RT_"))}
     sizes = [f"{of.replace('_', ' ')} {found[name]:.4f} {unit}" for name, (of, unit) in parts.items()]
     n, asked = found["cycles"], found["standard"]
-    rest = f"one cycle, the noise of the instrument included: repeat the path, ISO 9283 asks for {asked} cycles"
+    rest = f"one cycle, the noise of the instrument included: repeat the path, ISO 9283 specifies {asked} cycles"
     if n > 1:
-        rest = f"{n} cycles" + (f"; ISO 9283 asks for {asked}" if n < asked else "")
+        rest = f"{n} cycles" + (f"; ISO 9283 specifies {asked}" if n < asked else "")
     return f"{', '.join(sizes)}; {rest}"

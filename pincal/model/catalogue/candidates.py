@@ -23,7 +23,7 @@ from pincal.robot.robot import Robot
 _CONSTANT = 1e-9
 # Why a recorded variable contains no information on a joint, if not because its column is missing or constant.
 _UNTOLD = {
-    "move": "<joint> stands still, or its direction of approach does not follow from the row before: see column "
+    "move": "<joint> does not move, or its direction of approach does not follow from the row before: see column "
     "approach_<joint>"
 }
 
@@ -126,7 +126,7 @@ def _standing_still(effect: Effect, situation: PoseSet) -> str:
     if not bases:
         return "it has no effect in these poses or on this arm"
     source = at.joint if at.follows in RECORDABLE else at.follows or at.joint
-    return f"{source} stands still in all poses, so the effect is constant"
+    return f"{source} does not move in any pose, so the effect is constant"
 
 
 def effect_parts(text: str) -> tuple[str, list[tuple[str, str]]]:

@@ -86,7 +86,7 @@ class GearRatio(DriveEffect):
     """
 
     name: ClassVar[str] = "gear_ratio"
-    meaning: ClassVar[str] = "the joint turns too far or too short by a constant factor"
+    meaning: ClassVar[str] = "the joint moves too far or not far enough by a constant factor"
     symbol: ClassVar[str] = "ratio"
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = RATIO
@@ -281,7 +281,7 @@ class ServoDroop(DriveEffect):
     """
 
     name: ClassVar[str] = "servo_droop"
-    meaning: ClassVar[str] = "steady-state position error: the joint stands between the commanded and the read-back position"
+    meaning: ClassVar[str] = "steady-state position error: the joint rests between the commanded and the read-back position"
     symbol: ClassVar[str] = "droop"
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = PLAY

@@ -313,7 +313,7 @@ class Hysteresis(LoadedDrive):
 
     preload: float = 0.0
     name: ClassVar[str] = "hysteresis"
-    meaning: ClassVar[str] = "friction under load: the joint stops wound up, depending on the direction of approach"
+    meaning: ClassVar[str] = "friction under load: the drive comes to rest wound up, depending on the direction of approach"
     symbol: ClassVar[str] = "hysteresis"
     unit: ClassVar[str] = "rad/(N m)"
     typical: ClassVar[float] = PLAY

@@ -258,7 +258,7 @@ class InstrumentStretch(_Reading):
     """
 
     name: ClassVar[str] = "instrument_stretch"
-    meaning: ClassVar[str] = "the instrument reads lengths in one direction longer than in another"
+    meaning: ClassVar[str] = "the instrument's scale differs between directions"
     locus: ClassVar[Locus] = Locus(acts_on="directions")
     # It is constant: as a new effect, it would hide a change of the robot.
     is_constant: ClassVar[bool] = True
@@ -290,6 +290,6 @@ def _obstacle(situation: PoseSet) -> str:
     if away >= reach:
         return ""
     return (
-        f"the frame of the readings has its origin {away:.2g} m from the robot's base, where no tracker can stand: give "
+        f"the frame of the readings has its origin {away:.2g} m from the robot's base, where no tracker can be: give "
         "them in the tracker's own frame"
     )

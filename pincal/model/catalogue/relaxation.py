@@ -105,7 +105,7 @@ class JointCreep(_Relaxing, DriveEffect, ExponentialDrift):
     span: float | None = None
     expected: float = 0.0
     name: ClassVar[str] = "joint_creep"
-    meaning: ClassVar[str] = "the joint offset creeps with time, ever more slowly"
+    meaning: ClassVar[str] = "the joint offset creeps with time at a decreasing rate"
     follows: ClassVar[str] = "time"
     recorded_as: ClassVar[str] = "time"
 
@@ -151,7 +151,7 @@ class ThermalGrowth(_Relaxing, ExponentialDrift):
     span: float | None = None
     expected: float = 0.0
     name: ClassVar[str] = "thermal_growth"
-    meaning: ClassVar[str] = "the links expand with time, ever more slowly, as the arm warms up"
+    meaning: ClassVar[str] = "the links expand with time at a decreasing rate as the arm warms up"
 
     @property
     def locus(self) -> Locus:

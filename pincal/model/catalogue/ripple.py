@@ -130,7 +130,7 @@ class EncoderSubdivision(_FineWaves):
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield it on every revolute joint, not to be tested until its lines are given."""
-        unknown = "its lines per revolution are not known; give them: --try encoder_subdivision:JOINT:order=LINES"
+        unknown = "its lines per revolution are unknown; give them: --try encoder_subdivision:JOINT:order=LINES"
         yield from (Candidate(cls(joint, _LINES), variants=(), obstacle=unknown) for joint in situation.revolute)
 
     def tuned(self, order: float, chosen_among: float = 1.0) -> EncoderSubdivision:
@@ -144,7 +144,7 @@ class EncoderSubdivision(_FineWaves):
     def origin(self, order: float, resolution: float, wheels: Mapping[float, str]) -> str:
         """Return that it is a power of two, if so."""
         power, chance = _binary(order, resolution)
-        return f"2^{power}, as of an encoder with binary subdivision{_as_near(chance)}" if power else ""
+        return f"2^{power}, as for an encoder with binary subdivision{_as_near(chance)}" if power else ""
 
 
 def independent_orders(q: np.ndarray, band: tuple[float, float]) -> float:
