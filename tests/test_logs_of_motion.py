@@ -286,7 +286,7 @@ def test_joints_that_are_interrupted_go_on_behind_the_gap(logs: Tables, tmp_path
     kept = session.joints.lines - 2
     assert not rows[kept].any() and len(kept) > len(rows) - rows.sum() - 3
     np.testing.assert_allclose(session.joints.readings["q"], true[kept], atol=1e-9)
-    assert "joints.csv: 124 of 4000 rows, the first in line 1002, repeat the one before, or are off the motion" in told
+    assert "joints.csv: 124 of 4000 rows, the first in line 1002, repeat the previous one, or are off the motion" in told
     assert laid(session)[0] == pytest.approx(OFFSET, abs=2e-3)
 
     tables["joints"] = {"time": tables["joints"]["time"]} | dict(zip(JOINTS, true.T.copy(), strict=True))
@@ -424,7 +424,7 @@ def test_an_imu_that_is_polled_at_nearly_its_own_rate_is_told(logs: Tables, tmp_
     tables["imu"] = {name: values[rows] for name, values in imu.items()} | {"time": polls}
     session, told = read(tmp_path, tables)
     assert session.imu is not None and session.imu.rate == pytest.approx(99.9, abs=0.5)
-    assert re.search(r"imu.csv: \d+ rows, .* repeat the one before .* was it polled at nearly its own rate", told)
+    assert re.search(r"imu.csv: \d+ rows, .* repeat the previous one .* was it polled at nearly its own rate", told)
 
 
 @pytest.mark.parametrize("digits", [6, 15])

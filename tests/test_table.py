@@ -197,11 +197,11 @@ HEADER = "joint_1,joint_2,distance"
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
-        (f"{HEADER}\n1,2,3\n1,abc,4\n,2,4\n1,2,nan\n", ["line 3", '"joint_2"', '"abc"', "in the table: 2"]),
+        (f"{HEADER}\n1,2,3\n1,abc,4\n,2,4\n1,2,nan\n", ["line 3", '"joint_2"', '"abc"', "cells affected: 2"]),
         (f"{HEADER}\n1,2,3\n1,,3\n", ["line 3", '"joint_2"', "an empty cell", "a finite number"]),
         (f"{HEADER}\n1,2,NaN\n", ["line 2", "none of 1 rows", "distance", "a finite number"]),
         (f"{HEADER}\n1,inf,1\n", ["line 2", '"joint_2"', "inf"]),
-        (f"{HEADER}\n1,2,0\n1,2,-1\n", ["line 2", '"distance"', "> 0", "rows like this: 2"]),
+        (f"{HEADER}\n1,2,0\n1,2,-1\n", ["line 2", '"distance"', "> 0", "rows affected: 2"]),
         (f"{HEADER},sigma\n1,2,1,1\n1,2,1,0\n", ["line 3", '"sigma"', "> 0"]),
         (f"{HEADER},approach_joint_1\n1,2,1,2\n", ["line 2", "-1, 0 or 1"]),
         (f"{HEADER},payload\n1,2,1,5\n1,2,1,\n", ["line 3", '"payload"', "an empty cell"]),
@@ -303,7 +303,7 @@ def test_parquet_values_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "poses.parquet"
     columns = {"joint_1": np.array([0.0, np.nan]), "joint_2": np.ones(2), "distance": np.array([True, False])}
     write_table(path, columns)
-    with pytest.raises(MeasurementError, match=r'line 2, column "distance": "True".*in the table: 3'):
+    with pytest.raises(MeasurementError, match=r'line 2, column "distance": "True".*cells affected: 3'):
         read_measurements(path, JOINTS)
 
 

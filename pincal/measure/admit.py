@@ -239,7 +239,7 @@ def check_joints_of(robot: Robot, measurements: Measurements) -> None:
     drives = ", ".join(robot.joint_names[i] for i in robot.linkage.drivers)
     raise MeasurementError(
         f"{rows.source}, line {rows.rows[~is_closed][0]}: the robot's loops can't be closed at these positions of {drives}; "
-        f"rows like this: {np.sum(~is_closed)}; check zeros, signs and units"
+        f"rows affected: {np.sum(~is_closed)}; check zeros, signs and units"
     )
 
 
@@ -351,7 +351,7 @@ def _refuse_unit(measurements: Measurements, is_wrong: np.ndarray, slides: np.nd
             raise MeasurementError(
                 f'{measurements.source}, line {measurements.rows[row]}, "{name}": {measurements.q[row, j]:g} '
                 f"{si} looks like {word}; write `{name} [{unit}]` in the header (`[{unit}]` after the name of the "
-                f"column), or `{name} [{si}]` if meant"
+                f"column), or `{name} [{si}]` if intended"
             )
 
 

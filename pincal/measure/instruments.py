@@ -137,7 +137,7 @@ def seen_by(table: Measurements) -> np.ndarray:
             f"{table.kind}; leave it out and give --noise"
         )
     if table.sigma is not None:
-        raise MeasurementError(f"{table.source}: --instrument, but the table has the column sigma; expected one of the two")
+        raise MeasurementError(f"{table.source}: --instrument and a column sigma; expected only one of the two")
     return table.position
 
 

@@ -251,7 +251,7 @@ def _by_columns(table: Sheet, frame: pl.DataFrame, log: Log, *, lines: np.ndarra
         if lost:
             raise MeasurementError(
                 f'{table.path.name}, line {lines[lost[0]]}, column "{label}": {mine[lost[0]]} is not in '
-                f"{log.sheet.path.name}, whose rows it identifies; rows like this: {len(lost)}; correct them, or "
+                f"{log.sheet.path.name}, whose rows it identifies; rows affected: {len(lost)}; correct them, or "
                 "ignore the column"
             )
         found[label] = np.array([theirs[key] for key in mine])

@@ -325,7 +325,7 @@ def _check_values(name: str, values: np.ndarray, known: Field | None, lines: np.
         wrong = np.flatnonzero(~right.reshape(len(right), -1).all(axis=1))
         raise MeasurementError(
             f'{source}, line {lines[wrong[0]]}, "{name}": {values[wrong[0]].tolist()}; '
-            f"expected {expected}; rows like this: {wrong.size}; correct or delete them"
+            f"expected {expected}; rows affected: {wrong.size}; correct or delete them"
         )
 
 

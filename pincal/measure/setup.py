@@ -43,7 +43,7 @@ class KnownDistance:
             if not 0.0 < value < np.inf:
                 raise MeasurementError(f"{what} of {self.first} and {self.second} is {value:g} m; expected more than 0")
         if self.first == self.second:
-            raise MeasurementError(f"distance of {self.first} to itself; expected two points")
+            raise MeasurementError(f"distance from {self.first} to itself; expected two points")
 
 
 @dataclass(frozen=True)

@@ -258,7 +258,7 @@ def _check_cells(
         expected += ", or a date and time such as 2026-01-31T12:00:00.5" if column.quantity == "time" else ""
         raise MeasurementError(
             f'{source}, line {rows[row]}, column "{column.label}": {found}; expected {expected}; '
-            f"cells like this in the table: {total}; correct them, delete their rows, or leave the "
+            f"cells affected: {total}; correct them, delete their rows, or leave the "
             f"column out (--ignore '{column.label}')"
         )
 

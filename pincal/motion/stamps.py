@@ -49,9 +49,9 @@ def in_order(stream: Stream) -> Stream:
         stream = stream.select(~twice)
     stream = _sorted(stream, in_packets)
     if in_packets:
-        stream = _by_count(stream, f"{100 * same.mean():.0f} % of the rows have the stamp of the row before")
+        stream = _by_count(stream, f"{100 * same.mean():.0f} % of the rows have the stamp of the previous row")
     elif (same := _same(stream)[0]).any():
-        warn(f"{name}: {int(same.sum())} rows with the stamp of the row before are left out")
+        warn(f"{name}: {int(same.sum())} rows with the stamp of the previous row are left out")
         stream = stream.select(~same)
     stream = _checked_rate(stream)
     steps = np.diff(stream.time)

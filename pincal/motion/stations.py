@@ -208,7 +208,7 @@ def _without_stale(arm: MovingArm, tracker: Stream, clock: Clock, again: np.ndar
     seen |= steady(values[starts])
     stale = np.zeros(len(q), bool)
     stale[order] = is_stale[run] & (again | ~seen[run])
-    return tracker.without(stale, "repeat the one before while the arm moves: the target was lost, or the log is too fast")
+    return tracker.without(stale, "repeat the previous one while the arm moves: the target was lost, or the log is too fast")
 
 
 def _table(

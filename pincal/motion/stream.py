@@ -163,7 +163,7 @@ def checked_joints(stream: Stream, names: Sequence[str], turning: np.ndarray) ->
             f"{usual[k, 0]:.2g} s and stays there; expected one motion: give logs that were appended to each other as "
             "separate sessions"
         )
-    return stream.without(lost, "repeat the one before, or are off the motion, and end in a jump: the log was interrupted")
+    return stream.without(lost, "repeat the previous one, or are off the motion, and end in a jump: the log was interrupted")
 
 
 def interpolated(values: np.ndarray) -> np.ndarray:
@@ -194,7 +194,7 @@ def _at_own_rate(stream: Stream) -> Stream:
     if again.mean() < _OFTEN_SAME:
         return stream
     share = f"{100 * again.mean():.0f} %"
-    warn(f"{stream.name}: {share} of the rows repeat the one before and are left out; log joints at their own rate")
+    warn(f"{stream.name}: {share} of the rows repeat the previous one and are left out; log joints at their own rate")
     return stream.select(~again)
 
 
@@ -225,11 +225,11 @@ def checked_imu(stream: Stream) -> Stream:
     held = _held(force) | _held(rate) if repeats.mean() < _MOST else np.zeros(len(stream), bool)
     if (repeats & ~held).mean() > _FEW:
         share = f"{100 * repeats.mean():.0f} %"
-        warn(f"{stream.name}: {share} of the rows repeat the one before and are left out; log the IMU at its own rate")
+        warn(f"{stream.name}: {share} of the rows repeat the previous one and are left out; log the IMU at its own rate")
     elif again := int((repeats & ~held).sum()):
         warn(
-            f"{stream.name}: {again} rows, the first in line {stream.lines[repeats & ~held][0]}, repeat the one before and "
-            "are left out: was it polled at nearly its own rate? Then stamps are up to a sample late, which adds noise; "
+            f"{stream.name}: {again} rows, the first in line {stream.lines[repeats & ~held][0]}, repeat the previous one "
+            "and are left out: was it polled at nearly its own rate? Then stamps are up to a sample late, which adds noise; "
             "log its own stamps"
         )
     cut, ends = np.zeros(len(stream), bool), {column: _cut_off(values) for column, values in columns.items()}

@@ -23,7 +23,7 @@ from pincal.robot.robot import Robot
 _CONSTANT = 1e-9
 # Why a recorded variable contains no information on a joint, if not because its column is missing or constant.
 _UNTOLD = {
-    "move": "<joint> does not move, or its direction of approach does not follow from the row before: see column "
+    "move": "<joint> does not move, or its direction of approach does not follow from the previous row: see column "
     "approach_<joint>"
 }
 
