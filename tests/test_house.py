@@ -17,7 +17,7 @@ from pincal.identify.problem import Problem
 # Lines of the library when this was last lowered, of which fleets, sessions in motion and programs of controllers are 8 350;
 # 44 000 was the aim before these. It is raised only for a feature that replaces nothing, which is then named here with its
 # lines.
-MOST_LINES = 70_871
+MOST_LINES = 70_866
 TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [
