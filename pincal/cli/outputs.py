@@ -122,7 +122,7 @@ def extrapolation(
     turned = calibrated.turned_curves(conditions)
     for found in turned:
         notes.append(
-            f"{found.rows} rows have {found.variable} a revolution from where the {found.effect} of {found.joint} was "
+            f"{found.rows} rows have {found.variable} a revolution away from where the {found.effect} of {found.joint} was "
             "identified; it is assumed to repeat every revolution"
         )
     contents = {"outside": rows, "curves": [curve._asdict() for curve in curves], "gaps": [gap._asdict() for gap in gaps]}
