@@ -120,7 +120,7 @@ def test_a_worker_is_no_scheduler(client: Any, tmp_path: Path, capsys: pytest.Ca
     address = next(iter(client.run(os.getpid)))
     arguments = ("calibrate", URDF, tmp_path / "mo.csv", tmp_path / "tu.csv", "--split", "station", "--dask", address)
     assert run(*arguments, "--quiet", "--out", tmp_path / "out") == 3
-    assert f"--dask {address}: it is a worker's; expected" in capsys.readouterr().err
+    assert f"--dask {address}: this is the address of a worker; expected" in capsys.readouterr().err
 
 
 def test_the_example_makes_its_draws_on_dask(client: Any, tmp_path: Path) -> None:

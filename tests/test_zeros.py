@@ -82,7 +82,7 @@ def test_unknown_zeros_have_no_prior(table: Measurements, kuka: Robot) -> None:
     far = replace(table, q=table.q - np.deg2rad([7, 0, -10, 0, 0, 8]))
     found = run_calibration(kuka, far, replace(PLAIN, zeros=("*",)))
     assert len(corrections(found)) == 1 and is_named("joint_3 is shifted by -10", corrections(found))
-    with pytest.raises(BadInputError, match=r"joint 'joint_9'.*joint_1"):
+    with pytest.raises(BadInputError, match=r"unknown joint, 'joint_9'.*joint_1"):
         run_calibration(kuka, off, replace(PLAIN, zeros=("joint_9",)))
 
 

@@ -246,7 +246,7 @@ def delays(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
 def records(robot: Robot, table: Measurements) -> Iterator[TableCorrection]:
     """Yield the other positions of the joints, where a table has both commanded and read-back ones."""
     if table.droop is not None:
-        for name, other, sign in (("commanded", "read back", 1.0), ("read back", "commanded", -1.0)):
+        for name, other, sign in (("commanded", "read back", 1.0), ("read-back", "commanded", -1.0)):
             words = f"the joints stood at their {name} positions, not at those in the joint columns, which are {other}"
             yield TableCorrection(words, robot, replace(table, q=table.q + sign * table.droop, droop=None), _RECORD)
 
