@@ -21,8 +21,6 @@ LAYOUT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, toke
 KINDS = ("code", "imports", "docstrings", "comments", "blank")
 # Arguments from which a function has too many.
 MANY_ARGUMENTS = 8
-# Lines below which a file with one importer is a part of that importer.
-SMALL_FILE = 100
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -166,32 +164,6 @@ class House:
                 homes.setdefault(file.name.rsplit(".", 1)[-1], []).append(file.name)
         return {name: found for name, found in sorted(homes.items()) if len(found) > 1}
 
-    @cached_property
-    def importers(self) -> dict[str, set[str]]:
-        """For each file, the files that import it or something of it."""
-        names = {file.name for file in self.files}
-        found: dict[str, set[str]] = {name: set() for name in names}
-        for file in self.files:
-            for node in ast.walk(file.tree):
-                for name in _imported(node):
-                    while name not in names and "." in name:
-                        name = name.rsplit(".", 1)[0]
-                    if name in names and name != file.name:
-                        found[name].add(file.name)
-        return found
-
-    @cached_property
-    def alcoves(self) -> dict[str, str]:
-        """Small files with one importer of the same room, and this."""
-        found = {}
-        for file in self.files:
-            users = self.importers[file.name]
-            if not file.is_package and file.lines.total() < SMALL_FILE and len(users) == 1:
-                (user,) = users
-                if user.split(".")[0] == file.room and user != file.room:
-                    found[file.name] = user
-        return found
-
     def report(self) -> Iterator[str]:
         """Yield what a person asks of it, in lines."""
         sizes = sorted(file.lines.total() for file in self.files)
@@ -207,20 +179,8 @@ class House:
         yield f"{sum(bodies)} functions; {len(self.crowded)} with {MANY_ARGUMENTS} arguments or more: {crowded}"
         yield f"{len(self.twice_defined)} public names in more than one file: {_homes(self.twice_defined)}"
         yield f"{len(self.twice_named)} names of files in more than one room: {_homes(self.twice_named)}"
-        pairs = ", ".join(f"{name} -> {user}" for name, user in sorted(self.alcoves.items()))
-        yield f"{len(self.alcoves)} files below {SMALL_FILE} lines with one importer: {pairs}"
         numbers = {file.name: file.numbers for file in self.files if file.room == "discover" and file.numbers}
         yield f"numbers at the top of discover's files: {_homes(numbers)}"
-
-
-def _imported(node: ast.AST) -> list[str]:
-    """Return the dotted names within the package that a node imports."""
-    if isinstance(node, ast.Import):
-        return [alias.name.removeprefix("pincal.") for alias in node.names if alias.name.startswith("pincal.")]
-    if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("pincal"):
-        source = node.module.removeprefix("pincal").removeprefix(".")
-        return [f"{source}.{alias.name}".removeprefix(".") for alias in node.names]
-    return []
 
 
 def _homes(found: dict[str, list[str]]) -> str:
