@@ -69,7 +69,8 @@ class Field:
 POINT = Field("point", ("point",), "name")
 _RECORDED = {name: variable.quantity for name, variable in RECORDABLE.items() if not variable.of_joints}
 CONDITIONS = {"point": POINT} | {
-    name: Field(name, (name,), quantity) for name, quantity in ({"target": "name"} | _RECORDED | {"station": "name"}).items()
+    name: Field(name, (name,), quantity)
+    for name, quantity in ({"target": "name"} | _RECORDED | {"stop": "name", "station": "name"}).items()
 }
 CONDITIONS |= {f"{end}_link": Field(f"{end}_link", (end,), "name") for end in ("from", "to")}
 """Conditions of a pose that a table can contain in addition to the readings."""

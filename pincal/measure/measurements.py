@@ -21,7 +21,7 @@ from pincal.units import expected_number, is_possible
 
 # Arrays in addition to the readings.
 _OF_JOINTS = {name: variable.quantity for name, variable in RECORDED.items() if variable.of_joints}
-_ARRAYS = ("q", *_OF_JOINTS, "rows", *CONDITIONS, "sigma", "readings_per_row")
+_ARRAYS = ("q", *_OF_JOINTS, "rows", *CONDITIONS, "sigma", "readings_per_row", "stops_per_row")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -51,6 +51,8 @@ class Measurements(Recorded):
     """Name of the point of the calibration object, shape (N,)."""
     payload: np.ndarray | None = None
     """Payload [kg], shape (N,)."""
+    stop: np.ndarray | None = None
+    """Name of the stop of the robot in which each row was read, shape (N,); see :mod:`pincal.measure.stops`."""
     station: np.ndarray | None = None
     """Name of the set-up of instrument and targets that each row belongs to, shape (N,)."""
     from_link: np.ndarray | None = None
@@ -61,6 +63,8 @@ class Measurements(Recorded):
     """Standard deviation of the row [m], shape (N,)."""
     readings_per_row: np.ndarray | None = None
     """Number of readings of which each row is the mean, shape (N,); None where each row is a single reading."""
+    stops_per_row: np.ndarray | None = None
+    """Number of stops of the robot in which they were read, shape (N,); None likewise."""
     units: Mapping[str, str] = field(default_factory=dict)
     """The units in the header, by column; others were taken as SI."""
     approach_from: str = ""
@@ -197,6 +201,7 @@ def measurements(
             - payload: mass at the tip [kg], shape (N,).
             - temperature: in deg C, shape (N,).
             - time: in s, shape (N,).
+            - stop: name of the stop of the robot in which a row was read, shape (N,); default: by joints, order and time.
             - station: name of the set-up that a row belongs to, shape (N,).
             - approach: direction from which each joint arrived, -1, 0 (unknown) or 1, shape (N, n).
             - droop: commanded minus read-back position of each joint [rad], prismatic [m], shape (N, n).
@@ -250,10 +255,10 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
     """
     if not tables:
         raise MeasurementError("no table to join; expected at least one")
-    if any(table.readings_per_row is not None for table in tables):
-        # Rows of other tables are single readings.
-        counts = [np.ones(len(table), int) if table.readings_per_row is None else table.readings_per_row for table in tables]
-        tables = [replace(table, readings_per_row=count) for table, count in zip(tables, counts, strict=True)]
+    for name in ("readings_per_row", "stops_per_row"):
+        if any(getattr(table, name) is not None for table in tables):
+            # Rows of other tables are single readings.
+            tables = [_with_ones(table, name) for table in tables]
     if any(table.move is not None for table in tables):
         # Last moves are no column of a file, and unknown for rows without a declared order.
         tables = [table if table.move is not None else replace(table, move=np.zeros(table.q.shape)) for table in tables]
@@ -272,6 +277,14 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
     origins = ", ".join(dict.fromkeys(table.approach_from for table in tables if table.approach_from))
     path = None if first.moving is None else first.moving.joined([table.moving for table in tables[1:] if table.moving])
     return replace(joined, units=units, source=source, approach_from=origins, moving=path)
+
+
+def _with_ones(table: Measurements, name: str) -> Measurements:
+    """Return a table with a column of counts, 1 in each row if it has none."""
+    if getattr(table, name) is not None:
+        return table
+    counts: dict[str, Any] = {name: np.ones(len(table), int)}
+    return replace(table, **counts)
 
 
 def validated(

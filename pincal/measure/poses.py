@@ -32,8 +32,8 @@ _SAME_LOAD, _SAME_CLIMATE = 1e-3, 4.0
 def by_pose(table: Measurements) -> Measurements:
     """Return a table with one row for each pose: the mean of its readings, joints and conditions.
 
-    Readings that are equal to the last digit are copies and count once. ``readings_per_row`` counts the readings of each
-    row; a table without replicates is returned unchanged.
+    Readings that are equal to the last digit are copies and count once. ``readings_per_row`` counts
+    the readings of each row; a table without replicates is returned unchanged.
 
     Example:
         >>> from pincal.measure.measurements import measurements_from_arrays
@@ -44,19 +44,32 @@ def by_pose(table: Measurements) -> Measurements:
     """
     if table.readings_per_row is not None or table.moving is not None:
         return table
-    pose = replicate_groups([table], within=SCATTER)[0]
-    if not len(pose) or pose.max() + 1 == len(pose):
+    return mean_rows(table, replicate_groups([table], within=SCATTER)[0])
+
+
+def mean_rows(table: Measurements, group: np.ndarray) -> Measurements:
+    """Return a table with one row for each group of rows: the mean of readings, joints and conditions.
+
+    Args:
+        table: the table; copies among its rows count once.
+        group: shape (N,), number of each row's group; rows of one group are of one target and point.
+
+    Returns:
+        The means in the order of their first rows, with ``readings_per_row`` counted; the table
+        itself where each row is a group.
+    """
+    if not len(group) or len(np.unique(group)) == len(group):
         return table
-    numbers = {name: a for name, a in table.columns().items() if a.dtype.kind == "f"}
-    # Copies have the same readings, or joints where these are all that is read, as in sockets.
-    read = [numbers[name].reshape(len(pose), -1) for name in table.readings if name in numbers]
-    key = np.column_stack([pose, *(read or [table.q])])
-    kept = np.sort(np.unique(key, axis=0, return_index=True)[1])
-    table, pose = table.select(kept), pose[kept]
-    _, first, number, count = np.unique(pose, return_index=True, return_inverse=True, return_counts=True)
-    if len(first) == len(pose):
+    kept = without_copies(table, group)
+    table = table.select(kept)
+    group = group[kept]
+    _, first, number, count = np.unique(group, return_index=True, return_inverse=True, return_counts=True)
+    in_order = np.argsort(first)
+    first, count = first[in_order], count[in_order]
+    number = np.argsort(in_order)[number.ravel()]
+    if len(first) == len(group):
         return replace(table, readings_per_row=count)
-    weight = np.ones(len(pose)) if table.sigma is None else table.sigma**-2.0
+    weight = np.ones(len(group)) if table.sigma is None else table.sigma**-2.0
     mass = np.bincount(number, weight)
 
     def mean(values: np.ndarray) -> np.ndarray:
@@ -64,9 +77,10 @@ def by_pose(table: Measurements) -> Measurements:
         sums = np.stack([np.bincount(number, weight * column) for column in flat.T], axis=1)
         return np.asarray((sums / mass[:, None]).reshape(len(first), *values.shape[1:]))
 
-    fields, means = known_fields(), dict[str, np.ndarray]()
+    fields = known_fields()
+    means = dict[str, np.ndarray]()
     for name, values in table.columns().items():
-        if name not in numbers:
+        if values.dtype.kind != "f":
             continue
         if name in fields and fields[name].is_unit:
             # q and -q are the same orientation.
@@ -77,35 +91,66 @@ def by_pose(table: Measurements) -> Measurements:
             means[name] = mean(values)
     if table.sigma is not None:
         means["sigma"] = mass**-0.5
-    poses = table.select(first)
-    readings: Mapping[str, np.ndarray] = {name: means.pop(name, array) for name, array in poses.readings.items()}
+    rows = table.select(first)
+    readings: Mapping[str, np.ndarray] = {name: means.pop(name, array) for name, array in rows.readings.items()}
     others: dict[str, Any] = means
-    return replace(poses, readings=readings, readings_per_row=count, **others)
+    return replace(rows, readings=readings, readings_per_row=count, **others)
+
+
+def without_copies(table: Measurements, group: np.ndarray) -> np.ndarray:
+    """Return the rows, shape (n,), that are no copies of an earlier row of their group.
+
+    Copies have the same readings, or the same joints where these are all that is read, as in sockets.
+    """
+    numbers = {name: a for name, a in table.columns().items() if a.dtype.kind == "f"}
+    read = [numbers[name].reshape(len(group), -1) for name in table.readings if name in numbers]
+    key = np.column_stack([group, *(read or [table.q])])
+    return np.sort(np.unique(key, axis=0, return_index=True)[1])
 
 
 def replicate_groups(tables: Sequence[Measurements], *, within: float = SAME) -> list[np.ndarray]:
-    """Return the pose of each row of some tables as a number; each row of an arm in motion is a separate pose.
+    """Return the pose and target of each row of some tables as a number.
+
+    Each row of an arm in motion is a separate pose.
 
     Args:
         tables: tables of the same joints.
         within: difference of joint positions that count as the same [rad or m].
 
     Returns:
-        For each table shape (N,), integers from 0.
+        For each table shape (N,), integers from 0; equal for readings of the same target, and point, at
+        the same pose.
 
     Example:
         >>> from pincal.measure.measurements import measurements_from_arrays
         >>> q, load = [[0.1], [0.5], [0.100001], [0.1]], [0.0, 0.0, 0.0, 80.0]
-        >>> replicate_groups([measurements_from_arrays(["a"], q, distance=[1.0] * 4, payload=load)])[0].tolist()
+        >>> table = measurements_from_arrays(["a"], q, distance=[1.0] * 4, payload=load)
+        >>> replicate_groups([table])[0].tolist()
         [0, 1, 0, 2]
     """
-    keys, ends = [same_joints(np.vstack([table.q for table in tables]), within)], np.cumsum([len(t) for t in tables])[:-1]
+    return _pose_numbers(tables, within, by_thing=True)
+
+
+def pose_groups(tables: Sequence[Measurements], *, within: float = SCATTER) -> list[np.ndarray]:
+    """Return the pose of each row of some tables as a number, whatever was read there.
+
+    Arguments and result as for :func:`replicate_groups`: readings of several targets at one pose have
+    one number.
+    """
+    return _pose_numbers(tables, within, by_thing=False)
+
+
+def _pose_numbers(tables: Sequence[Measurements], within: float, *, by_thing: bool) -> list[np.ndarray]:
+    ends = np.cumsum([len(t) for t in tables])[:-1]
+    keys = [same_joints(np.vstack([table.q for table in tables]), within)]
     if len(np.unique(keys[0])) == len(keys[0]):
         return np.split(np.arange(len(keys[0])), ends)
     named = [table.names() for table in tables]
     for name in dict.fromkeys(name for columns in named for name in columns):
-        names = [columns.get(name, np.full(len(t), "")) for t, columns in zip(tables, named, strict=True)]
-        keys.append(np.unique(np.concatenate(names), return_inverse=True)[1])
+        # A stop is a visit of a pose, not another pose.
+        if by_thing and name != "stop":
+            names = [columns.get(name, np.full(len(t), "")) for t, columns in zip(tables, named, strict=True)]
+            keys.append(np.unique(np.concatenate(names), return_inverse=True)[1])
     keys.append(np.round(_stacked(tables, "payload") / _SAME_LOAD).astype(int))
     if any(table.approach is not None for table in tables):
         sides = [np.zeros(t.q.shape, int) if t.approach is None else t.approach for t in tables]
