@@ -70,7 +70,8 @@ def test_result_json_has_the_keys_of_the_contract(results):
     assert {"noise", "rows", "parameters", "rank", "condition", "chi2_reduced", "iterations", "seconds", "error"} <= set(
         result
     )
-    assert sum(result["rows"].values()) == 120 and 24 <= result["rows"]["test"] <= 36
+    assert result["rows"] == {"train": 120, "test": 120}
+    assert result["validation"]["way"] in ("regions", "stretches") and result["validation"]["folds"] == 25
     assert result["noise"]["source"] == "estimated"
     assert result["noise"]["sigma_m"] == pytest.approx(5e-5, rel=0.2)
     for parameter in result["parameters"]:

@@ -86,20 +86,20 @@ def of(results: Path) -> dict[str, Any]:
 def test_each_station_has_its_errors(results: Path) -> None:
     """Kind, rows and errors stand station by station; both are down to the noise of their own."""
     tracker, sockets = of(results)["stations"]
-    assert (tracker["name"], tracker["kind"], tracker["rows"]) == ("tracker", "position", {"train": 52, "test": 18})
-    assert (sockets["name"], sockets["kind"], sockets["rows"]) == ("sockets", "socket", {"train": 36, "test": 12})
+    assert (tracker["name"], tracker["kind"], tracker["rows"]) == ("tracker", "position", {"train": 70, "test": 70})
+    assert (sockets["name"], sockets["kind"], sockets["rows"]) == ("sockets", "socket", {"train": 48, "test": 48})
     for station in (tracker, sockets):
         assert station["error"]["nominal"]["test"]["mean_mm"] > 0.5
         assert station["error"]["calibrated"]["test"]["mean_mm"] < 0.13
         assert station["noise"]["sigma_m"] == pytest.approx(NOISE, rel=0.4)
-    assert of(results)["rows"] == {"train": 88, "test": 30}
+    assert of(results)["rows"] == {"train": 118, "test": 118}
 
 
 def test_errors_of_all_stations_are_those_of_their_rows(results: Path) -> None:
     """Means over all rows, and over a station's, follow from the residuals in residuals.csv."""
     rows = pl.read_csv(results / "residuals.csv")
-    sizes = np.sqrt(sum(rows[f"calibrated_{name} [m]"].to_numpy() ** 2 for name in _positions(rows)))
-    held = (rows["rows"] == "held out").to_numpy()
+    sizes = np.sqrt(sum(rows[f"left_out_{name} [m]"].to_numpy() ** 2 for name in _positions(rows)))
+    held = (rows["outlier"] == 0).to_numpy()
     assert of(results)["error"]["calibrated"]["test"]["mean_mm"] == pytest.approx(1e3 * sizes[held].mean())
     for station in of(results)["stations"]:
         here = held & (rows["station"] == station["name"]).to_numpy()
@@ -246,7 +246,7 @@ def test_a_robot_of_several_stations_is_diagnosed(
     assert run("update", model, sound_file, "--out", tmp_path / "u") == 0
     assert run("update", model, hit_file, "--out", tmp_path / "v") == 6 and not (tmp_path / "v").exists()
     capsys.readouterr()
-    for table, rows in (("tracker", 52), ("sockets", 36)):
+    for table, rows in (("tracker", 70), ("sockets", 48)):
         assert run("diagnose", model, old / f"{table}.csv", "--out", tmp_path / "d") == 3
         assert f"fitted to {rows} of these" in capsys.readouterr().err
 

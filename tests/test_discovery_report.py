@@ -17,13 +17,16 @@ from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.calibrated_robot import load_model, save_model
 from pincal.cli import main
-from pincal.discover.levers import levers, on_steps
+from pincal.discover.levers import on_steps
 from pincal.discover.locate import _window, locate
 from pincal.discover.policy import POLICY
 from pincal.discover.precheck import critical_gain, detectable_noncentrality, minimum_detectable, power_of, precheck
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import score_test
 from pincal.discover.shrink import PartialResidual, period_of
+from pincal.identify.calibrate import refit
+from pincal.identify.drive_levers import levers
+from pincal.identify.folds import Folds
 from pincal.io.discovery_file import Findings, FoundEffect, Gap, ScatteringJoint
 from pincal.io.discovery_file import Verdict as FoundVerdict
 from pincal.measure.measurements import Measurements
@@ -78,6 +81,7 @@ def test_discovery_json_has_the_fields_of_the_contract(found: Discovery) -> None
         "not_testable",
         "verdict",
         "unexplained_mm",
+        "held_out",
     }
     assert report["noise_floor_mm"] == pytest.approx(1e3 * SIGMA * np.sqrt(3.0))
     for gap in report["gap"].values():
@@ -127,22 +131,20 @@ def test_the_hidden_effect_is_named_and_was_located_before(case: Case, found: Di
 
 
 def test_gap_is_the_error_on_rows_that_nobody_saw(found: Discovery) -> None:
-    """The numbers of the gap equal those of the model evaluated by hand on the held-out rows."""
-    held, fit = found.calibration.test, found.calibration.fit
-    conditions = fit.readings(held).conditions
+    """The numbers of the gap are those of fits by which each region was predicted without its own rows."""
+    fit = found.calibration.fit
+    fold = Folds.of(fit.problem, ("regions",)).of_way["regions"]
     for when, used in (("before", found.trail.first), ("after", fit)):
-        predicted = used.model.predict(used.model_values, conditions)[:, :, 3]
-        errors = 1e3 * np.linalg.norm(predicted - held.position, axis=1)
+        errors = np.empty(len(fold))
+        for k in range(int(fold.max()) + 1):
+            others = used.select(np.flatnonzero(fold != k))
+            again = refit(others, others.options.effects, start={})
+            held = used.problem.stations[0].select(np.flatnonzero(fold == k))
+            errors[fold == k] = 1e3 * np.linalg.norm(held.residuals(again.values), axis=0)
 
         gap = found.report["gap"][when]
-        assert gap == {
-            "mean_mm": pytest.approx(errors.mean()),
-            "rms_mm": pytest.approx(np.sqrt(np.mean(errors**2))),
-            "max_mm": pytest.approx(errors.max()),
-        }
-    assert not set(held.rows) & set(found.calibration.train.rows)
-    assert [g.mean_mm for g in found.gaps[:1]] == [found.report["gap"]["before"]["mean_mm"]]
-    assert found.gaps[-1].mean_mm == pytest.approx(found.report["gap"]["after"]["mean_mm"])
+        assert gap["mean_mm"] == pytest.approx(errors.mean(), rel=0.02)
+        assert gap["max_mm"] == pytest.approx(errors.max(), rel=0.05)
 
 
 def test_model_file_predicts_with_the_new_effect(tmp_path: Path, found: Discovery) -> None:

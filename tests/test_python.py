@@ -59,8 +59,8 @@ def test_what_is_printed_is_short(calibration: pincal.Calibration, table: pincal
     shown = {
         "Robot('ur10': 6 joints from world to tool0)": calibration.robot,
         "Measurements('arrays': 60 rows, position, joints shoulder_pan_joint": table,
-        "Calibration('ur10': 45 rows fitted, 15 held out, mean error": calibration,
-        "Fit('ur10': 45 rows": fit,
+        "Calibration('ur10': 60 rows fitted, mean error": calibration,
+        "Fit('ur10': 60 rows": fit,
         "CalibratedModel('ur10': ": fit.to_model(),
         "Chain('ur10': 6 joints": fit.problem.chain,
         "Model('ur10': ": fit.to_model().model,

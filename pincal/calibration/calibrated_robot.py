@@ -239,6 +239,7 @@ class Fit(identified.ModelFit, Calibrated):
         # The covariance of correlated noise has another determinant than that of white noise.
         constant = float(np.sum(np.log(2.0 * np.pi / scale[:, counted] ** 2)))
         constant += 0.0 if rows.serial is None else rows.serial.log_determinant
+        constant += 0.0 if rows.arrival is None else rows.arrival.log_determinant
         return -0.5 * (float(np.sum(residuals[:, counted] ** 2)) + constant)
 
     @property

@@ -1,4 +1,4 @@
-"""One calibration from tables to result: check, hold out, fit, validate."""
+"""One calibration from tables to result: check, fit, validate."""
 
 from __future__ import annotations
 
@@ -11,11 +11,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.calibration.calibrated_robot import Fit, calibrate
-from pincal.calibration.held_out import SplitBy, StationRows, leave_out_stations, require_several, split_rows, with_holdout
+from pincal.calibration.held_out import (
+    WAYS,
+    SplitBy,
+    StationRows,
+    Validated,
+    leave_out_stations,
+    require_several,
+    split_rows,
+    with_holdout,
+)
 from pincal.calibration.result import Result, result_of
 from pincal.calibration.result_tables import error_table
 from pincal.errors import BadInputError, warn
 from pincal.identify.calibrate import Tables, tables_of
+from pincal.identify.folds import Folds
 from pincal.identify.options import Options
 from pincal.measure.admit import admit, noted, unobservable_notes
 from pincal.measure.measurements import Measurements
@@ -41,6 +51,8 @@ class Calibration:
         fit: the calibrated model.
         result: parameters, errors, warnings.
         notes: the warnings among them that are on robot and tables, not on the fit.
+        validated: the errors of the fitted readings by fits without their folds; None where rows were held out for good, or
+            whole stations in turn.
     """
 
     robot: Robot
@@ -48,12 +60,13 @@ class Calibration:
     fit: Fit
     result: Result
     notes: tuple[Note, ...] = ()
+    validated: Validated | None = None
 
     def __repr__(self) -> str:
         rows, errors = self.result.rows, self.result.error["calibrated"]
         found = errors["test" if "test" in errors else "train"]
         mean = found[f"mean_{(unit := leading_unit(found))}"]
-        counts = f"{rows['train']} rows fitted, {rows['test']} held out"
+        counts = f"{rows['train']} rows fitted" + (f", {rows['test']} held out" if self.validated is None else "")
         return f"Calibration({self.robot.name!r}: {counts}, mean error {mean:.4g} {unit})"
 
     def _repr_html_(self) -> str:
@@ -90,23 +103,24 @@ def run_calibration(
     measurements: Tables,
     options: Options | None = None,
     *,
-    test_fraction: float = 0.25,
+    test_fraction: float = 0.0,
     split: SplitBy = "both",
     seed: int = 0,
     holdout: Tables | None = None,
     executor: Executor | None = None,
 ) -> Calibration:
-    """Check tables, hold rows out, calibrate on the rest and validate on the held-out rows.
+    """Check tables, calibrate on all rows, and state errors by cross-validation: each pose predicted by a fit without it.
 
     Args:
         robot: the arm.
         measurements: one table or several, as :func:`pincal.calibrate` takes them.
         options: how to calibrate.
-        test_fraction: part of each station's rows held out; ignored with ``holdout``.
-        split: how rows are chosen; "both" holds out regions of joint space and stretches of consecutive rows, the headline
-            being the one predicted worse; with "station" all rows are fitted, and each station in turn is predicted by a
-            model of the others, only its own frames fitted to it.
-        seed: of the choice.
+        test_fraction: part of each station's poses to hold out for good instead; ignored with ``holdout``.
+        split: how poses are divided into folds, or chosen; with "both" each pose is predicted by a fit without its region of
+            joint space and by one without its stretch of consecutive rows (of several sessions, also without its session),
+            the headline being the way that is predicted worse; with "station" each station in turn is predicted by a model
+            of the others, only its own frames fitted to it.
+        seed: of the division.
         holdout: other measurements to validate on; then all rows of ``measurements`` are fitted. Of several stations the
             rows name theirs.
         executor: fits the models that leave a station out; default: sequentially, here.
@@ -155,5 +169,8 @@ def run_calibration(
     log.info("assessing the fit")
     left_out = leave_out_stations(robot, admitted.tables, options, executor=executor) if split == "station" else ()
     sorted_notes = doubts_first(notes)
-    result = result_of(fit, rows, seconds=time.perf_counter() - begun, notes=sorted_notes, left_out=tuple(left_out))
-    return Calibration(robot, rows, fit, result, sorted_notes)
+    folds = Folds.of(fit.problem, WAYS[split], seed=seed) if holdout is None and not test_fraction else None
+    validated = Validated.of(fit, rows, folds)
+    seconds = time.perf_counter() - begun
+    result = result_of(fit, rows, seconds=seconds, notes=sorted_notes, left_out=tuple(left_out), validated=validated)
+    return Calibration(robot, rows, fit, result, sorted_notes, validated)

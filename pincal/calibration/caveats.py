@@ -346,12 +346,22 @@ def findings_on_held_out(test: Station | None, values: np.ndarray, table: Measur
     """Return whether some held-out rows of a station have errors far beyond all others, which dominate a mean."""
     if test is None:
         return []
-    errors = next(iter(pose_error_sizes(test, values).values()))
+    return far_off(next(iter(pose_error_sizes(test, values).values())), table, test.name)
+
+
+def far_off(errors: np.ndarray, table: Measurements, station: str) -> list[Caveat]:
+    """Return whether some rows, not used by the fit that predicts them, have errors far beyond all others.
+
+    Args:
+        errors: shape (N,), their magnitudes [mm].
+        table: the rows.
+        station: their station.
+    """
     far = errors > _FAR * np.median(errors)
     if not far.any():
         return []
     figures = {"rows": len(errors), "largest": float(errors.max()), "mean": float(errors[~far].mean())}
-    return [Caveat(CaveatKind.FAR_OFF, figures, test.name, tuple(table.rows[far].tolist()))]
+    return [Caveat(CaveatKind.FAR_OFF, figures, station, tuple(table.rows[far].tolist()))]
 
 
 def findings_on_replicates(lack: LackOfFit | None, p_value: float | None) -> list[Caveat]:

@@ -1,12 +1,17 @@
-"""The fitted and held-out rows of a calibration, station by station, and whole stations held out in turn."""
+"""The rows of a calibration, station by station, and its errors at rows that a fit has not seen.
+
+All rows are fitted, and their errors stated by cross-validation (:mod:`pincal.identify.folds`), unless rows are held out for
+good or whole stations in turn. An error is that of a reading: the means of poses are fitted, but one visit of a pose has
+more noise than their mean. Each pose counts once in the statistics, however often it was visited.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Literal, get_args
+from functools import cached_property, partial
+from typing import Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,9 +21,10 @@ from pincal.calibration.calibrated_robot import calibrate
 from pincal.calibration.placing import place_station
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Tables, tables_of
-from pincal.identify.fit import ModelFit
+from pincal.identify.fit import ModelFit, Solution
+from pincal.identify.folds import Folds, Way, left_out_residuals
 from pincal.identify.options import Options
-from pincal.identify.split import Way, hold_out, ways_held_out
+from pincal.identify.split import hold_out, ways_held_out
 from pincal.identify.station import Station
 from pincal.measure.admit import admit_test, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
@@ -30,7 +36,16 @@ from pincal.spread import spread
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 
 SplitBy = Literal["both", "random", "blocked", "station"]
-"""Held-out rows: regions of joint space and stretches of rows, rows at random, regions alone, or each station in turn."""
+"""Folds, or held-out rows: regions of joint space and stretches of rows (and sessions), rows at random, regions
+alone, or each station in turn."""
+
+WAYS: Mapping[SplitBy, tuple[Way, ...]] = {
+    "both": ("regions", "stretches", "sessions"),
+    "random": ("random",),
+    "blocked": ("regions",),
+    "station": (),
+}
+"""The ways in which rows are divided into folds."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +80,22 @@ class StationRows:
         """Return the held-out poses under the calibrated model; None without any."""
         return fit.readings(self.test, station=self.name) if len(self.test) else None
 
-    def by_row(self, weights: np.ndarray) -> np.ndarray:
-        """Return values of the fitted poses, shape (poses,), for each fitted row as measured, shape (N,)."""
+    def by_row(self, values: np.ndarray) -> np.ndarray:
+        """Return values of the fitted poses, shape (..., poses), for each fitted row as measured, shape (..., N)."""
         rows, _ = self.measured
-        return weights if self.train is rows else weights[replicate_groups([rows], within=SCATTER)[0]]
+        return values if self.train is rows else values[..., self.pose]
+
+    @cached_property
+    def pose(self) -> np.ndarray:
+        """The fitted pose of each fitted row as measured, shape (N,)."""
+        return replicate_groups([self.measured[0]], within=SCATTER)[0]
+
+    @cached_property
+    def share(self) -> np.ndarray:
+        """The weight of each fitted row in statistics, shape (N,): those of a pose's readings add up to 1."""
+        if self.train is self.measured[0]:
+            return np.ones(len(self.train))
+        return np.asarray(1.0 / np.bincount(self.pose)[self.pose])
 
 
 @dataclass(frozen=True)
@@ -93,6 +120,8 @@ def split_rows(
     """Hold out a part of each station's rows, none with the split "station"; arguments as of :func:`run_calibration`."""
     if split == "station":
         return tuple(StationRows.of(name, table) for name, table in tables.items())
+    if not fraction:
+        return tuple(StationRows.of(name, usable_rows(table, setup_of(name))) for name, table in tables.items())
     found = []
     for name, table in tables.items():
         setup = setup_of(name)
@@ -140,17 +169,90 @@ def as_measured(fit: ModelFit, rows: Sequence[StationRows]) -> ModelFit:
     return fit.over(stations, np.concatenate(weights))
 
 
-def errors_held_out(fit: ModelFit, values: np.ndarray, rows: Sequence[StationRows]) -> dict[str, dict[str, float]]:
-    """Return the error statistics of the held-out poses of all stations together, "test", and of each way of two.
+@dataclass(frozen=True)
+class LeftOutErrors:
+    """Errors of the fitted readings of one station, each predicted by a fit without its fold.
 
-    See :func:`pincal.validate.accuracy.error_statistics`; the ways are "regions" and "stretches".
+    Attributes:
+        residuals: shape (m, N), reading minus prediction; nan where nothing else determines its target or point.
+        sizes: unit ("mm", ...) -> shape (N,), magnitude of the error.
+        counted: shape (N,), readings that are neither outliers nor undetermined.
+        share: shape (N,), weight of each reading in statistics.
     """
+
+    residuals: np.ndarray
+    sizes: Mapping[str, np.ndarray]
+    counted: np.ndarray
+    share: np.ndarray
+
+    @property
+    def counted_sizes(self) -> dict[str, np.ndarray]:
+        """The magnitudes of those that count."""
+        return {unit: of[self.counted] for unit, of in self.sizes.items()}
+
+
+def left_out_errors(
+    fit: ModelFit, solution: Solution, rows: Sequence[StationRows], folds: Folds
+) -> dict[Way, list[LeftOutErrors]]:
+    """Return the errors of all fitted readings by fits without their folds, way by way, station by station.
+
+    Args:
+        fit: the fit of all rows.
+        solution: its full solution, or that of base and tool alone.
+        rows: the rows of each station.
+        folds: the division of the fitted poses.
+    """
+    as_read = [_as_read(fit, k, part) for k, part in enumerate(rows)]
+    found: dict[Way, list[LeftOutErrors]] = {}
+    for way, fold in folds.of_way.items():
+        by_station = left_out_residuals(fit, solution, fold)
+        found[way] = []
+        for k, (left_out, (station, pose, share)) in enumerate(zip(by_station, as_read, strict=True)):
+            values = solution.values[fit.problem.places[k]]
+            weights = fit.solution.weights[fit.problem.rows[k]]
+            # Without the fold all readings of a pose are predicted elsewhere by the same vector.
+            moved = left_out - fit.problem.stations[k].residuals(values)
+            residuals = station.residuals(values) + moved[:, pose]
+            sizes = pose_error_sizes(station, values, residuals=residuals)
+            counted = np.isfinite(residuals).all(axis=0) & (weights[pose] > 0.0)
+            found[way].append(LeftOutErrors(residuals, sizes, counted, share))
+    return found
+
+
+def _as_read(fit: ModelFit, k: int, part: StationRows) -> tuple[Station, np.ndarray, np.ndarray]:
+    """Return a station of a fit over its readings, the fitted row of each, shape (N,), and its share in statistics."""
+    station = fit.problem.stations[k]
+    table = part.measured[0]
+    n = len(station)
+    if part.train is table or n != len(part.train):
+        # Each row is a reading, or some of the means were fitted.
+        return station, np.arange(n), np.ones(n)
+    return fit.readings(table, station=station.name), part.pose, part.share
+
+
+def statistics_of(parts: Sequence[LeftOutErrors]) -> dict[str, float]:
+    """Return the error statistics of several stations together; empty where nothing counts."""
+    parts = [part for part in parts if part.counted.any()]
+    return error_statistics([part.counted_sizes for part in parts], shares=[part.share[part.counted] for part in parts])
+
+
+def errors_held_out(
+    fit: ModelFit, solution: Solution, rows: Sequence[StationRows], folds: Folds | None = None
+) -> dict[str, dict[str, float]]:
+    """Return the error statistics of rows that a fit has not seen, of all stations together.
+
+    See :func:`pincal.validate.accuracy.error_statistics`. They are of each way of the folds ("regions", "stretches",
+    ...); of rows that were held out for good also of all of them, "test". Arguments as for :func:`left_out_errors`.
+    """
+    if folds is not None:
+        of_way = {way: statistics_of(parts) for way, parts in left_out_errors(fit, solution, rows, folds).items()}
+        return {way: found for way, found in of_way.items() if found}
     sizes: dict[str, list[dict[str, np.ndarray]]] = {}
     for part, places in zip(rows, fit.problem.places, strict=True):
         station = part.held(fit)
         if station is None:
             continue
-        found = pose_error_sizes(station, values[places])
+        found = pose_error_sizes(station, solution.values[places])
         sizes.setdefault("test", []).append(found)
         for way, mask in part.ways.items():
             if mask.any():
@@ -162,6 +264,54 @@ def headline_of(errors: Mapping[str, Mapping[str, float]]) -> str:
     """Return which of the errors of :func:`errors_held_out` is the headline: the way in which predictions are worse."""
     ways = [name for name in errors if name in get_args(Way)]
     return max(ways, key=lambda way: next(iter(errors[way].values())), default="test")
+
+
+@dataclass(frozen=True)
+class Validated:
+    """Errors of the fitted readings by fits without their folds.
+
+    Attributes:
+        folds: the division of the rows.
+        of_model: "nominal" or "calibrated" -> way -> the errors of each station.
+    """
+
+    folds: Folds
+    of_model: dict[str, dict[Way, list[LeftOutErrors]]]
+
+    @classmethod
+    def of(cls, fit: ModelFit, rows: Sequence[StationRows], folds: Folds | None) -> Validated | None:
+        """Return the errors by some folds; None if no reading can be predicted by others."""
+        if folds is None or not len(folds):
+            return None
+        solutions = {"nominal": fit.nominal, "calibrated": fit.solution}
+        found = cls(folds, {model: left_out_errors(fit, of, rows, folds) for model, of in solutions.items()})
+        return found if found.errors("calibrated") else None
+
+    @cached_property
+    def headline(self) -> Way:
+        """The way in which predictions of the calibrated model are worse."""
+        found = {way: statistics_of(parts) for way, parts in self.of_model["calibrated"].items()}
+        return cast(Way, headline_of({way: of for way, of in found.items() if of}))
+
+    @property
+    def lead(self) -> list[LeftOutErrors]:
+        """The errors of the calibrated model in this way, station by station."""
+        return self.of_model["calibrated"][self.headline]
+
+    def errors(self, model: str) -> dict[str, dict[str, float]]:
+        """Return the statistics of a model, way by way."""
+        found = {way: statistics_of(parts) for way, parts in self.of_model[model].items()}
+        return {way: of for way, of in found.items() if of}
+
+    @property
+    def rows(self) -> int:
+        """Number of readings that were predicted."""
+        parts = next(iter(self.of_model["calibrated"].values()))
+        return sum(int(np.isfinite(part.residuals).all(axis=0).sum()) for part in parts)
+
+    def at_station(self, k: int, model: str) -> dict[str, float]:
+        """Return the statistics of the headline at one station; empty where nothing counts."""
+        return statistics_of(self.of_model[model][self.headline][k : k + 1])
 
 
 FitOthers = Callable[[Robot, dict[str, Measurements], Options], CalibratedFit]

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
-from msgspec import UNSET, to_builtins
+from msgspec import UNSET, UnsetType, to_builtins
 from scipy.special import chdtrc
 
 from pincal.calibration.calibrated import CalibratedModel
@@ -18,6 +18,7 @@ from pincal.calibration.caveats import (
     Caveat,
     CaveatKind,
     Readings,
+    far_off,
     findings_on_data,
     findings_on_fit,
     findings_on_held_out,
@@ -28,7 +29,13 @@ from pincal.calibration.caveats import (
     findings_on_replicates,
     findings_on_scatter,
 )
-from pincal.calibration.held_out import LeftOut, StationRows, errors_held_out, headline_of
+from pincal.calibration.held_out import (
+    LeftOut,
+    StationRows,
+    Validated,
+    errors_held_out,
+    headline_of,
+)
 from pincal.calibration.improvement import findings_without_instrument, improvements
 from pincal.calibration.moves import moves_of
 from pincal.calibration.placing import moved
@@ -51,6 +58,7 @@ from pincal.validate.outcome import (
     NoiseRecord,
     Outcome,
     StationRecord,
+    ValidationWay,
     noise_key,
 )
 
@@ -108,7 +116,7 @@ class Result(Outcome):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""
-        perhaps = ("iso9283", "lack_of_fit", "stations", "improvement", "clocks")
+        perhaps = ("iso9283", "lack_of_fit", "stations", "improvement", "clocks", "validation")
         absent = {name for name in perhaps if getattr(self, name) in (None, UNSET)}
         contents = {name: value for name, value in asdict(self).items() if name not in {*absent, "doubt", "shift"}}
         contents |= {"parameters": [row.to_dict() for row in self.parameters], "warnings": to_builtins(self.warnings)}
@@ -136,17 +144,18 @@ def result_of(
     seconds: float,
     notes: Sequence[Note] = (),
     left_out: Sequence[LeftOut] = (),
+    validated: Validated | None = None,
 ) -> Result:
     """Assemble the result of a calibration that took some seconds, with the rows of each station.
 
-    Notes on robot and data are listed before others of their severity. If stations were predicted by models of the others,
-    ``left_out``, these are the held-out errors.
+    Notes on robot and data are listed before others of their severity. Errors by cross-validation are
+    ``validated``; if stations were predicted by models of the others, ``left_out``, these are the held-out errors.
     """
     solution = fit.solution
     parameters = parameter_rows(fit)
     p_value = float(chdtrc(solution.degrees, solution.chi2)) if fit.is_declared else None
     seen = [_Seen.of(fit, k, part) for k, part in enumerate(rows)]
-    again = [_replicates(fit, k, part) for k, part in enumerate(seen)]
+    again = [_replicates(fit, k, part, validated) for k, part in enumerate(seen)]
     iso, lack = again[0] if len(seen) == 1 else (None, None)
     on_replicates = [
         replace(found, station=part.rows.name)
@@ -162,7 +171,7 @@ def result_of(
         *findings_on_scatter(fit),
         *findings_on_data(fit, read),
         *findings_without_instrument(fit, improved),
-        *_on_rows(seen, left_out),
+        *_on_rows(seen, left_out, validated),
         *on_replicates,
         *findings_on_moves(fit, moves),
     ]
@@ -178,7 +187,9 @@ def result_of(
     found = [n for n in found if n.kind is not CaveatKind.IMPLAUSIBLE or n.station not in stepped]
     found.sort(key=lambda n: n.kind is not CaveatKind.STEP)
     fitted, held = (sum(len(part.rows.measured[k]) for part in seen) for k in (0, 1))
-    error = _errors(fit, seen)
+    error = _errors(fit, seen, validated)
+    if validated is not None:
+        held = validated.rows
     alone = [one for one in left_out if one.sizes]
     if alone:
         for model, by_part in error.items():
@@ -206,7 +217,8 @@ def result_of(
         shift=next((str(n) for n in found if n.kind is CaveatKind.STEP), ""),
         iso9283=iso,
         lack_of_fit=lack,
-        stations=tuple(_records(fit, seen, apart, again, moves)) if len(seen) > 1 else UNSET,
+        validation=_validation(validated, error),
+        stations=tuple(_records(fit, seen, apart, again, moves, validated)) if len(seen) > 1 else UNSET,
         improvement=improved or UNSET,
         clocks=tuple(_clocks(fit, rows)) or UNSET,
     )
@@ -245,6 +257,16 @@ class _Seen:
             free=fit.solution.free[places],
         )
 
+    def fitted_errors(self, fit: ModelFit, model: str) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Return the error magnitudes of the fitted readings that are no outliers, by unit, and their shares."""
+        table = self.rows.measured[0]
+        station = self.parts["train"]
+        if self.rows.train is not table:
+            station = fit.readings(table, station=station.name)
+        counted = self.rows.by_row(self.weights) > 0.0
+        sizes = pose_error_sizes(station, self.values[model])
+        return {unit: of[counted] for unit, of in sizes.items()}, self.rows.share[counted]
+
     @cached_property
     def poses(self) -> list[np.ndarray]:
         """Pose numbers of the fitted rows as measured, and of the held-out ones."""
@@ -256,13 +278,25 @@ class _Seen:
         return [int(line) for line in self.rows.measured[0].rows[self.rows.by_row(self.weights) == 0.0]]
 
 
-def _errors(fit: ModelFit, seen: Sequence[_Seen]) -> Errors:
-    """Return the errors of all stations together, by model and part; of two ways of holding out the worse is "test"."""
+def _validation(validated: Validated | None, error: Errors) -> ValidationWay | UnsetType:
+    """Return how the errors at rows that were not fitted are stated; unset without any."""
+    if "test" not in error["calibrated"]:
+        return UNSET
+    if validated is None:
+        return ValidationWay("held out", 0)
+    return ValidationWay(validated.headline, validated.folds.count(validated.headline))
+
+
+def _errors(fit: ModelFit, seen: Sequence[_Seen], validated: Validated | None) -> Errors:
+    """Return the errors of all stations together, by model and part; of several ways the worse is "test"."""
     rows = [part.rows for part in seen]
     found: Errors = {}
-    for model, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
-        fitted = error_statistics(pose_error_sizes(part.parts["train"], part.values[model]) for part in seen)
-        found[model] = {"train": fitted} | errors_held_out(fit, values, rows)
+    solutions = {"nominal": fit.nominal, "calibrated": fit.solution}
+    for model, solution in solutions.items():
+        fitted = [part.fitted_errors(fit, model) for part in seen]
+        sizes, shares = zip(*fitted, strict=True)
+        unseen = errors_held_out(fit, solution, rows) if validated is None else validated.errors(model)
+        found[model] = {"train": error_statistics(sizes, shares=shares)} | unseen
     lead = headline_of(found["calibrated"])
     for of_model in found.values():
         if lead in of_model:
@@ -276,6 +310,7 @@ def _records(
     left_out: Sequence[LeftOut],
     again: Sequence[tuple[dict[str, Any] | None, LackOfFit | None]],
     moved_there: Sequence[Sequence[MovedParameter]],
+    validated: Validated | None,
 ) -> Iterator[StationRecord]:
     """Yield the records of several stations."""
     first = CalibratedModel.of(fit, station=seen[0].rows.name)
@@ -291,6 +326,10 @@ def _records(
                 for model, values in station.values.items()
             },
         }
+        if validated is not None:
+            record["rows"]["test"] = record["rows"]["train"]
+            for model, by_part in record["error"].items():
+                by_part["test"] = validated.at_station(k, model)
         displacement = moved(first, CalibratedModel.of(fit, station=station.rows.name)).instrument if k else None
         if displacement is not None:
             record["moved_mm"] = 1e3 * displacement
@@ -324,23 +363,33 @@ def _clocks(fit: ModelFit, rows: Sequence[StationRows]) -> Iterator[ClockRecord]
         )
 
 
-def _on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut]) -> Iterator[Caveat]:
+def _on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut], validated: Validated | None) -> Iterator[Caveat]:
     """Yield the findings on the fitted rows of each station, then on the held-out ones."""
     for part in seen:
         train, values, rejected = part.parts["train"], part.values["calibrated"], part.weights == 0.0
         yield from findings_on_outliers(train, values, part.free, table=part.rows.train, rejected=rejected)
         yield from findings_on_order(train)
-    if not left_out and not any("test" in part.parts for part in seen):
+    if not left_out and validated is None and not any("test" in part.parts for part in seen):
         yield Caveat(CaveatKind.NOT_HELD_OUT)
     for one in left_out:
         if one.obstacle:
             yield Caveat(CaveatKind.NOT_LEFT_OUT, {"why": one.obstacle}, one.station)
     for part in seen:
         yield from findings_on_held_out(part.parts.get("test"), part.values["calibrated"], part.rows.test)
+    for part, found in zip(seen, [] if validated is None else validated.lead, strict=False):
+        if found.counted.any():
+            table = part.rows.measured[0] if len(found.counted) == len(part.rows.measured[0]) else part.rows.train
+            sizes = found.counted_sizes
+            yield from far_off(next(iter(sizes.values())), table.select(found.counted), part.rows.name)
 
 
-def _replicates(fit: ModelFit, k: int, seen: _Seen) -> tuple[dict[str, Any] | None, LackOfFit | None]:
-    """Return accuracy and repeatability by ISO 9283, and the test of lack of fit; None without repeated poses."""
+def _replicates(
+    fit: ModelFit, k: int, seen: _Seen, validated: Validated | None
+) -> tuple[dict[str, Any] | None, LackOfFit | None]:
+    """Return accuracy and repeatability by ISO 9283, and the test of lack of fit; None without repeated poses.
+
+    Accuracy is that at poses which a fit has not seen, where there are any.
+    """
     (train, test), (train_poses, test_poses) = seen.rows.measured, seen.poses
     if len(np.unique(np.concatenate([train_poses, test_poses]))) == len(train_poses) + len(test_poses):
         return None, None
@@ -352,7 +401,12 @@ def _replicates(fit: ModelFit, k: int, seen: _Seen) -> tuple[dict[str, Any] | No
     solution, is_alone = fit.solution, len(fit.problem.stations) == 1
     spent = solution.effective if is_alone else spent_at(fit, k)
     lack = lack_of_fit(found, seen.values["calibrated"], solution.sigma[seen.blocks], spent=spent)
-    return iso9283(found, seen.values), lack
+    if validated is None or len(validated.lead[k].counted) != len(train):
+        return iso9283(found, seen.values), lack
+    unseen = {model: of_way[validated.headline][k].residuals for model, of_way in validated.of_model.items()}
+    known = np.all([np.isfinite(of).all(axis=0) for of in unseen.values()], axis=0)
+    predicted = replace(found[0], part="test", counted=counted & known)
+    return iso9283([predicted], seen.values, residuals=unseen), lack
 
 
 def _noise(fit: ModelFit, blocks: slice = slice(None)) -> NoiseRecord:

@@ -17,7 +17,14 @@ from pincal.units import Quantity, fixed, format_readable, show_sigma, show_unit
 from pincal.validate.accuracy import ANGLE_WORDS, ERROR_UNITS, leading_unit
 from pincal.validate.outcome import ClockRecord, Improvement, StationRecord
 
-PARTS = {"train": "fitted", "test": "held out", "regions": "held-out regions", "stretches": "held-out stretches"}
+PARTS = {
+    "train": "fitted",
+    "test": "held out",
+    "regions": "held-out regions",
+    "stretches": "held-out stretches",
+    "sessions": "held-out sessions",
+    "random": "held-out poses",
+}
 """Names of the parts of a data set."""
 
 INTERVAL = 1.96

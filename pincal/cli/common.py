@@ -346,13 +346,17 @@ class CalibrationOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class SplitOptions:
-    """Which rows are held out of the fit."""
+    """How the error at poses that were not fitted is found."""
 
-    test_fraction: float = option("Fraction of rows held out.", 0.25)
+    test_fraction: float = option(
+        "Fraction of the poses to hold out for good; by default all are fitted, and each is predicted by a fit without it.",
+        0.0,
+    )
     split: Literal["both", "random", "blocked", "station"] = option(
-        "Hold out whole regions of joint space and stretches of consecutive rows, and report the worse of the two first; or "
-        "rows at random, regions alone (blocked), or each station in turn (predicted by the others).",
+        "Predict each pose without its region of joint space, and without its stretch of consecutive rows, and report the "
+        "worse of the two first; or without poses at random, or its region alone (blocked); or predict each station by the "
+        "others.",
         "both",
     )
     holdout: Path | None = option("Validate on this table instead; all rows of DATA are fitted.")
-    seed: int = option("Random seed of the hold-out split.", 0)
+    seed: int = option("Random seed of this division.", 0)

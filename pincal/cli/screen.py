@@ -134,7 +134,8 @@ def _errors(by_part: Mapping[str, Mapping[str, float]], name: str) -> str:
     unit = leading_unit(values)
     words = f"mean {values[f'mean_{unit}']:.4f} {unit}, 95 % {values[f'p95_{unit}']:.4f}, max {values[f'max_{unit}']:.4f}"
     model = "nominal, base and tool fitted" if name == "before" else "calibrated"
-    ways, named = [way for way in ("regions", "stretches") if way in by_part], result_tables.PARTS
+    named = result_tables.PARTS
+    ways = [way for way in by_part if way not in ("train", "test")]
     lead = next((way for way in ways if by_part[way] == values), part)
     others = [f"; {named[way]} {by_part[way][f'mean_{unit}']:.4f}" for way in ways if way != lead and name != "before"]
     return f"{words}: {model}, {'no rows held out' if lead == 'train' else named[lead]}{''.join(others)}"
@@ -211,9 +212,13 @@ def _summary(result: Result) -> str:
 
 
 def held_out_words(result: Result) -> str:
-    """Return the held-out rows in words."""
+    """Return how errors at rows that were not fitted were found, in words."""
     turns = 0 if result.stations is UNSET else sum("left_out" in station for station in result.stations)
-    return f"{turns} stations held out in turn" if turns else f"{result.rows['test']} held out"
+    if turns:
+        return f"{turns} stations held out in turn"
+    if result.validation is UNSET or not result.validation.folds:
+        return f"{result.rows['test']} held out"
+    return "errors by cross-validation"
 
 
 def print_replicates(iso: Mapping[str, Any] | None, lack: LackOfFit | None, out: Console) -> None:

@@ -29,13 +29,15 @@ from pincal.discover.candidate_tests import Search, over_rows_of, sampled
 from pincal.discover.decisions import each_heading_once, is_near
 from pincal.discover.drive_curves import smoothed
 from pincal.discover.first_order import ScoreTests
-from pincal.discover.levers import MassError, levers, missing_features, situation_of
+from pincal.discover.levers import MassError, missing_features, situation_of
 from pincal.discover.policy import NOISE, WAVES
 from pincal.discover.score_tests import score_test_given_nuisances
 from pincal.discover.steps import History, SearchState, SearchStep, listed
+from pincal.identify.arrivals import shares_stops, with_arrivals
 from pincal.identify.calibrate import Tolerance, refit
 from pincal.identify.choices import deviance
 from pincal.identify.dependence import with_blocks
+from pincal.identify.drive_levers import levers
 from pincal.identify.fit import Ending, ModelFit, without
 from pincal.measure.extrinsics import sample_rows
 from pincal.model.catalogue.ripple import resolution_of
@@ -64,6 +66,9 @@ def joint_noise(fit: ModelFit) -> JointNoise | None:
     readings = problem.readings(solution.weights).sum()
     is_declared = any(sigma is not None for sigma in fit.noise.declared)
     is_whole = any(station.sensor.is_whole for station in problem.stations)
+    if any(station.arrival is not None for station in problem.stations):
+        # Rows of one stop are weighted by what they share already.
+        return None
     if is_declared or is_whole or solution.exit is Ending.EXACT or readings < NOISE.readings_each * solution.effective:
         return None
     parts = list(_readings(fit))
@@ -101,6 +106,11 @@ def weighed(fit: ModelFit, noise: JointNoise) -> ModelFit:
 
 def note_on_joints(fit: ModelFit) -> str | None:
     """Return the note on a fit whose readings are weighted by joint noise; None for any other."""
+    if any(station.arrival is not None for station in fit.problem.stations):
+        return (
+            "readings of several targets, or points, in one stop of the robot share an error that scatters from stop to "
+            "stop; a stop counts as one observation of the robot"
+        )
     if fit.is_declared or all(station.whitening is None for station in fit.problem.stations):
         return None
     noise, robot = joint_noise(fit), fit.problem.chain.robot
@@ -320,7 +330,8 @@ def fit_all_rows(state: SearchState, search: Search) -> SearchState:
         fit = refit(whole, _exchanged(fit.options.effects, wider), until=Tolerance.ROUGH)
         state = _with_others(state, wider, fit)
     curves = _curves_of(state)
-    if not curves and not is_thinned and noise is None:
+    is_shared = any(map(shares_stops, fit.problem.stations))
+    if not curves and not is_thinned and noise is None and not is_shared:
         return state.fitted_again(refit(fit, fit.options.effects, start={})) if state.changes else state
     chosen: dict[Curve, tuple[Curve, np.ndarray]] = {}
     if curves and fit.solution.exit is not Ending.EXACT:
@@ -330,7 +341,7 @@ def fit_all_rows(state: SearchState, search: Search) -> SearchState:
     by: dict[Effect, Effect] = {curve: finer for curve, (finer, _) in chosen.items()}
     start: dict[Effect, np.ndarray] = dict(chosen.values())
     effects = _exchanged(fit.options.effects, by)
-    fit = fit if noise is None else weighed(fit, noise)
+    fit = with_arrivals(fit) if noise is None else weighed(fit, noise)
     state = _with_others(state, by, refit(fit, effects, start=start))
     return state.changed(state.fit, state.steps, (), ())
 

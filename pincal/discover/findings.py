@@ -22,13 +22,13 @@ from pincal.discover.elastic import (
 )
 from pincal.discover.ending import line_details
 from pincal.discover.first_order import ScoreTests, chance_of
-from pincal.discover.levers import levers
 from pincal.discover.locate import Located, locate
 from pincal.discover.policy import TESTING, WHERE
 from pincal.discover.precheck import ABSORBED
 from pincal.discover.scatter import Excess, find_excess
 from pincal.discover.shrink import PartialResidual, period_of
 from pincal.discover.steps import History, SearchStep
+from pincal.identify.drive_levers import levers
 from pincal.identify.fit import ModelFit, without
 from pincal.io.discovery_file import (
     Bootstrap,

@@ -20,8 +20,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from pincal.discover.policy import TESTING, WAVES
+from pincal.identify.drive_levers import with_motions
 from pincal.identify.fit import ModelFit
-from pincal.identify.problem import Problem, extended
 from pincal.model import kernels
 from pincal.model.basis import FEWEST_SPLINES, spline_basis
 from pincal.model.catalogue.bearing_features import bearing_features
@@ -36,38 +36,6 @@ from pincal.model.kernel_inputs import Payload, Values
 from pincal.model.loops import borne_moments
 from pincal.model.model import Model
 from pincal.parameters import Parameter
-
-
-@dataclass(frozen=True)
-class Motions(Effect):
-    """Unit motions of some coordinates of the chain, to compute their levers."""
-
-    coordinates: tuple[int, ...]
-    name: ClassVar[str] = "motions"
-    meaning: ClassVar[str] = "coordinates of the chain move independently"
-    locus: ClassVar[Locus] = Locus()
-
-    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """One per coordinate."""
-        return tuple(Parameter(f"chain.{k}", "rad", self.name, 0.0, 1.0) for k in self.coordinates)
-
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add constants."""
-        return tuple(Term(p, k) for p, k in enumerate(self.coordinates))
-
-
-def _with_motions(fit: ModelFit, coordinates: Iterable[int]) -> tuple[Problem, np.ndarray, np.ndarray]:
-    """Return a fit's problem with motions of coordinates, its values, and a mask of the motions."""
-    problem, known = extended(fit.problem, [Motions(tuple(map(int, coordinates)))])
-    values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
-    values[known], free[known] = fit.values, False
-    return problem, values, free
-
-
-def levers(fit: ModelFit, coordinates: Sequence[int]) -> np.ndarray:
-    """Return the derivatives of the readings of the only station by K coordinates, shape (K, m, N), per rad or m."""
-    problem, values, free = _with_motions(fit, coordinates)
-    return np.concatenate([J for _, _, J in problem.stations[0].linearise(values, free)], axis=2)
 
 
 @dataclass(frozen=True)
@@ -207,7 +175,7 @@ def strongest_tones(fit: ModelFit, candidates: Sequence[Candidate], near: float)
 
 def seen_along(fit: ModelFit, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return L . r and L . L of some coordinates on the whitened readings, shape (K, N) each."""
-    (problem, values, free), n = _with_motions(fit, coordinates), len(fit.problem)
+    (problem, values, free), n = with_motions(fit, coordinates), len(fit.problem)
     along, lever = np.zeros((2, len(coordinates), n))
     for station, places, blocks, rows in zip(
         problem.stations, problem.places, problem.block_spans, problem.rows, strict=True

@@ -15,10 +15,11 @@ from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
 from pincal.discover.first_order import ScoreTests
-from pincal.discover.levers import MassError, levers
+from pincal.discover.levers import MassError
 from pincal.discover.policy import WHERE
 from pincal.discover.products import Information
 from pincal.discover.score_tests import Tangent
+from pincal.identify.drive_levers import levers
 from pincal.identify.fit import ModelFit
 from pincal.identify.quadratic import Form
 from pincal.io.discovery_file import Disagreement
@@ -106,7 +107,7 @@ def locate(fit: ModelFit, sigma: np.ndarray) -> tuple[list[Located], list[Disagr
     rows = np.flatnonzero(fit.solution.weights > 0.0)
     fit = fit.select(rows[np.unique(np.linspace(0, len(rows) - 1, WHERE.rows).astype(int))])
     # Rows are taken to be independent.
-    fit = fit.over([replace(fit.station, whitening=None, serial=None)])
+    fit = fit.over([replace(fit.station, whitening=None, serial=None, arrival=None)])
     fit = replace(fit, solution=replace(fit.solution, estimated=sigma))
     every, places = _motions(fit), list[Located]()
     masses = MassError.of(fit.model, fit.values)

@@ -26,7 +26,7 @@ from msgspec.structs import replace as changed
 
 from pincal.calibration.calibrated_robot import Fit as CalibratedFit
 from pincal.calibration.calibration import Calibration, run_calibration
-from pincal.calibration.held_out import LeftOut, as_measured, leave_out_stations
+from pincal.calibration.held_out import LeftOut, Validated, as_measured, leave_out_stations
 from pincal.calibration.result import result_of
 from pincal.calibration.validation import Validation
 from pincal.discover.candidate_tests import sampled
@@ -126,9 +126,10 @@ def run_discovery(
         executor: runs these searches, and the discoveries that leave a station out; default: sequentially, here.
 
     Keyword Args:
-        test_fraction: fraction of the rows held out; default: a fifth.
-        split: how rows are chosen; default: whole regions of joint space, and stretches of consecutive rows, the headline
-            being the one predicted worse. With "station" each station is predicted by a discovery on the others.
+        test_fraction: fraction of the poses to hold out for good; default: none, errors are stated by cross-validation.
+        split: how poses are divided into folds, or chosen; default: whole regions of joint space, and stretches of
+            consecutive rows, the headline being the one predicted worse. With "station" each station is predicted by a
+            discovery on the others.
         seed: of the choice; default: 0.
         holdout: other measurements to hold out instead.
         moment_frames: moment frames to choose from by the data; default: as in the options. The first is kept unless
@@ -171,7 +172,7 @@ def run_discovery(
     options = replace(options, moment_frame=frames[0])
     search = partial(_search, frames=frames, extra=extra, policy=policy)
     left_out: Iterable[LeftOut] = ()
-    held_back: dict[str, Any] = {"test_fraction": 0.2, "split": "both", **choices}
+    held_back: dict[str, Any] = {"test_fraction": 0.0, "split": "both", **choices}
     if held_back["split"] == "station":
         # Stations are held out instead of rows.
         held_back |= {"test_fraction": 0.0, "split": "random"}
@@ -187,7 +188,8 @@ def run_discovery(
     halves = begin_subsamples(trail, _regions(first), stability, executor=executor)
     # The following runs while workers search the halves.
     fit, traces = widened(trail), partial_residuals(trail)
-    gaps, held_out = stages_of(trail, first.stations)
+    folds = None if first.validated is None else first.validated.folds
+    gaps, held_out = stages_of(trail, first.stations, folds)
     origins = ", ".join(dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations))))
     measured = as_measured(trail.final, first.stations)
     findings = findings_of(
@@ -197,8 +199,9 @@ def run_discovery(
         findings = with_subsamples(findings, halves(), bootstrap_last(trail))
     left_out = tuple(left_out)
     seconds = time.perf_counter() - begun
-    result = result_of(fit, first.stations, seconds=seconds, notes=notes, left_out=left_out)
-    final = replace(first, fit=CalibratedFit.of(fit), result=result, notes=notes)
+    validated = Validated.of(fit, first.stations, folds)
+    result = result_of(fit, first.stations, seconds=seconds, notes=notes, left_out=left_out, validated=validated)
+    final = replace(first, fit=CalibratedFit.of(fit), result=result, notes=notes, validated=validated)
     # The search decides whether the model is inadequate; whether it is adequate, the rule common to all commands.
     verdict = result.verdict_of(incomplete=findings.verdict is Verdict.NOT_ADEQUATE)
     findings = changed(findings, verdict=verdict, warnings=result.warnings)

@@ -25,8 +25,8 @@ from scipy.spatial import cKDTree
 from scipy.special import chdtrc, chdtri, fdtrc
 
 from pincal.discover.first_order import ScoreTests
-from pincal.discover.levers import levers
 from pincal.discover.policy import NOISE, TESTING
+from pincal.identify.drive_levers import levers
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.io.discovery_file import ScatteringJoint

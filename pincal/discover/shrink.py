@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from msgspec.structs import asdict
 
 from pincal.calibration.held_out import StationRows, errors_held_out, headline_of
-from pincal.discover.levers import levers, on_steps
+from pincal.discover.levers import on_steps
 from pincal.discover.policy import WAVES
 from pincal.discover.steps import History, ModelChange
 from pincal.identify.dependence import placed_at_mean
+from pincal.identify.drive_levers import levers
 from pincal.identify.fit import ModelFit
+from pincal.identify.folds import Folds, Way
 from pincal.io.discovery_file import EffectName, Gap, Stage
 from pincal.model.conditions import MOMENT, recorded_variable
 from pincal.model.effect import Curve, Effect, Family, Locus
@@ -27,27 +29,34 @@ from pincal.validate.accuracy import error_statistics, pose_error_sizes
 _OF_BOTH = ("product", "map")
 
 
-def gaps_of(fit: ModelFit, rows: Sequence[StationRows]) -> dict[str, Gap]:
-    """Return the errors of a fit on the held-out rows, "test" and of each way; without any, those on the fitted rows."""
+def gaps_of(fit: ModelFit, rows: Sequence[StationRows], folds: Folds | None = None) -> dict[str, Gap]:
+    """Return the errors of a fit at rows that it has not seen, by the ways of dividing them; else those of the fitted rows.
+
+    ``folds`` divide the fitted rows; default: rows were held out for good, of which "test" is all.
+    """
     fit = placed_at_mean(fit)
-    errors = errors_held_out(fit, fit.values, rows)
+    errors = errors_held_out(fit, fit.solution, rows, None if folds is None else folds.over(fit.problem))
     if not errors:
         errors = {"test": error_statistics(pose_error_sizes(at, fit.values[places]) for at, places, _ in fit.stations)}
     return {part: Gap(**{key: of[key] for key in Gap.__struct_fields__ if key in of}) for part, of in errors.items()}
 
 
 def stages_of(
-    trail: History, rows: Sequence[StationRows]
+    trail: History, rows: Sequence[StationRows], folds: Folds | None = None
 ) -> tuple[tuple[Stage, ...], dict[str, dict[Literal["before", "after"], Gap]]]:
     """Return the errors at the start and after each change of the model, and at start and end on rows held out in each way.
 
     The share of a change is its reduction of the mean square given the previous changes, so that nothing counts twice.
     (Shapley values would divide it evenly, but need a fit of every subset.)
     """
-    every = [gaps_of(fit, rows) for fit in (trail.first, *(change.fit for change in trail.changes))]
-    first, last = every[0], every[-1]
+    first, last = (
+        gaps_of(fit, rows, folds) for fit in (trail.first, trail.changes[-1].fit if trail.changes else trail.first)
+    )
     lead = headline_of({part: {"mean_mm": gap.mean_mm} for part, gap in last.items()})
-    gaps = [gap[lead] for gap in every]
+    # Between them only the headline is shown.
+    leading = None if folds is None or not len(folds) else folds.only(cast(Way, lead))
+    between = [gaps_of(change.fit, rows, leading)[lead] for change in trail.changes[:-1]]
+    gaps = [first[lead], *between, *([last[lead]] if trail.changes else [])]
     squares = [gap.rms_mm**2 for gap in gaps]
     fell = squares[0] - squares[-1]
     stages = [Stage(name="at the start", **asdict(gaps[0]))]

@@ -18,6 +18,7 @@ from pincal.discover.first_order import ScoreResult, ScoreTests
 from pincal.discover.levers import missing_compliances
 from pincal.discover.policy import TESTING, Policy
 from pincal.discover.score_tests import score_test, score_test_given_nuisances
+from pincal.identify.arrivals import with_arrivals
 from pincal.identify.calibrate import Tolerance, refit
 from pincal.identify.choices import required_features
 from pincal.identify.fit import ModelFit
@@ -162,12 +163,20 @@ def add_effects(state: SearchState, search: Search) -> SearchState:
         if isinstance(found, SearchStep):
             residuals = (1e3 * float(fit.solution.estimated[0]) for fit in (found.before, found.after))
             log.info("found %s: residual %.4f -> %.4f mm", listed(found.effects), *residuals)
-            return _trusting_clusters(state.with_step(found))
+            return _trusting_clusters(_weighted_by_stops(state.with_step(found)))
         log.info("bearings: %s", listed(found))
         fit = refit(state.fit, [*state.fit.options.effects, *found], start={}, until=Tolerance.CLOSE)
-        return _trusting_clusters(state.changed(fit, state.steps, found, ()))
+        return _trusting_clusters(_weighted_by_stops(state.changed(fit, state.steps, found, ())))
 
     return select_stepwise(_trusting_clusters(state), offers, taken, most=search.policy.most_steps)
+
+
+def _weighted_by_stops(state: SearchState) -> SearchState:
+    """Return the state in which readings of a stop share what the present model leaves of it."""
+    found = with_arrivals(state.fit)
+    if found is state.fit:
+        return state
+    return state.fitted_again(refit(found, found.options.effects, start={}, until=Tolerance.CLOSE))
 
 
 def _trusting_clusters(state: SearchState) -> SearchState:

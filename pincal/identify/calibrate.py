@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from pincal.errors import BadInputError, MeasurementError, nearest_first
+from pincal.identify.arrivals import with_arrivals
 from pincal.identify.beliefs import excited_of, is_frame, of_stations, priors_of, released_of
 from pincal.identify.believed import Earlier
 from pincal.identify.choices import along_gauge, best_of, required_features, some_rows_of, weight_of
@@ -94,6 +95,7 @@ def fit_tables(
     fit = _in_best_frame(fit)
     if options.prior_scale is None and options.earlier is None and not observes_places(fit):
         fit = _cautious(fit)
+    fit = reweighted_by_stops(fit)
     if any(station.serial is not None for station in fit.problem.stations):
         return with_blocks(placed_at_mean(fit))
     return with_blocks(reweighted_by_order(fit) if options.serial and is_dependent(fit) else fit)
@@ -279,6 +281,12 @@ def refit(
         begun.values[begun.problem.places_at(effect)] = values
     begun = replace(begun, priors=priors_of(begun.problem, begun.options))
     return _solved(begun, begun.values if start is None else begun.solution, until=until)
+
+
+def reweighted_by_stops(fit: ModelFit) -> ModelFit:
+    """Return a fit with rows of one stop of the robot weighted by the noise that they share; perhaps none do."""
+    found = with_arrivals(fit)
+    return fit if found is fit else refit(found, fit.options.effects, start={})
 
 
 def reweighted_by_order(fit: ModelFit) -> ModelFit:

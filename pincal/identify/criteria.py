@@ -77,6 +77,9 @@ class Criteria:
         "exceeded in one sound table of 10 000")
     correlated: float = number(18.0, _GAIN, "test_rows.py::test_a_fit_of_independent_rows_has_no_correlated_noise",
         "that correlation along the rows has to gain", "two parameters at a p-value of 1e-4")
+    arrivals: float = number(20.0, _GAIN, "test_arrivals.py::test_exact_drives_share_no_noise",
+        "that noise shared by the readings of a stop has to gain",
+        "six variances, each half the time zero by chance: 1 in 10 000")
     fewest_in_order: int = number(20, "rows", _ORDER, "that can show dependence along them", "the longest band of lags")
     as_likely: float = number(2.0, _GAIN, _ORDER,
         "within which a correlation length is as likely as the best, and the longest is used",

@@ -126,7 +126,7 @@ def runs(stations: Sequence[Station]) -> Iterator[range]:
     start, rows, key, is_plain = 0, len(stations[0]), _key(stations[0]), None
     for i, station in enumerate(stations[1:], 1):
         rows, other = rows + len(station), _key(station)
-        is_alike = rows <= PIECE and station.serial is None and other == key
+        is_alike = rows <= PIECE and not station.is_correlated and other == key
         if is_alike and is_plain is None:
             is_plain = _is_plain(stations[start])
         if not (is_alike and is_plain):
@@ -161,7 +161,7 @@ def _is_plain(station: Station) -> bool:
     is_rows = {f.name for f in fields(sensor)} == set(sensor.per_row)  # type: ignore[arg-type]
     if not is_rows or sensor.parameters or isinstance(sensor, Grouped):
         return False
-    if station.serial is not None or station.shares_setup or not len(station):
+    if station.is_correlated or station.shares_setup or not len(station):
         return False
     nowhere = chain.with_references(np.full((3, 3), np.nan), np.full_like(chain.tool_rotations, np.nan))
     row, moments = station.conditions.select(slice(0, 1)), np.zeros((1, 3 * chain.robot.n_joints))
@@ -263,7 +263,10 @@ def reweighted(
     Arguments as for :func:`accumulate_each`, and ``past``: the equations at the same values with other robust weights.
     """
     rows = np.arange(len(station)) if past is None else np.flatnonzero(robust != past.robust)
-    # Where rows are correlated, the contribution of a row depends on the others.
+    if station.arrival is not None:
+        # The contribution of a row depends on the others of its stop.
+        rows = np.flatnonzero(np.isin(station.arrival.stop, station.arrival.stop[rows]))
+    # Where rows are correlated along their order, it depends on all before.
     is_whole = len(ends) > 2 or station.sensor.is_whole or station.serial is not None
     if past is None or is_whole or _MOST_CHANGED * len(rows) > len(station):
         return accumulate_each(station, ends, values, free, robust)
@@ -271,7 +274,10 @@ def reweighted(
     H, g = past.H.copy(), past.g.copy()
     for some, add in ((change > 0.0, np.add), (change < 0.0, np.subtract)):
         if some.any():
-            weights, part = np.sqrt(np.abs(change[some])), station.select(rows[some])
+            if station.arrival is None:
+                weights, part = np.sqrt(np.abs(change[some])), station.select(rows[some])
+            else:
+                weights, part = np.sqrt(np.where(some, np.abs(change), 0.0)), station.select(rows)
             found = accumulate_each(part, np.array([0, len(weights)]), values, free, weights)
             add(H, found.H, out=H)
             add(g, found.g, out=g)

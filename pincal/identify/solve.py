@@ -235,7 +235,7 @@ class _Run:
 
         J contains neither knowledge beyond the priors of each parameter nor correlated noise.
         """
-        correlated = any(s.serial is not None or s.whitening is not None for s in self.problem.stations)
+        correlated = any(s.is_correlated or s.whitening is not None for s in self.problem.stations)
         if correlated or not self.problem.beliefs.is_slope or not np.isfinite(self.priors.sizes[self.free]).any():
             return False
         whole = self.point.posterior(self.judged.sigma).whole

@@ -23,14 +23,14 @@ from pincal.identify.problem import Problem
 from pincal.identify.solve import Course, solve
 from pincal.measure.admit import scorable
 from pincal.measure.measurements import Measurements
-from pincal.measure.poses import SCATTER, replicate_groups
+from pincal.measure.poses import pose_groups
 from pincal.model.conditions import TURN
 from pincal.robot.robot import Robot
 from pincal.spread import spread
 
 Split = Literal["random", "blocked"]
-Way = Literal["regions", "stretches"]
-"""In what held-out rows are apart from fitted ones: joint positions, or the order of measurement."""
+HeldWay = Literal["regions", "stretches"]
+"""In what rows that are held out for good are apart from fitted ones: joint positions, or the order of measurement."""
 
 # Number of regions of joint space, and of stretches of rows, in a blocked split.
 _BLOCKS = 25
@@ -57,32 +57,40 @@ def hold_out(
     return measurements.select(~held), measurements.select(held)
 
 
-def ways_held_out(measurements: Measurements, fraction: float, *, seed: int = 0) -> dict[Way, np.ndarray]:
+def ways_held_out(measurements: Measurements, fraction: float, *, seed: int = 0) -> dict[HeldWay, np.ndarray]:
     """Return which rows to hold out both ways, half of them by regions of joint space and half by stretches of rows.
 
     A model that knows the neighbours of a pose, or the rows measured before and after it, predicts it better than others: by
-    curves between trained positions, or by drift between trained rows. Arguments and errors as for :func:`hold_out`.
+    curves between trained positions, or by drift between trained rows. What is drawn are poses, with all their readings: a
+    stretch is of the poses in the order of their first visits. Arguments and errors as for :func:`hold_out`.
 
     Returns:
-        For each way a mask, shape (N,); readings of one pose stay together, and no row is in both.
+        For each way a mask, shape (N,), no row in both.
     """
-    n, wanted = len(measurements), _rows_to_hold(measurements, fraction, part=0.5)
+    n = len(measurements)
+    _rows_to_hold(measurements, fraction)
+    if not fraction or not n:
+        return {"regions": np.zeros(n, bool), "stretches": np.zeros(n, bool)}
+    along = measurements.rows if measurements.time is None else measurements.time
+    pose = pose_groups([measurements])[0]
+    in_order = np.argsort(along, kind="stable")
+    _, first = np.unique(pose[in_order], return_index=True)
+    first = in_order[first]
+    count = len(first)
+    wanted = round(0.5 * fraction * count)
     if not wanted:
         return {"regions": np.zeros(n, bool), "stretches": np.zeros(n, bool)}
-    regions = _drawn_groups(row_groups(measurements, split="blocked", seed=seed), wanted, seed)
-    along = measurements.rows if measurements.time is None else measurements.time
-    place = np.argsort(np.argsort(along, kind="stable"), kind="stable")
-    stretches = _drawn_groups(place * min(_BLOCKS, n) // n, wanted, seed + 1)
-    pose = replicate_groups([measurements], within=SCATTER)[0]
-    regions = np.isin(pose, pose[regions])
-    return {"regions": regions, "stretches": np.isin(pose, pose[stretches]) & ~regions}
+    regions = _drawn_groups(row_groups(measurements.select(first), split="blocked", seed=seed), wanted, seed)
+    place = np.argsort(np.argsort(along[first], kind="stable"), kind="stable")
+    stretches = _drawn_groups(place * min(_BLOCKS, count) // count, wanted, seed + 1) & ~regions
+    return {"regions": regions[pose], "stretches": stretches[pose]}
 
 
-def _rows_to_hold(measurements: Measurements, fraction: float, part: float = 1.0) -> int:
-    """Return the number of rows to hold out, or of a part of them."""
+def _rows_to_hold(measurements: Measurements, fraction: float) -> int:
+    """Return the number of rows to hold out."""
     if not 0.0 <= fraction < 1.0:
         raise BadInputError(f"test fraction is {fraction:g}; expected at least 0 and below 1")
-    return round(part * fraction * len(measurements))
+    return round(fraction * len(measurements))
 
 
 def _drawn_groups(groups: np.ndarray, wanted: int, seed: int) -> np.ndarray:

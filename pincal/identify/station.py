@@ -13,7 +13,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.identify.jacobian import Jacobian, SharedColumns
-from pincal.identify.whitening import Serial, whitened_rows
+from pincal.identify.whitening import Serial, SharedNoise, whitened_rows
 from pincal.measure.extrinsics import sample_rows
 from pincal.measure.instruments import InstrumentNoise, seen_by
 from pincal.measure.measurements import Measurements, sensor_of
@@ -47,6 +47,7 @@ class Station:
         name: distinguishes the stations of a problem; "" for a single one.
         position: shape (N,), of each row in the order of measurement, in rows; None without an order.
         serial: correlation of the noise along that order; default: none.
+        arrival: noise that the rows of each stop of the robot share; default: none.
         trusted: shape (N,), rows that are never outliers; default: none.
         setup: name of the set-up whose instrument it shares with stations between other links; "" if it is its own.
     """
@@ -59,6 +60,7 @@ class Station:
     whitening: np.ndarray | None = None
     position: np.ndarray | None = None
     serial: Serial | None = None
+    arrival: SharedNoise | None = None
     trusted: np.ndarray | None = None
     setup: str = ""
 
@@ -125,6 +127,7 @@ class Station:
             whitening=None if self.whitening is None else np.ascontiguousarray(self.whitening[..., rows]),
             position=None if self.position is None else self.position[rows],
             serial=None if self.serial is None else self.serial.select(rows),
+            arrival=None if self.arrival is None else self.arrival.select(rows),
             trusted=None if self.trusted is None else self.trusted[rows],
         )
 
@@ -150,30 +153,46 @@ class Station:
             residuals = np.asarray(whitened_rows(self.whitening, np.ascontiguousarray(residuals[None]))[0])
         return np.concatenate([self._along(residuals[None, :, p], p)[0] for p in self._pieces()], axis=1)
 
+    @property
+    def is_correlated(self) -> bool:
+        """Whether the noise of a row depends on that of others."""
+        return self.serial is not None or self.arrival is not None
+
     def _along(self, columns: np.ndarray, piece: slice) -> np.ndarray:
-        """Return columns of a piece of the rows, shape (D, m, n), with the correlation along the rows removed, too."""
-        if self.serial is None:
+        """Return columns of a piece of the rows, shape (D, m, n), with the correlation of rows removed, too."""
+        if not self.is_correlated:
             return columns
-        # Rows of larger weight have less of both kinds of noise.
+        # Rows of larger weight have less of all kinds of noise.
         weights = self.weights[piece]
-        return np.asarray(self.serial.select(piece).innovations(columns * weights) / weights)
+        columns = columns * weights
+        if self.arrival is not None:
+            columns = self.arrival.select(piece).whitened(columns)
+        if self.serial is not None:
+            columns = self.serial.select(piece).innovations(columns)
+        return np.asarray(columns / weights)
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
         """Return white noise of all rows, shape (m, N), correlated like the readings': the inverse of :meth:`whitened`."""
         if self.serial is not None:
             parts = [self.serial.select(p).coloured((noise * self.weights)[:, p]) for p in self._pieces()]
             noise = np.concatenate(parts, axis=1) / self.weights
+        if self.arrival is not None:
+            noise = self.arrival.coloured(noise * self.weights) / self.weights
         if self.whitening is None:
             return noise
         return np.asarray(np.linalg.solve(np.moveaxis(self.whitening, 2, 0), noise.T[:, :, None])[:, :, 0].T)
 
-    def displacements(self, values: np.ndarray) -> np.ndarray:
-        """Return the displacement of each row's target, as far as its reading determines it, shape (N, 3) [m]."""
+    def displacements(self, values: np.ndarray, residuals: np.ndarray | None = None) -> np.ndarray:
+        """Return the displacement of each row's target, as far as its reading determines it, shape (N, 3) [m].
+
+        ``residuals``, shape (m, N), are of predictions by nearby values; default: by these.
+        """
         out, (of_model, own) = np.empty((len(self), 3)), self.split(values)
         for piece in self._pieces():
             part = self._part(piece)
             poses = part.model.predict(of_model, part.conditions.at_moments)
-            out[piece] = part.sensor.displacement(part.sensor.residuals(poses, own), poses, own)
+            off = part.sensor.residuals(poses, own) if residuals is None else residuals[:, piece]
+            out[piece] = part.sensor.displacement(off, poses, own)
         return out
 
     def metres_per_reading(self, values: np.ndarray) -> float:
@@ -240,19 +259,26 @@ class Station:
         column_of = np.cumsum(free) - 1
         families = tuple(SharedColumns(column_of[places], basis, columns[n_apart + i]) for places, basis, i in curves)
         jacobian = Jacobian(int(free.sum()), column_of[apart], dense, families)
-        if self.serial is None:
+        if not self.is_correlated:
             return residuals, jacobian
-        # The effect of a curve at one row persists in the next ones, too.
+        # The effect of a curve at one row reaches others, too.
         columns, places = jacobian.dense_columns()
         return self._along(residuals[None], piece)[0], Jacobian(jacobian.size, places, self._along(columns, piece))
 
     def _pieces(self) -> Iterator[slice]:
         is_whole = self.sensor.is_whole or (self.serial is not None and np.any(np.diff(self.serial.position) < 0.0))
+        if self.arrival is not None and not is_whole:
+            is_whole = not _is_contiguous(self.arrival.stop)
         around = self.conditions.around
         moments = 1 if around is None or around.q is None else around.q.shape[1]
         size = max(len(self), 1) if is_whole else max(PIECE // moments, 1)
-        for start in range(0, len(self), size):
-            yield slice(start, min(start + size, len(self)))
+        cuts = list(range(0, len(self), size))
+        if self.arrival is not None and len(cuts) > 1:
+            # No stop is divided.
+            begins = np.flatnonzero(np.diff(self.arrival.stop, prepend=-1))
+            cuts = np.unique(begins[np.searchsorted(begins, cuts, side="right") - 1]).tolist()
+        for start, stop in pairwise([*cuts, len(self)]):
+            yield slice(start, stop)
 
     def _part(self, piece: slice) -> Station:
         if piece == slice(0, len(self)):
@@ -261,7 +287,20 @@ class Station:
         # Weights and positions are the whole station's, as pieces are assembled by them.
         whitening = None if self.whitening is None else np.ascontiguousarray(self.whitening[..., piece])
         serial = None if self.serial is None else self.serial.select(piece)
-        return replace(self, conditions=conditions, sensor=self.sensor.select(piece), whitening=whitening, serial=serial)
+        arrival = None if self.arrival is None else self.arrival.select(piece)
+        return replace(
+            self,
+            conditions=conditions,
+            sensor=self.sensor.select(piece),
+            whitening=whitening,
+            serial=serial,
+            arrival=arrival,
+        )
+
+
+def _is_contiguous(stop: np.ndarray) -> bool:
+    """Return whether the rows of each stop, by number, follow each other."""
+    return int(np.count_nonzero(np.diff(stop))) + 1 == len(np.unique(stop))
 
 
 def station_of(

@@ -1,4 +1,4 @@
-r"""Whitening of noise: among the readings of each row, and along the rows in their order.
+r"""Whitening of noise: among the readings of each row, among the rows of a stop, and along the rows in their order.
 
 Drift of a set-up, moving air or a settling floor correlate the errors of consecutive rows. Each component of a reading then
 has, in addition to white noise, an autoregression of first order along the rows,
@@ -17,6 +17,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.sparse import coo_array
 
 from pincal.compiled import compiled
 
@@ -143,6 +144,74 @@ class Serial:
         """Return white noise, shape (m, N), with this correlation."""
         found = np.asarray(filtered(np.ascontiguousarray(noise[None]), *self._recursion, True)[0])
         return found if self.turns is None else turned_into(self.turns.swapaxes(1, 2), found)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SharedNoise:
+    """Noise that all rows of a stop share, beside independent noise of variance 1: V = 1 + L L^T.
+
+    Attributes:
+        levers: shape (r, m, N), L of each row, in units of the independent noise.
+        stop: shape (N,), number of each row's stop, from 0.
+        axes: eigenvalues, shape (S, r), and eigenvectors, shape (S, r, r), of L^T L of each stop.
+        rows: shape (S,), number of rows of each stop behind them.
+    """
+
+    levers: np.ndarray
+    stop: np.ndarray
+    axes: tuple[np.ndarray, np.ndarray]
+    rows: np.ndarray
+
+    @classmethod
+    def of(cls, levers: np.ndarray, stop: np.ndarray) -> SharedNoise:
+        """Return the noise of rows with levers, shape (r, m, N), in stops, shape (N,)."""
+        stop = np.unique(stop, return_inverse=True)[1].ravel()
+        rows = np.bincount(stop)
+        G = np.zeros((len(rows), len(levers), len(levers)))
+        np.add.at(G, stop, np.einsum("imn,jmn->nij", levers, levers))
+        values, vectors = np.linalg.eigh(G)
+        return cls(np.ascontiguousarray(levers), stop, (np.maximum(values, 0.0), vectors), rows)
+
+    def select(self, index: Any) -> SharedNoise:
+        """Return that of some rows (mask, indices or slice)."""
+        levers, stop = self.levers[..., index], self.stop[index]
+        count = np.bincount(stop, minlength=len(self.rows))
+        if np.any((count > 0) & (count < self.rows)):
+            # Of some stops only a part of the rows is left.
+            return SharedNoise.of(levers, stop)
+        return replace(self, levers=np.ascontiguousarray(levers), stop=stop)
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of V."""
+        return float(np.sum(np.log1p(self.axes[0][np.unique(self.stop)])))
+
+    def whitened(self, columns: np.ndarray) -> np.ndarray:
+        """Return V^(-1/2) times columns of all rows, shape (D, m, N)."""
+        root = np.sqrt(1.0 + self.axes[0])
+        # (1 / root - 1) / values without the difference of near numbers.
+        return self._along(columns, -1.0 / (root * (root + 1.0)))
+
+    def coloured(self, noise: np.ndarray) -> np.ndarray:
+        """Return V^(1/2) times white noise, shape (m, N)."""
+        return np.asarray(self._along(noise[None], 1.0 / (np.sqrt(1.0 + self.axes[0]) + 1.0))[0])
+
+    def _along(self, columns: np.ndarray, factor: np.ndarray) -> np.ndarray:
+        """Return columns plus L U f U^T L^T times these, with the eigenvectors U and factors f, shape (S, r)."""
+        vectors = self.axes[1]
+        r, m, n = self.levers.shape
+        present, stop = np.unique(self.stop, return_inverse=True)
+        # One sparse matrix sums over the rows of each stop.
+        at = stop.ravel() * r + np.arange(r)[:, None]
+        rows = np.broadcast_to(at[:, None], (r, m, n)).ravel()
+        places = np.broadcast_to(np.arange(m * n).reshape(1, m, n), (r, m, n)).ravel()
+        L = coo_array((self.levers.ravel(), (rows, places)), shape=(len(present) * r, m * n)).tocsr()
+        flat = columns.reshape(len(columns), m * n)
+        sums = (L @ flat.T).reshape(len(present), r, -1)
+        U = vectors[present]
+        M = (U * factor[present][:, None, :]) @ U.transpose(0, 2, 1)
+        back = L.T @ (M @ sums).reshape(len(present) * r, -1)
+        return np.asarray((flat + back.T).reshape(columns.shape))
 
 
 def turned_into(turns: np.ndarray, columns: np.ndarray) -> np.ndarray:

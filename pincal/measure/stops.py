@@ -133,8 +133,7 @@ def plan_of(table: Measurements) -> Plan:
     stop[order] = np.cumsum(begins) - 1
     passes = np.empty(n, int)
     passes[order] = _passes_of(pose[order], begins)
-    session = np.empty(n, int)
-    session[order] = _sessions_of(table, order, begins)
+    session = np.zeros(n, int) if table.time is None else sessions_by_time(table.time)
     return Plan(order, pose, thing, stop, passes, session)
 
 
@@ -178,14 +177,14 @@ def _stops_begin(table: Measurements, pose: np.ndarray, order: np.ndarray) -> np
     moved = np.append(True, pose[1:] != pose[:-1])
     if table.stop is not None:
         named = table.stop[order]
-        return moved | np.append(True, named[1:] != named[:-1])
+        return np.asarray(moved | np.append(True, named[1:] != named[:-1]))
     if table.time is None or moved[1:].all() or not moved[1:].any():
         return moved
     gaps = np.diff(table.time[order])
     usual = float(np.median(gaps[moved[1:]]))
     if usual <= 0.0:
         return moved
-    return moved | np.append(True, gaps >= _AWAY * usual)
+    return np.asarray(moved | np.append(True, gaps >= _AWAY * usual))
 
 
 def _passes_of(pose: np.ndarray, begins: np.ndarray) -> np.ndarray:
@@ -203,10 +202,12 @@ def _passes_of(pose: np.ndarray, begins: np.ndarray) -> np.ndarray:
     return found
 
 
-def _sessions_of(table: Measurements, order: np.ndarray, begins: np.ndarray) -> np.ndarray:
-    """Return the session of each row, in order, shape (N,): pauses divide them."""
-    if table.time is None or np.count_nonzero(begins) < 3:
-        return np.zeros(len(order), int)
-    gaps = np.append(0.0, np.diff(table.time[order]))
-    usual = float(np.median(gaps[begins][1:]))
-    return np.cumsum(gaps > max(_PAUSE * usual, _LEAST_PAUSE))
+def sessions_by_time(time: np.ndarray) -> np.ndarray:
+    """Return the session of each row from its time [s], shape (N,): long pauses divide them."""
+    order = np.argsort(time, kind="stable")
+    gaps = np.diff(time[order], prepend=time[order[:1]])
+    moved = gaps[gaps > 0.0]
+    usual = float(np.median(moved)) if len(moved) else 0.0
+    session = np.empty(len(time), int)
+    session[order] = np.cumsum(gaps > max(_PAUSE * usual, _LEAST_PAUSE))
+    return session

@@ -77,12 +77,18 @@ def error_drawings(readings: Iterable[RowErrors]) -> Iterator[Drawing]:
                 title = f"Histogram of {evidence.name} errors of {rows} poses before and after calibration"
                 caption = (
                     "Share of poses by size of error, on a logarithmic scale: the further left, the better. These poses "
-                    f"were {use} by the fit."
+                    f"were {use} by the fit that predicts them."
                 )
                 yield row_figures.histogram_figure(evidence, held=held), title, caption
         caption = (
-            "Share of poses with a smaller error: solid lines held-out, dotted lines fitted poses. Where both "
-            "coincide, expect the same accuracy at new poses. The dashed curve is the noise of the instrument alone."
+            "Share of poses with a smaller error"
+            + (
+                ", each predicted by a fit without it. "
+                if evidence.is_held.all()
+                else ": solid lines held-out, dotted lines fitted poses. Where both coincide, expect the same accuracy at "
+                "new poses. "
+            )
+            + "The dashed curve is the noise of the instrument alone."
         )
         yield row_figures.cumulative_figure(evidence), f"Cumulative curves of {evidence.name} errors", caption
 

@@ -148,7 +148,7 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
     else:
         # Both kinds of held-out rows together.
         rms = f"rms_{leading_unit(error['test'])}"
-        ways = [error[way][rms] for way in ("regions", "stretches") if way in error] or [error["test"][rms]]
+        ways = [error[way][rms] for way in error if way not in ("train", "test")] or [error["test"][rms]]
         if np.sqrt(np.mean(np.square(ways))) > _OVERFITTED * error["train"][rms]:
             steps.append("Held-out errors exceed fitted ones: measure more poses, spread over the whole range of use.")
     if narrow := ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in narrow_joints(calibration)):

@@ -94,7 +94,7 @@ def _headline(subject: Subject) -> Markup:
     rows = (
         "On set-ups not used by the calibration, each predicted with the model of the others"
         if result.left_out_mm is not None
-        else f"On {subject.calibration.n_poses('test')} poses not used by the calibration"
+        else _predicted(result)
         if part == "test"
         else "No poses were held out, so these are the errors of the fit itself, not of new poses: over all poses"
     )
@@ -109,6 +109,22 @@ def _headline(subject: Subject) -> Markup:
         "{}, the mean error of the model is <b>{}</b>; before calibration it was <b>{}</b>{}. {} {}.",
         *(rows, _size(after, unit), _size(before, unit), times, noise, noise_words(result.noise)),
     )
+
+
+_APART = {
+    "regions": "its region of joint space",
+    "stretches": "its stretch of consecutive rows",
+    "sessions": "its session",
+    "random": "it",
+}
+
+
+def _predicted(result: Result) -> str:
+    """Return at what poses the first errors of the page are."""
+    validation = result.validation
+    if validation is UNSET or validation.way not in _APART:
+        return f"In {result.rows['test']} rows that the calibration has not used"
+    return f"Where each of {result.rows['test']} rows is predicted by a fit without {_APART[validation.way]}"
 
 
 def _size(value: float, unit: str) -> str:
@@ -167,8 +183,8 @@ def _rows_of(rows: StationRows, outliers: Sequence[int]) -> Markup:
     rejected = f", {len(outliers)} rejected as outliers (line {few(outliers, _LISTED)})" if outliers else ""
     held = rich(" from {}", code(test.source)) if other else ""
     name = rich("<b>{}</b>: ", rows.name) if rows.name else ""
-    counts = (len(train), len(test), held, rejected)
-    return rich("{}{} in {}: {} rows fitted, {} held out{}{}", name, train.kind, code(train.source), *counts)
+    held = rich(", {} held out{}", len(test), held) if len(test) else Markup("")
+    return rich("{}{} in {}: {} poses fitted{}{}", name, train.kind, code(train.source), len(train), held, rejected)
 
 
 _CLOCKS = (

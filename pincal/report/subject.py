@@ -10,8 +10,10 @@ from typing import Any, Literal
 import numpy as np
 
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.held_out import Validated
 from pincal.calibration.result import Result
 from pincal.discover.run import Discovery
+from pincal.identify.station import Station
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.model import Model
@@ -20,14 +22,14 @@ from pincal.units import readable_unit
 
 @dataclass(frozen=True)
 class RowErrors:
-    """Errors of one kind of reading in N rows, fitted and held-out ones together.
+    """Errors of one kind of reading in N rows: fitted and held-out ones together, or each by a fit without its fold.
 
     Attributes:
         name: of the reading: "position", "orientation" or "distance".
         unit: of all errors: "mm" or "mrad".
         before: shape (k, N), reading minus prediction with base and tool fitted alone.
         after: shape (k, N), the same for the calibrated model.
-        is_held: shape (N,), whether the row was held out of the fit.
+        is_held: shape (N,), whether the row was held out of the fit that predicts it.
         is_outlier: shape (N,), whether the row was rejected as an outlier.
         noise: standard deviation of one component.
         joint_names: of the n joints.
@@ -79,18 +81,68 @@ def evidence_of(calibration: Calibration) -> tuple[RowErrors, ...]:
     return tuple(_together(parts) for parts in found.values())
 
 
-def _of_station(calibration: Calibration, k: int) -> Iterator[RowErrors]:
-    """Yield the errors of the k-th station, one kind of reading after the other."""
-    fit, robot, rows = calibration.fit, calibration.robot, calibration.stations[k]
-    station, places, blocks = list(fit.stations)[k]
+@dataclass(frozen=True)
+class _Shown:
+    """The rows of a station whose errors are shown: station, line and errors of each, before and after."""
+
+    problems: list[Station]
+    line: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    is_held: np.ndarray
+    is_outlier: np.ndarray
+
+
+def _fitted_and_held(calibration: Calibration, k: int) -> _Shown:
+    """Return the fitted and the held-out rows of the k-th station."""
+    fit, rows = calibration.fit, calibration.stations[k]
+    station, places, _ = list(fit.stations)[k]
     tables = [table for table in (rows.train, rows.test) if len(table)]
     problems = [station, *filter(None, [rows.held(fit)])]
-    before = np.hstack([problem.residuals(fit.nominal.values[places]) for problem in problems])
-    after = np.hstack([problem.residuals(fit.values[places]) for problem in problems])
     lengths = [len(problem) for problem in problems]
+    is_outlier = np.zeros(sum(lengths), bool)
+    is_outlier[: lengths[0]] = fit.solution.weights[fit.problem.rows[k]] == 0.0
+    return _Shown(
+        problems=problems,
+        line=np.concatenate([table.rows for table in tables]),
+        before=np.hstack([problem.residuals(fit.nominal.values[places]) for problem in problems]),
+        after=np.hstack([problem.residuals(fit.values[places]) for problem in problems]),
+        is_held=np.arange(sum(lengths)) >= lengths[0],
+        is_outlier=is_outlier,
+    )
+
+
+def _left_out(calibration: Calibration, k: int, validated: Validated) -> _Shown:
+    """Return the readings of the k-th station, each predicted by fits without its fold."""
+    fit, rows = calibration.fit, calibration.stations[k]
+    before, after = (validated.of_model[model][validated.headline][k] for model in ("nominal", "calibrated"))
+    known = np.flatnonzero(np.isfinite(before.residuals).all(axis=0) & np.isfinite(after.residuals).all(axis=0))
+    station = fit.problem.stations[k]
+    table, outlier = rows.train, fit.solution.weights[fit.problem.rows[k]] == 0.0
+    if len(after.counted) != len(station):
+        table = rows.measured[0]
+        outlier = rows.by_row(outlier)
+        station = fit.readings(table, station=station.name)
+    return _Shown(
+        problems=[station.select(known)],
+        line=table.rows[known],
+        before=before.residuals[:, known],
+        after=after.residuals[:, known],
+        is_held=np.ones(len(known), bool),
+        is_outlier=outlier[known],
+    )
+
+
+def _of_station(calibration: Calibration, k: int) -> Iterator[RowErrors]:
+    """Yield the errors of the k-th station, one kind of reading after the other."""
+    fit, robot = calibration.fit, calibration.robot
+    station, _, blocks = list(fit.stations)[k]
+    validated = calibration.validated
+    shown = _fitted_and_held(calibration, k) if validated is None else _left_out(calibration, k, validated)
+    problems, before, after = shown.problems, shown.before, shown.after
+    if not len(shown.line):
+        return
     q = np.vstack([problem.conditions.q for problem in problems])
-    outlier = np.zeros(sum(lengths), bool)
-    outlier[: lengths[0]] = fit.solution.weights[fit.problem.rows[k]] == 0.0
     gravity = station.model.chain.gravity
     up = np.array([0.0, 0.0, 1.0]) if not np.any(gravity) else -gravity / np.linalg.norm(gravity)
     place = Model(Chain.of(robot), ()).predict(np.zeros(0), Conditions.at(q))[:, :, 3]
@@ -104,15 +156,15 @@ def _of_station(calibration: Calibration, k: int) -> Iterator[RowErrors]:
             unit=unit,
             before=before[here] * factor,
             after=after[here] * factor,
-            is_held=np.arange(sum(lengths)) >= lengths[0],
-            is_outlier=outlier,
+            is_held=shown.is_held,
+            is_outlier=shown.is_outlier,
             noise=float(fit.solution.estimated[b] if declared is None else declared) * factor,
             joint_names=tuple(robot.joint_names),
             is_prismatic=np.array([kind == "prismatic" for kind in robot.joint_types]),
             q=q,
             place=place,
             up=up,
-            line=np.concatenate([table.rows for table in tables]),
+            line=shown.line,
             time=np.concatenate(times) if len(times) == len(problems) else None,
         )
 

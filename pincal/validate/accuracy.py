@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -42,16 +43,19 @@ ANGLE_WORDS = {"AP_mm": "mm"} | {f"AP_{a}_mrad": f"mrad about {axis}" for a, axi
 """Unit of each kind of accuracy."""
 
 
-def pose_error_sizes(station: Station, values: np.ndarray) -> dict[str, np.ndarray]:
+def pose_error_sizes(station: Station, values: np.ndarray, *, residuals: np.ndarray | None = None) -> dict[str, np.ndarray]:
     """Return the size of the error at each row by its unit, one of ``ERROR_UNITS``, shape (N,) each; empty without rows.
 
-    Errors of images are also given in mm, across the view at the distance of the point.
+    Errors of images are also given in mm, across the view at the distance of the point. ``residuals``, shape (m, N), are of
+    predictions by nearby values; default: by these.
     """
     if not len(station):
         return {}
-    residuals, found = station.residuals(values), dict[str, np.ndarray]()
+    known = residuals
+    residuals = station.residuals(values) if known is None else known
+    found = dict[str, np.ndarray]()
     if station.sensor.blocks[0].unit != "m" and station.sensor.reads_place:
-        found["mm"] = 1e3 * np.linalg.norm(station.displacements(values), axis=1)
+        found["mm"] = 1e3 * np.linalg.norm(station.displacements(values, residuals=known), axis=1)
     for block, rows in zip(station.sensor.blocks, station.block_rows, strict=True):
         unit = Unit(1e3, "mrad/s") if block.unit == "rad/s" else readable_unit(block.unit)
         found[unit.name] = np.linalg.norm(residuals[rows], axis=0) * unit.factor
@@ -67,13 +71,27 @@ def error_summary(station: Station, values: np.ndarray) -> dict[str, float]:
     return error_statistics([pose_error_sizes(station, values)])
 
 
-def error_statistics(parts: Iterable[Mapping[str, ArrayLike]]) -> dict[str, float]:
-    """Return the statistics of errors by unit, as from :func:`pose_error_sizes`, of several stations together."""
+def error_statistics(
+    parts: Iterable[Mapping[str, ArrayLike]], *, shares: Iterable[np.ndarray] | None = None
+) -> dict[str, float]:
+    """Return the statistics of errors by unit, as from :func:`pose_error_sizes`, of several stations together.
+
+    Args:
+        parts: the errors of each station.
+        shares: weight of each error of each station; default: 1.
+    """
     errors: dict[str, list[ArrayLike]] = {}
-    for part in parts:
+    weights: dict[str, list[np.ndarray]] = {}
+    given: Iterator[np.ndarray | None] = repeat(None) if shares is None else iter(shares)
+    for part, share in zip(parts, given, strict=False):
         for unit, sizes in part.items():
             errors.setdefault(unit, []).append(sizes)
-    return {name: value for unit, of_unit in errors.items() for name, value in _statistics(np.concatenate(of_unit), unit)}
+            weights.setdefault(unit, []).append(np.ones(np.shape(sizes)) if share is None else share)
+    return {
+        name: value
+        for unit, of_unit in errors.items()
+        for name, value in _statistics(np.concatenate(of_unit), np.concatenate(weights[unit]), unit)
+    }
 
 
 def leading_block(fit: ModelFit) -> int:
@@ -87,12 +105,28 @@ def leading_unit(statistics: Mapping[str, float]) -> str:
     return next(unit for unit in ("mm", "px", "m/s^2") if f"mean_{unit}" in statistics)
 
 
-def _statistics(errors: np.ndarray, unit: str) -> Iterator[tuple[str, float]]:
-    yield f"mean_{unit}", float(np.mean(errors))
-    yield f"median_{unit}", float(np.median(errors))
-    yield f"rms_{unit}", float(np.sqrt(np.mean(errors**2)))
-    yield f"p95_{unit}", float(np.percentile(errors, 95))
+def _statistics(errors: np.ndarray, weights: np.ndarray, unit: str) -> Iterator[tuple[str, float]]:
+    if np.all(weights == weights[0]):
+        middle, most = np.median(errors), np.percentile(errors, 95)
+    else:
+        middle, most = (weighted_quantile(errors, weights, part) for part in (0.5, 0.95))
+    yield f"mean_{unit}", float(np.average(errors, weights=weights))
+    yield f"median_{unit}", float(middle)
+    yield f"rms_{unit}", float(np.sqrt(np.average(errors**2, weights=weights)))
+    yield f"p95_{unit}", float(most)
     yield f"max_{unit}", float(np.max(errors))
+
+
+def weighted_quantile(values: np.ndarray, weights: np.ndarray, part: float) -> float:
+    """Return the value below which a part of the weight lies, halfway between the middles of two weights.
+
+    Example:
+        >>> weighted_quantile(np.array([3.0, 1.0, 2.0]), np.array([1.0, 1.0, 2.0]), 0.5)
+        2.0
+    """
+    order = np.argsort(values)
+    mass = np.cumsum(weights[order]) - 0.5 * weights[order]
+    return float(np.interp(part * np.sum(weights), mass, values[order]))
 
 
 @dataclass(frozen=True)
@@ -134,12 +168,19 @@ def angle_accuracy(residuals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.abs(residuals.mean(axis=1)), 3.0 * residuals.std(axis=1, ddof=1)
 
 
-def iso9283(parts: Sequence[Replicates], models: Mapping[str, np.ndarray]) -> dict[str, Any] | None:
+def iso9283(
+    parts: Sequence[Replicates],
+    models: Mapping[str, np.ndarray],
+    *,
+    residuals: Mapping[str, np.ndarray] | None = None,
+) -> dict[str, Any] | None:
     """Return accuracy and repeatability of all poses with replicates.
 
     Args:
         parts: fitted and held-out rows, of which outliers are excluded.
         models: name of a model -> shape (P,), its values; the last one's figures are given pose by pose.
+        residuals: name of a model -> shape (m, N), attained minus predicted readings of all rows, where these are of
+            other predictions than by ``models``, such as of fits without the pose.
 
     Returns:
         This entry of ``result.json``: number of poses and cycles, mean and largest AP and RP by model and part [mm, mrad],
@@ -147,7 +188,11 @@ def iso9283(parts: Sequence[Replicates], models: Mapping[str, np.ndarray]) -> di
     """
     if not parts[0].station.sensor.reads_pose:
         return None
-    by_model = {model: _all_poses(parts, values) for model, values in models.items()}
+    if residuals is None:
+        residuals = {
+            model: np.hstack([part.station.residuals(values) for part in parts]) for model, values in models.items()
+        }
+    by_model = {model: _all_poses(parts, of_model) for model, of_model in residuals.items()}
     poses = by_model[list(models)[-1]]
     if not poses:
         return None
@@ -161,9 +206,8 @@ def iso9283(parts: Sequence[Replicates], models: Mapping[str, np.ndarray]) -> di
     }
 
 
-def _all_poses(parts: Sequence[Replicates], values: np.ndarray) -> list[dict[str, Any]]:
-    """Return AP and RP of each pose with replicates, in the order of the tables."""
-    residuals = np.hstack([v.station.residuals(values) for v in parts])
+def _all_poses(parts: Sequence[Replicates], residuals: np.ndarray) -> list[dict[str, Any]]:
+    """Return AP and RP of each pose with replicates, in the order of the tables, of residuals of shape (m, N)."""
     pose = np.concatenate([np.where(v.counted, v.pose, -1) for v in parts])
     rows = [(v, i) for v in parts for i in range(len(v.table))]
     found = []

@@ -23,6 +23,7 @@ from scipy.special import bdtrc, stdtr
 
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
+from pincal.measure.poses import SCATTER, same_joints
 
 # Differences [rad or m] for numerical derivatives.
 _MOVED = 1e-5
@@ -166,13 +167,16 @@ def bump_in(station: Station, values: np.ndarray) -> Gathering | None:
     is_moving = station.conditions.inertial is not None
     if is_moving or not station.sensor.reads_pose or station.serial is not None or len(station) * _PART < _IN_BUMP:
         return None
+    pose = np.unique(same_joints(station.conditions.q, SCATTER), return_inverse=True)[1].ravel()
+    if (pose.max() + 1) * _PART < _IN_BUMP:
+        return None
     off, fields = station.displacements(values), list(fields_of_joints(station, values))
-    every = [_Windows.along(field, station, off) for field in fields]
+    every = [_Windows.along(field, station, off, pose) for field in fields]
     if not every:
         return None
     surprises = [float(windows.surprises(windows.off).max()) for windows in every]
     best, most = every[int(np.argmax(surprises))], max(surprises)
-    if np.exp(-most) * len(station) * len(best.widths) > _LIKELY:
+    if np.exp(-most) * len(best.q) * len(best.widths) > _LIKELY:
         return None
     p_value = best.chance(most) * len(fields)
     return None if p_value > _CHANCE_OF_BUMP else best.gathering(p_value)
@@ -180,29 +184,36 @@ def bump_in(station: Station, values: np.ndarray) -> Gathering | None:
 
 @dataclass(frozen=True, eq=False)
 class _Windows:
-    """Windows of a joint's positions, for N rows sorted by these.
+    """Windows of a joint's positions, for N poses sorted by these.
+
+    Readings of several targets at one pose are one observation of the joint.
 
     Attributes:
         joint: its name.
-        order: shape (N,), indices of the rows.
+        order: shape (N,), numbers of the poses.
+        pose: shape (rows,), the pose of each row.
         q: shape (N,), positions [rad or m].
-        lever: shape (N,), motion of the target with the joint [m/rad or m/m].
-        off: shape (N,), error of the target in that direction [m].
+        lever: shape (N,), motion of all targets of the pose with the joint [m/rad or m/m].
+        off: shape (N,), error of these along it [m].
     """
 
     joint: str
     order: np.ndarray
+    pose: np.ndarray
     q: np.ndarray
     lever: np.ndarray
     off: np.ndarray
 
     @classmethod
-    def along(cls, field: MotionField, station: Station, off: np.ndarray) -> _Windows:
-        """Return the windows of a joint for errors ``off`` of the targets, shape (N, 3) [m]."""
-        q = station.conditions.q[:, station.model.chain.robot.joint_names.index(field.name)]
-        order, motion = np.argsort(q, kind="stable"), field.directions[:, :, 0]
-        lever = np.maximum(np.linalg.norm(motion, axis=1), 1e-300)
-        return cls(field.name, order, q[order], lever[order], (np.einsum("na,na->n", motion, off) / lever)[order])
+    def along(cls, field: MotionField, station: Station, off: np.ndarray, pose: np.ndarray) -> _Windows:
+        """Return the windows of a joint for errors ``off`` of the targets, shape (rows, 3) [m], at poses, shape (rows,)."""
+        _, first = np.unique(pose, return_index=True)
+        q = station.conditions.q[first, station.model.chain.robot.joint_names.index(field.name)]
+        order = np.argsort(q, kind="stable")
+        motion = field.directions[:, :, 0]
+        lever = np.sqrt(np.maximum(np.bincount(pose, np.sum(motion**2, axis=1)), 1e-300))
+        along = np.bincount(pose, np.einsum("na,na->n", motion, off)) / lever
+        return cls(field.name, order, pose, q[order], lever[order], along[order])
 
     @cached_property
     def widths(self) -> list[int]:
@@ -245,7 +256,8 @@ class _Windows:
         typical, clipped = self._clipped(self.off)
         size = typical * float(self.lever[inside] @ clipped[inside] / (self.lever[inside] @ self.lever[inside]))
         low, high = self.q[first], self.q[first + m - 1]
-        return Gathering(np.sort(self.order[inside]), m, self.joint, float(low), float(high), p_value, size)
+        rows = np.flatnonzero(np.isin(self.pose, self.order[inside]))
+        return Gathering(rows, len(rows), self.joint, float(low), float(high), p_value, size)
 
 
 def _thickest(x: np.ndarray, rejected: np.ndarray) -> Iterator[tuple[float, float, float]]:

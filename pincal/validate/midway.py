@@ -184,7 +184,7 @@ def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.
 def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray) -> _Rows:
     """Return the data of rows in order."""
     # Displacements follow from the readings without whitening.
-    station, n = replace(station, whitening=None, serial=None), len(station)
+    station, n = replace(station, whitening=None, serial=None, arrival=None), len(station)
     parts = (jacobian.columns(_FUNCTIONS, slice(3)) for _, _, jacobian in station.linearise_shared(values, free))
     J = np.concatenate([part.transpose(2, 1, 0) for part in parts]).reshape(3 * n, -1)
     J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)

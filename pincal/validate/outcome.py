@@ -51,7 +51,7 @@ class RowCounts(TypedDict):
 
     Attributes:
         train: fitted.
-        test: held out, not used by the fit.
+        test: held out, not used by the fit; or predicted by a fit without their fold, see ``validation``.
     """
 
     train: int
@@ -127,6 +127,21 @@ class StationRecord(TypedDict):
 
 
 @dataclass(frozen=True)
+class ValidationWay:
+    """How the errors at rows that were not fitted were found.
+
+    Attributes:
+        way: "regions" of joint space, "stretches" of consecutive rows, "sessions" or "random": each pose was predicted by a
+            fit without its fold of this kind, the way in which predictions are worse; "held out": by rows that no fit has
+            used; or "station": each station by the others.
+        folds: number of folds; 0 for rows that were held out.
+    """
+
+    way: Literal["regions", "stretches", "sessions", "random", "held out", "station"]
+    folds: int
+
+
+@dataclass(frozen=True)
 class ClockRecord:
     """Clock of an instrument that reads an arm in motion: its stamp t is the joints' time t + offset + drift (t - middle).
 
@@ -195,6 +210,7 @@ class Outcome:
         iso9283: pose accuracy AP and pose repeatability RP (ISO 9283) by model and rows, and pose by pose [mm, mrad].
         lack_of_fit: test of the residuals against the scatter between repeated measurements.
         stations: results of each station.
+        validation: how the errors of "test" were found; not in files of version 0.1.0.
         improvement: how far predictions are improved, by link and region, where no instrument observed the robot.
         clocks: of the instruments that read an arm in motion.
     """
@@ -216,6 +232,7 @@ class Outcome:
     degrees: float = 0.0
     iso9283: dict[str, Any] | None = None
     lack_of_fit: LackOfFit | None = None
+    validation: ValidationWay | UnsetType = UNSET
     stations: tuple[StationRecord, ...] | UnsetType = UNSET
     improvement: tuple[Improvement, ...] | UnsetType = UNSET
     clocks: tuple[ClockRecord, ...] | UnsetType = UNSET

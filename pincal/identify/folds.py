@@ -1,0 +1,187 @@
+r"""Errors of a fit at rows that it has not seen: every row is predicted once by a fit without its fold.
+
+The delivered model is fitted to all rows. Its error is stated by cross-validation: poses, with all their readings, are
+divided into folds, and each is predicted by the fit of the others. Folds are regions of joint space, stretches of
+consecutive rows, or sessions: a model that knows the neighbours of a pose, or the rows measured before and after it,
+predicts it better than others.
+
+The fit without a fold is that of all rows less the fold's information: with the normal equations H x = g of all rows
+and the fold's part of them, one Gauss-Newton step leads there,
+
+.. math:: x_{-k} = x + (H - H_k + D^{-2})^{-1} (g - g_k) ,
+
+which for a linear model is exact (Cook and Weisberg 1982, Residuals and Influence in Regression, section 3.2). A step that
+is not short is repeated at its end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from pincal.identify.equations import Linearised
+from pincal.identify.fit import ModelFit, Solution
+from pincal.identify.problem import Problem
+from pincal.identify.split import joint_regions
+from pincal.identify.station import Station
+from pincal.measure.poses import SCATTER, same_joints
+from pincal.measure.stops import sessions_by_time
+
+Way = Literal["regions", "stretches", "sessions", "random"]
+"""In what held-out rows are apart from fitted ones: joint positions, the order of measurement, the session, or nothing."""
+
+# Folds of each way.
+_FOLDS = 25
+# Steps at most to the fit without a fold, and the motion of predictions by the last one, in units of the noise, that
+# needs no further one.
+_STEPS, _SHORT = 3, 0.3
+
+
+@dataclass(frozen=True)
+class Folds:
+    """A division of the rows of a problem.
+
+    Attributes:
+        of_way: way -> shape (N,), the fold of each row of all stations, from 0.
+        seed: of the division.
+    """
+
+    of_way: Mapping[Way, np.ndarray]
+    seed: int = 0
+
+    @classmethod
+    def of(cls, problem: Problem, ways: Sequence[Way], *, seed: int = 0) -> Folds:
+        """Divide the rows of a problem in some ways; those that would leave a single fold are left out.
+
+        Rows of one pose are always in one fold, at all stations.
+        """
+        found = {way: _together(problem, _FOLDS_OF[way](problem, seed)) for way in ways}
+        return cls({way: fold for way, fold in found.items() if len(fold) and fold.max() > 0}, seed)
+
+    def over(self, problem: Problem) -> Folds:
+        """Return the division of another problem's rows in the same ways; the same for the same rows."""
+        return Folds.of(problem, tuple(self.of_way), seed=self.seed)
+
+    def __len__(self) -> int:
+        return len(self.of_way)
+
+    def only(self, way: Way) -> Folds:
+        """Return the division in one of its ways."""
+        return Folds({way: self.of_way[way]}, self.seed)
+
+    def count(self, way: Way) -> int:
+        """Return the number of folds of a way."""
+        return int(self.of_way[way].max()) + 1
+
+
+def left_out_residuals(fit: ModelFit, solution: Solution, fold: np.ndarray) -> list[np.ndarray]:
+    """Return reading minus prediction of every row by the fit of the other folds, shape (m, N) for each station.
+
+    Args:
+        fit: the fit of all rows.
+        solution: its full solution, or that of base and tool alone.
+        fold: shape (N,), the fold of each row of all stations.
+
+    Returns:
+        For each station; nan for rows of a target or point that no other fold has.
+    """
+    problem = fit.problem
+    residuals = [np.full((station.reading_size, len(station)), np.nan) for station in problem.stations]
+    for k, values in _without_each(fit, solution, fold):
+        for station, places, rows, out in zip(problem.stations, problem.places, problem.rows, residuals, strict=True):
+            mine = fold[rows] == k
+            mine &= ~_only_there(station, mine)
+            if mine.any():
+                out[:, mine] = _residuals_of(station, values[places], mine)
+    return residuals
+
+
+def _residuals_of(station: Station, values: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return the residuals of some rows, a mask, shape (m, n)."""
+    if station.sensor.is_whole:
+        return station.residuals(values)[:, rows]
+    return station.select(np.flatnonzero(rows)).residuals(values)
+
+
+def _without_each(fit: ModelFit, solution: Solution, fold: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield each fold with the values of the fit without it, shape (P,)."""
+    weights = solution.weights
+    point = Linearised(fit.problem, solution.values, solution.free, weights, fit.priors.sizes)
+    point.posterior(solution.sigma)
+    readings = max(float(fit.problem.readings(weights).sum()), 1.0)
+    bounds = fit.priors.bounds[solution.free]
+    for k in range(int(fold.max()) + 1):
+        others = np.where(fold == k, 0.0, weights)
+        # Equations of the fold alone are subtracted from those of all rows, which stay as they are.
+        here = replace(point, robust=others, normals=dict(point.normals), sums=dict(point.sums))
+        for _ in range(_STEPS):
+            posterior = here.posterior(solution.sigma)
+            step, _ = posterior.step_within(bounds)
+            values = here.values.copy()
+            values[solution.free] += step
+            if posterior.square(step) < _SHORT**2 * readings:
+                break
+            here = replace(here, values=values, normals={}, sums={})
+        yield k, values
+
+
+def _only_there(station: Station, rows: np.ndarray) -> np.ndarray:
+    """Return which rows are of a target or named point that no row outside of ``rows`` has, shape (N,)."""
+    alone = np.zeros(len(rows), bool)
+    for names in (station.conditions.target, station.sensor.groups):
+        if names is not None and len(names):
+            known = np.unique(names[~rows])
+            alone |= ~np.isin(names, known)
+    return np.asarray(alone & rows)
+
+
+def _together(problem: Problem, fold: np.ndarray) -> np.ndarray:
+    """Return folds in which rows of the same joint positions share that of the first of them, numbered from 0."""
+    q = problem.conditions.q
+    station = problem.stations[0]
+    is_plain = len(problem.stations) == 1 and station.sensor.groups is None and len(station.model.chain.targets) == 1
+    if not is_plain and len(fold):
+        _, first, pose = np.unique(same_joints(q, SCATTER), return_index=True, return_inverse=True)
+        fold = fold[first][pose.ravel()]
+    return np.asarray(np.unique(fold, return_inverse=True)[1].ravel())
+
+
+def _regions(problem: Problem, seed: int) -> np.ndarray:
+    """Return the region of joint space of each row."""
+    return joint_regions(problem.conditions.q, _FOLDS, seed)
+
+
+def _stretches(problem: Problem, seed: int) -> np.ndarray:
+    """Return the stretch of consecutive rows of each row, the same number of them at each station."""
+    parts = []
+    for station in problem.stations:
+        n = len(station)
+        if station.position is None:
+            parts.append(np.zeros(n, int))
+            continue
+        place = np.argsort(np.argsort(station.position, kind="stable"), kind="stable")
+        parts.append(place * min(_FOLDS, n) // max(n, 1))
+    return np.concatenate(parts)
+
+
+def _sessions(problem: Problem, seed: int) -> np.ndarray:
+    """Return the session of each row, counted over all stations; a single one without times."""
+    parts, begun = [], 0
+    for station in problem.stations:
+        time = station.conditions.time
+        session = np.zeros(len(station), int) if time is None else sessions_by_time(time)
+        parts.append(begun + session)
+        begun += int(session.max(initial=0)) + (time is not None)
+    return np.concatenate(parts)
+
+
+def _at_random(problem: Problem, seed: int) -> np.ndarray:
+    """Return folds of rows at random."""
+    n = len(problem)
+    return np.random.default_rng(seed).permutation(n) % min(_FOLDS, max(n, 1))
+
+
+_FOLDS_OF = {"regions": _regions, "stretches": _stretches, "sessions": _sessions, "random": _at_random}

@@ -1,0 +1,144 @@
+"""Readings of several targets in one stop share the arrival of the drives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pincal import Options, Robot
+from pincal import simulate as sim
+from pincal.builtin import kuka_urdf_path
+from pincal.identify.arrivals import arrival_noise, shares_stops
+from pincal.identify.calibrate import fit_tables
+from pincal.identify.equations import Linearised
+from pincal.identify.fit import ModelFit
+from pincal.identify.whitening import SharedNoise
+from pincal.measure.measurements import Measurements, measurements_from_arrays
+from pincal.model.effects import GEOMETRIC
+
+URDF = kuka_urdf_path()
+NOISE = 2e-5
+TARGETS = ((0.2, 0.0, 0.1), (0.0, 0.2, 0.1), (-0.2, 0.0, 0.1), (0.0, -0.2, 0.3), (0.1, 0.1, 0.4))
+
+
+def measured(poses: int, arrival: float, *, seed: int = 0, missing: float = 0.0) -> Measurements:
+    """Return readings of five targets in stops whose drives arrive to ``arrival`` [rad], without some of the rows."""
+    rng = np.random.default_rng(seed)
+    machine = sim.TrueMachine.from_urdf(URDF, tip="tool0").draw_errors(rng, sigma_length=3e-4, sigma_angle=3e-4)
+    q = sim.plan_poses(machine.nominal, poses, rng)
+    arrived = q + arrival * rng.standard_normal(q.shape)
+    parts = []
+    for target in TARGETS:
+        columns = sim.Instrument(targets=target, sigma=NOISE).measure(machine, arrived, rng=rng)
+        parts.append(np.column_stack([columns[axis] for axis in "xyz"]))
+    position = np.stack(parts, axis=1).reshape(-1, 3)
+    names = np.tile([f"r{k}" for k in range(len(TARGETS))], poses)
+    rows = measurements_from_arrays(machine.names, np.repeat(q, len(TARGETS), axis=0), position=position, target=names)
+    return rows.select(rng.random(len(rows)) >= missing)
+
+
+def fitted(rows: Measurements, **options: object) -> ModelFit:
+    return fit_tables(Robot.from_urdf(URDF), rows, Options(effects=GEOMETRIC, **options))  # type: ignore[arg-type]
+
+
+def test_exact_drives_share_no_noise() -> None:
+    """Where drives arrive exactly, rows of a stop are independent, and weights stay as they are."""
+    for seed in range(6):
+        fit = fitted(measured(40, 0.0, seed=seed, missing=0.08))
+        assert shares_stops(fit.problem.stations[0])
+        assert fit.problem.stations[0].arrival is None
+
+
+def test_the_scatter_of_the_drives_is_found() -> None:
+    """Its size, and that of the instrument apart from it, are those of the simulation."""
+    fit = fitted(measured(120, 5e-5, missing=0.08))
+    plain = fit.over([replace(fit.problem.stations[0], arrival=None)])
+    found = arrival_noise(plain, [True])
+
+    assert found is not None
+    np.testing.assert_allclose(found.drives[:5], 5e-5, rtol=0.35)
+    assert found.readings[0] == pytest.approx(NOISE, rel=0.1)
+    assert fit.solution.sigma[0] == pytest.approx(NOISE, rel=0.1)
+
+
+def test_whitening_is_that_of_the_dense_covariance() -> None:
+    """V^(-1/2) with V = 1 + L L^T stop by stop, and its inverse, as from the whole matrix."""
+    rng = np.random.default_rng(0)
+    stop = np.array([0, 0, 0, 1, 2, 2])
+    L = rng.standard_normal((2, 3, 6))
+    shared = SharedNoise.of(L, stop)
+    flat = L.transpose(2, 1, 0).reshape(18, 2)
+    V = np.eye(18) + (flat @ flat.T) * (np.repeat(stop, 3)[:, None] == np.repeat(stop, 3))
+    columns = rng.standard_normal((4, 3, 6))
+    white = shared.whitened(columns).transpose(0, 2, 1).reshape(4, 18)
+
+    np.testing.assert_allclose(white @ white.T, _rows(columns) @ np.linalg.solve(V, _rows(columns).T), rtol=1e-9)
+    assert shared.log_determinant == pytest.approx(np.linalg.slogdet(V)[1])
+    np.testing.assert_allclose(shared.whitened(shared.coloured(columns[0])[None])[0], columns[0], rtol=1e-9)
+
+
+def _rows(columns: np.ndarray) -> np.ndarray:
+    return columns.transpose(0, 2, 1).reshape(len(columns), -1)
+
+
+def test_some_rows_of_a_stop_are_whitened_as_such() -> None:
+    """A selection that divides a stop has the covariance of the rows that are left."""
+    rng = np.random.default_rng(1)
+    shared = SharedNoise.of(rng.standard_normal((2, 3, 6)), np.array([0, 0, 0, 1, 1, 1]))
+    part = shared.select(np.array([0, 1, 3, 4, 5]))
+    again = SharedNoise.of(part.levers, part.stop)
+    columns = rng.standard_normal((2, 3, 5))
+
+    np.testing.assert_allclose(part.whitened(columns), again.whitened(columns))
+
+
+def test_weights_of_rows_are_changed_without_summing_all() -> None:
+    """Rejecting a row of a stop changes the normal equations as summing them anew does."""
+    fit = fitted(measured(40, 5e-5))
+    solution = fit.solution
+    at = (fit.problem, solution.values, solution.free)
+    robust = solution.weights.copy()
+    whole = Linearised(*at, robust, fit.priors.sizes)
+    whole.posterior(solution.sigma)
+    robust = robust.copy()
+    robust[[3, 17]] = 0.0
+    changed = whole.reweighted(robust).posterior(solution.sigma)
+    anew = Linearised(*at, robust, fit.priors.sizes).posterior(solution.sigma)
+
+    np.testing.assert_allclose(changed.form.H, anew.form.H, rtol=1e-9, atol=1e-6 * np.abs(anew.form.H).max())
+
+
+def test_intervals_count_stops() -> None:
+    """Five targets a stop cover the truth at fresh poses nearly as often as stated."""
+    robot, inside = Robot.from_urdf(URDF), []
+    for seed in range(8):
+        rows = measured(60, 3e-5, seed=seed)
+        fit = fitted(rows, sigma=NOISE)
+        fresh = _exact(seed)
+        found = fit.readings(fresh)
+        error = found.residuals(fit.values).T
+        sigma = _position_sigma(fit, fresh)
+        inside.append(np.abs(error) < 1.96 * sigma)
+
+    assert robot.n_joints == 6
+    assert 0.88 < np.mean(inside) < 0.99
+
+
+def _exact(seed: int) -> Measurements:
+    """Return exact readings of the first target at other poses of the same machine."""
+    rng = np.random.default_rng(seed)
+    machine = sim.TrueMachine.from_urdf(URDF, tip="tool0").draw_errors(rng, sigma_length=3e-4, sigma_angle=3e-4)
+    q = sim.plan_poses(machine.nominal, 100, np.random.default_rng(1000 + seed))
+    columns = sim.Instrument(targets=TARGETS[0], sigma=0.0).measure(machine, q, rng=rng)
+    position = np.column_stack([columns[axis] for axis in "xyz"])
+    return measurements_from_arrays(machine.names, q, position=position, target=["r0"] * len(q))
+
+
+def _position_sigma(fit: ModelFit, rows: Measurements) -> np.ndarray:
+    """Return the standard deviation of predictions from the covariance of a fit, shape (N, 3)."""
+    station = fit.readings(rows)
+    C = fit.estimate.dense_covariance()
+    ((_, _, J),) = station.linearise(fit.values, np.ones(len(fit.values), bool))
+    return np.sqrt(np.einsum("pmn,pq,qmn->nm", J, C, J))
