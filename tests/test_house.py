@@ -42,10 +42,10 @@ BOUNDS = {
         "_BANDS _NEAR _NEAREST _READINGS _ROWS _STARTS _LONGEST _MEMORIES _LENGTHS _BLOCK_READINGS _MOST_STATIONS "
         "_MOST_AT_ONCE"
     ),
-    "identify.equations": "_MOST_KEPT",
+    "identify.equations": "_MOST_KEPT _MOST_AT_ONCE",
     "identify.explain": "_ONE _SAME _RANK _ROWS _TOGETHER",
     "identify.fit": "MOST_STEPS",
-    "identify.folds": "_FOLDS _STEPS _SHORT",
+    "identify.folds": "_FOLDS _STEPS _SHORT _LINEAR",
     "identify.initial": "_ROWS _SETTLED_ROWS _FEWEST_SETTLED_ROWS _ALIKE",
     "identify.jacobian": "_PADDING _AT_ONCE",
     "identify.many_rows": "MANY EACH",

@@ -6,7 +6,7 @@ can map them. They are added in the order of the stations, so the result does no
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,7 +15,17 @@ from typing import Any
 import numpy as np
 
 from pincal.identify.jacobian import block, span
-from pincal.identify.normal import Batch, Normal, StationSquares, Task, contribution, reweighted, squares
+from pincal.identify.normal import (
+    Batch,
+    Normal,
+    StationSquares,
+    Task,
+    accumulate_each,
+    believed,
+    contribution,
+    reweighted,
+    squares,
+)
 from pincal.identify.posterior import Eliminated, Posterior, eliminate
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
@@ -27,6 +37,8 @@ _Sums = tuple[tuple[Form, Eliminated], StationSquares]
 
 # Largest size of the normal equations of single stations that is kept at one point [bytes].
 _MOST_KEPT = 2_000_000
+# Size of the normal equations of folds that are summed in one pass over the rows [bytes].
+_MOST_AT_ONCE = 200_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,12 +183,16 @@ class Linearised:
         return self._posteriors[key]
 
     def _sum(self, sigma: np.ndarray) -> Posterior:
+        return self._assembled([found for found, _ in self._contributions(sigma)])
+
+    def _assembled(self, contributions: Iterable[tuple[Form, Eliminated]]) -> Posterior:
+        """Return the posterior from the contribution of each batch."""
         free, problem = self.free, self.problem
         rank, slot = np.cumsum(free) - 1, np.cumsum(problem.is_shared[free]) - 1
         places = np.flatnonzero(free & problem.is_shared)
         known = problem.beliefs.beyond_priors(places, self.values, self.sizes)
         H, g, whole, eliminated = known.H.copy(), known.g, known.whole.copy(), []
-        for batch, ((form, own), _) in zip(self._batches, self._contributions(sigma), strict=True):
+        for batch, (form, own) in zip(self._batches, contributions, strict=True):
             moved = free[batch.places[0]]
             mine, ours = batch.places[:, moved & batch.own], slot[rank[batch.places[0, moved & ~batch.own]]]
             at = span(ours)
@@ -187,6 +203,46 @@ class Linearised:
                 eliminated.append(replace(own, places=rank[mine], shared=ours))
         believed = known.H if problem.beliefs.terms else None
         return Posterior(Form(H, g, whole), self.sizes[places], self.values[places], tuple(eliminated), believed)
+
+    def without_each(self, fold: np.ndarray, sigma: np.ndarray) -> Iterator[Posterior]:
+        """Yield the posterior without the rows of each fold, from one pass over all rows.
+
+        Args:
+            fold: shape (N,), the fold of each row, from 0.
+            sigma: shape (blocks,), standard deviations of the blocks of readings.
+        """
+        count = int(fold.max()) + 1
+        size = sum(8 * len(of.stations) * int(self.free[of.places[0]].sum()) ** 2 for of in self._batches)
+        at_once = max(_MOST_AT_ONCE // max(size, 1), 1)
+        for first in range(0, count, at_once):
+            some = range(first, min(first + at_once, count))
+            parts = [self._by_fold(batch, fold, some, sigma) for batch in self._batches]
+            for i in range(len(some)):
+                yield self._assembled([forms_without(i) for forms_without in parts])
+
+    def _by_fold(
+        self, batch: Batch, fold: np.ndarray, some: range, sigma: np.ndarray
+    ) -> Callable[[int], tuple[Form, Eliminated]]:
+        """Return a function from the number of a fold among ``some`` to the contribution of a batch without it."""
+        n, k = len(batch.stations), len(some)
+        here = fold[batch.rows] - some.start
+        # Rows of other folds are one part more.
+        part = np.where((here >= 0) & (here < k), here, k)
+        station = np.repeat(np.arange(n), np.diff(batch.ends))
+        order = np.lexsort((part, station))
+        ends = np.cumsum([0, *np.bincount(station * (k + 1) + part, minlength=n * (k + 1))])
+        may = self.free[batch.places[0]]
+        values = batch.values(self.values)
+        together = batch.together()
+        found = accumulate_each(together.select(order), ends, values, may, self.robust[batch.rows][order])
+        weight = sigma[batch.blocks].reshape(n, 1, -1) ** -2.0
+        H = np.einsum("skb,skbij->skij", np.broadcast_to(weight, (n, k + 1, weight.shape[2])), _by_part(found.H, n))
+        g = np.einsum("skb,skbi->ski", np.broadcast_to(weight, (n, k + 1, weight.shape[2])), _by_part(found.g, n))
+        whole_H, whole_g = H.sum(axis=1), g.sum(axis=1)
+        if n == 1 and (known := believed(together, values, may)) is not None:
+            whole_H, whole_g = whole_H + known.H, whole_g + known.g
+        prior = batch.own[may], *(of[batch.places][:, may] for of in (self.sizes, self.values))
+        return lambda i: eliminate(Form.of(whole_H - H[:, i], whole_g - g[:, i]), *prior)
 
     def _contributions(self, sigma: np.ndarray) -> list[_Sums]:
         """Return the contribution of each batch, computed where it is not known for this noise and these robust weights."""
@@ -221,3 +277,8 @@ class Linearised:
         return (
             map(work, tasks) if self.executor is None else spread_again(work, tasks, label="station", executor=self.executor)
         )
+
+
+def _by_part(sums: np.ndarray, stations: int) -> np.ndarray:
+    """Return sums over parts of stations, shape (S parts, ...), with an axis for each."""
+    return sums.reshape(stations, -1, *sums.shape[1:])

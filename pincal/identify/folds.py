@@ -17,7 +17,7 @@ is not short is repeated at its end.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -38,6 +38,8 @@ _FOLDS = 25
 # Steps at most to the fit without a fold, and the motion of predictions by the last one, in units of the noise, that
 # needs no further one.
 _STEPS, _SHORT = 3, 0.3
+# Largest step of a parameter [rad or m] whose predictions are taken to first order: they are off by half its square.
+_LINEAR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -89,14 +91,32 @@ def left_out_residuals(fit: ModelFit, solution: Solution, fold: np.ndarray) -> l
         For each station; nan for rows of a target or point that no other fold has.
     """
     problem = fit.problem
-    residuals = [np.full((station.reading_size, len(station)), np.nan) for station in problem.stations]
-    for k, values in _without_each(fit, solution, fold):
-        for station, places, rows, out in zip(problem.stations, problem.places, problem.rows, residuals, strict=True):
-            mine = fold[rows] == k
-            mine &= ~_only_there(station, mine)
-            if mine.any():
-                out[:, mine] = _residuals_of(station, values[places], mine)
-    return residuals
+    values = np.array(list(_without_each(fit, solution, fold)))
+    steps = values - solution.values
+    # Predictions change by the Jacobian times the step where this is small.
+    is_far = np.abs(steps).max(axis=1, initial=0.0) > _LINEAR
+    found = []
+    for station, places, rows in zip(problem.stations, problem.places, problem.rows, strict=True):
+        own = fold[rows]
+        residuals = _moved(station, solution.values[places], solution.free[places], steps[:, places], own)
+        for k in np.flatnonzero(is_far):
+            if (mine := own == k).any():
+                residuals[:, mine] = _residuals_of(station, values[k, places], mine)
+        residuals[:, _alone_in_fold(station, own)] = np.nan
+        found.append(residuals)
+    return found
+
+
+def _moved(station: Station, values: np.ndarray, free: np.ndarray, steps: np.ndarray, fold: np.ndarray) -> np.ndarray:
+    """Return the residuals of all rows after the step of each row's fold, to first order, shape (m, N).
+
+    ``steps``, shape (K, P), are those of all parameters, by fold.
+    """
+    out = np.empty((station.reading_size, len(station)))
+    # Neither weighted nor whitened.
+    for piece, residuals, J in station.linearise(values, free):
+        out[:, piece] = residuals - np.einsum("fmn,nf->mn", J, steps[fold[piece]][:, free])
+    return out
 
 
 def _residuals_of(station: Station, values: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -106,36 +126,36 @@ def _residuals_of(station: Station, values: np.ndarray, rows: np.ndarray) -> np.
     return station.select(np.flatnonzero(rows)).residuals(values)
 
 
-def _without_each(fit: ModelFit, solution: Solution, fold: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield each fold with the values of the fit without it, shape (P,)."""
-    weights = solution.weights
-    point = Linearised(fit.problem, solution.values, solution.free, weights, fit.priors.sizes)
-    point.posterior(solution.sigma)
+def _without_each(fit: ModelFit, solution: Solution, fold: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield the values of the fit without each fold, shape (P,)."""
+    weights, free = solution.weights, solution.free
+    bounds = fit.priors.bounds[free]
     readings = max(float(fit.problem.readings(weights).sum()), 1.0)
-    bounds = fit.priors.bounds[solution.free]
-    for k in range(int(fold.max()) + 1):
-        others = np.where(fold == k, 0.0, weights)
-        # Equations of the fold alone are subtracted from those of all rows, which stay as they are.
-        here = replace(point, robust=others, normals=dict(point.normals), sums=dict(point.sums))
+    point = Linearised(fit.problem, solution.values, free, weights, fit.priors.sizes)
+    for k, first in enumerate(point.without_each(fold, solution.sigma)):
+        posterior, values = first, solution.values
         for _ in range(_STEPS):
-            posterior = here.posterior(solution.sigma)
             step, _ = posterior.step_within(bounds)
-            values = here.values.copy()
-            values[solution.free] += step
+            values = values.copy()
+            values[free] += step
             if posterior.square(step) < _SHORT**2 * readings:
                 break
-            here = replace(here, values=values, normals={}, sums={})
-        yield k, values
+            others = np.where(fold == k, 0.0, weights)
+            posterior = Linearised(fit.problem, values, free, others, fit.priors.sizes).posterior(solution.sigma)
+        yield values
 
 
-def _only_there(station: Station, rows: np.ndarray) -> np.ndarray:
-    """Return which rows are of a target or named point that no row outside of ``rows`` has, shape (N,)."""
-    alone = np.zeros(len(rows), bool)
+def _alone_in_fold(station: Station, fold: np.ndarray) -> np.ndarray:
+    """Return which rows are of a target or named point that no other fold has, shape (N,)."""
+    alone = np.zeros(len(fold), bool)
     for names in (station.conditions.target, station.sensor.groups):
-        if names is not None and len(names):
-            known = np.unique(names[~rows])
-            alone |= ~np.isin(names, known)
-    return np.asarray(alone & rows)
+        if names is None or not len(names):
+            continue
+        pairs = np.unique(np.column_stack([names, fold]), axis=0)
+        folds_of_name = np.bincount(np.unique(pairs[:, 0], return_inverse=True)[1].ravel())
+        number = np.unique(names, return_inverse=True)[1].ravel()
+        alone |= folds_of_name[number] == 1
+    return alone
 
 
 def _together(problem: Problem, fold: np.ndarray) -> np.ndarray:

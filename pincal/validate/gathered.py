@@ -105,6 +105,8 @@ _CLIPPED, _OUTLIER = 4.0, 8.0
 # False-alarm probability for a bump; number of permutations that determine it, and the p-value for disjoint windows, 5 to 50
 # times as large, up to which they are drawn.
 _CHANCE_OF_BUMP, _ORDERS, _LIKELY = 0.005, 200, 0.25
+# Errors whose windows are computed at once.
+_AT_ONCE = 50_000
 # Standard deviation over the median absolute error, for normal noise.
 _NORMAL = 1.4826
 # Fraction of the squares that a misread joint has to explain to be named.
@@ -226,31 +228,40 @@ class _Windows:
         typical = max(_NORMAL * float(np.median(np.abs(off))), 1e-300)
         return typical, np.where(np.abs(off) < _OUTLIER * typical, np.clip(off / typical, -_CLIPPED, _CLIPPED), 0.0)
 
-    def _means(self, off: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield for each width the means of all windows, in standard deviations, for errors of shape (N,)."""
-        _, clipped = self._clipped(off)
-        sums, squares = (np.append(0.0, np.cumsum(x)) for x in (self.lever * clipped, self.lever**2))
+    def _means(self, clipped: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield for each width the means of all windows, in standard deviations, for clipped errors, shape (D, N)."""
+        sums = np.pad(np.cumsum(self.lever * clipped, axis=1), ((0, 0), (1, 0)))
+        squares = np.append(0.0, np.cumsum(self.lever**2))
         for m in self.widths:
-            means = np.abs(sums[m:] - sums[:-m]) / np.sqrt(squares[m:] - squares[:-m])
-            yield means / max(1.0, _NORMAL * float(np.median(means)))
+            means = np.abs(sums[:, m:] - sums[:, :-m]) / np.sqrt(squares[m:] - squares[:-m])
+            yield means / np.maximum(1.0, _NORMAL * np.median(means, axis=1, keepdims=True))
 
     def surprises(self, off: np.ndarray) -> np.ndarray:
         """Return minus the log p-value of the most significant window of each width, shape (widths,)."""
-        largest = np.array([means.max() for means in self._means(off)])
+        return self._surprises(self._clipped(off)[1][None])[:, 0]
+
+    def _surprises(self, clipped: np.ndarray) -> np.ndarray:
+        """Return the same for each of D sets of clipped errors, shape (D, N): shape (widths, D)."""
+        largest = np.array([means.max(axis=1) for means in self._means(clipped)])
         # The reference are as many windows as do not overlap.
-        return np.asarray(-np.log(2.0 * stdtr(len(self.q) / np.array(self.widths), -largest)))
+        degrees = len(self.q) / np.array(self.widths)
+        return np.asarray(-np.log(2.0 * stdtr(degrees[:, None], -largest)))
 
     def chance(self, surprise: float) -> float:
         """Return the probability of a window as significant under permutations of the errors."""
         rng = np.random.default_rng(0)
-        drawn = np.array([self.surprises(rng.permutation(self.off)).max() for _ in range(_ORDERS)])
+        _, clipped = self._clipped(self.off)
+        orders = np.array([rng.permutation(clipped) for _ in range(_ORDERS)])
+        at_once = max(_AT_ONCE // len(clipped), 1)
+        parts = [self._surprises(orders[i : i + at_once]) for i in range(0, _ORDERS, at_once)]
+        drawn = np.concatenate(parts, axis=1).max(axis=0)
         scale = np.sqrt(6.0) / np.pi * float(drawn.std())
         return -float(np.expm1(-np.exp((float(drawn.mean()) - surprise) / scale - np.euler_gamma)))
 
     def gathering(self, p_value: float) -> Gathering:
         """Return the most significant window."""
         k = int(np.argmax(self.surprises(self.off)))
-        first, m = int(np.argmax(list(self._means(self.off))[k])), self.widths[k]
+        first, m = int(np.argmax(list(self._means(self._clipped(self.off)[1][None]))[k][0])), self.widths[k]
         inside = slice(first, first + m)
         # Wrong readings among them are clipped for the size, too.
         typical, clipped = self._clipped(self.off)
