@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import logging
 import time
+from collections.abc import Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,7 @@ import numpy as np
 from pincal.calibration.calibrated_robot import Fit, calibrate
 from pincal.calibration.held_out import (
     WAYS,
+    LeftOut,
     SplitBy,
     StationRows,
     Validated,
@@ -130,6 +132,58 @@ def run_calibration(
         IdentificationError: if nothing can be identified.
     """
     begun = time.perf_counter()
+    fitted = fit_admitted(robot, measurements, options, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout)
+    log.info("assessing the fit")
+    left_out: Iterable[LeftOut] = ()
+    if split == "station":
+        left_out = leave_out_stations(fitted.robot, fitted.admitted, fitted.options, executor=executor)
+    validated = Validated.of(fitted.fit, fitted.stations, fitted.folds)
+    result = result_of(
+        fitted.fit,
+        fitted.stations,
+        seconds=time.perf_counter() - begun,
+        notes=fitted.notes,
+        left_out=tuple(left_out),
+        validated=validated,
+    )
+    return Calibration(fitted.robot, fitted.stations, fitted.fit, result, fitted.notes, validated)
+
+
+@dataclass(frozen=True)
+class FittedTables:
+    """A fit to tables that were checked, not yet assessed.
+
+    Attributes:
+        robot: the arm, its description perhaps corrected.
+        stations: the rows of each station.
+        fit: the calibrated model.
+        notes: on robot and tables.
+        folds: the division of the fitted poses by which errors are stated; None where rows were held out for good, or
+            whole stations in turn.
+        admitted: the tables as they were admitted, by station.
+        options: how they were fitted.
+    """
+
+    robot: Robot
+    stations: tuple[StationRows, ...]
+    fit: Fit
+    notes: tuple[Note, ...]
+    folds: Folds | None
+    admitted: dict[str, Measurements]
+    options: Options
+
+
+def fit_admitted(
+    robot: Robot,
+    measurements: Tables,
+    options: Options | None = None,
+    *,
+    test_fraction: float = 0.0,
+    split: SplitBy = "both",
+    seed: int = 0,
+    holdout: Tables | None = None,
+) -> FittedTables:
+    """Check tables and fit them; arguments and errors as for :func:`run_calibration`."""
     options = Options() if options is None else options
 
     def setup_of(name: str) -> Setup:
@@ -166,11 +220,5 @@ def run_calibration(
     chosen, first = fit.options.moment_frame, options.first_frame
     if chosen != first:
         notes.append(f"moments are computed as with --moment-frame {chosen}, which fits better than {first}")
-    log.info("assessing the fit")
-    left_out = leave_out_stations(robot, admitted.tables, options, executor=executor) if split == "station" else ()
-    sorted_notes = doubts_first(notes)
     folds = Folds.of(fit.problem, WAYS[split], seed=seed) if holdout is None and not test_fraction else None
-    validated = Validated.of(fit, rows, folds)
-    seconds = time.perf_counter() - begun
-    result = result_of(fit, rows, seconds=seconds, notes=sorted_notes, left_out=tuple(left_out), validated=validated)
-    return Calibration(robot, rows, fit, result, sorted_notes, validated)
+    return FittedTables(robot, rows, fit, doubts_first(notes), folds, admitted.tables, options)

@@ -25,7 +25,7 @@ from msgspec import to_builtins
 from msgspec.structs import replace as changed
 
 from pincal.calibration.calibrated_robot import Fit as CalibratedFit
-from pincal.calibration.calibration import Calibration, run_calibration
+from pincal.calibration.calibration import Calibration, FittedTables, fit_admitted
 from pincal.calibration.held_out import LeftOut, Validated, as_measured, leave_out_stations
 from pincal.calibration.result import result_of
 from pincal.calibration.validation import Validation
@@ -182,14 +182,14 @@ def run_discovery(
         wake(executor, stability, begin_subsamples.__module__)
     # Correlation along the rows may be due to the effects searched for.
     plain = replace(options, serial=False)
-    first = run_calibration(robot, measurements, plain, **held_back)
+    first = fit_admitted(robot, measurements, plain, **held_back)
     first = replace(first, fit=replace(first.fit, options=replace(first.fit.options, serial=options.serial)))
     trail, notes = search(first)
     halves = begin_subsamples(trail, _regions(first), stability, executor=executor)
     # The following runs while workers search the halves.
     fit, traces = widened(trail), partial_residuals(trail)
-    folds = None if first.validated is None else first.validated.folds
-    gaps, held_out = stages_of(trail, first.stations, folds)
+    validated = Validated.of(fit, first.stations, first.folds)
+    gaps, held_out = stages_of(trail, first.stations, validated)
     origins = ", ".join(dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations))))
     measured = as_measured(trail.final, first.stations)
     findings = findings_of(
@@ -199,9 +199,8 @@ def run_discovery(
         findings = with_subsamples(findings, halves(), bootstrap_last(trail))
     left_out = tuple(left_out)
     seconds = time.perf_counter() - begun
-    validated = Validated.of(fit, first.stations, folds)
     result = result_of(fit, first.stations, seconds=seconds, notes=notes, left_out=left_out, validated=validated)
-    final = replace(first, fit=CalibratedFit.of(fit), result=result, notes=notes, validated=validated)
+    final = Calibration(first.robot, first.stations, CalibratedFit.of(fit), result, notes, validated)
     # The search decides whether the model is inadequate; whether it is adequate, the rule common to all commands.
     verdict = result.verdict_of(incomplete=findings.verdict is Verdict.NOT_ADEQUATE)
     findings = changed(findings, verdict=verdict, warnings=result.warnings)
@@ -209,7 +208,7 @@ def run_discovery(
 
 
 def _search(
-    first: Calibration, *, frames: tuple[MomentFrame, ...], extra: tuple[Effect, ...], policy: Policy
+    first: FittedTables, *, frames: tuple[MomentFrame, ...], extra: tuple[Effect, ...], policy: Policy
 ) -> tuple[History, tuple[Note, ...]]:
     """Return the history of a search from a calibration on, and notes."""
     blocks = np.concatenate(_regions(first)) % TESTING.blocks
@@ -234,19 +233,19 @@ def _search(
     return trail, doubts_first(notes)
 
 
-def _regions(first: Calibration) -> list[np.ndarray]:
+def _regions(first: FittedTables) -> list[np.ndarray]:
     """Return the region of joint space of each training row, station by station."""
     return [row_groups(rows.train, split="blocked", seed=0) for rows in first.stations]
 
 
 def _discovered(
-    search: Callable[[Calibration], tuple[History, tuple[Note, ...]]],
+    search: Callable[[FittedTables], tuple[History, tuple[Note, ...]]],
     robot: Robot,
     tables: dict[str, Measurements],
     options: Options,
 ) -> CalibratedFit:
     """Return the final fit of a discovery on all rows of some stations."""
-    trail, _ = search(run_calibration(robot, tables, options, test_fraction=0.0))
+    trail, _ = search(fit_admitted(robot, tables, options))
     return CalibratedFit.of(trail.final)
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, cast
 
 import numpy as np
 from msgspec.structs import asdict
 
-from pincal.calibration.held_out import StationRows, errors_held_out, headline_of
+from pincal.calibration.held_out import StationRows, Validated, errors_held_out, headline_of
 from pincal.discover.levers import on_steps
 from pincal.discover.policy import WAVES
 from pincal.discover.steps import History, ModelChange
@@ -38,23 +38,30 @@ def gaps_of(fit: ModelFit, rows: Sequence[StationRows], folds: Folds | None = No
     errors = errors_held_out(fit, fit.solution, rows, None if folds is None else folds.over(fit.problem))
     if not errors:
         errors = {"test": error_statistics(pose_error_sizes(at, fit.values[places]) for at, places, _ in fit.stations)}
+    return _gaps(errors)
+
+
+def _gaps(errors: Mapping[str, Mapping[str, float]]) -> dict[str, Gap]:
+    """Return error statistics, part by part, as gaps."""
     return {part: Gap(**{key: of[key] for key in Gap.__struct_fields__ if key in of}) for part, of in errors.items()}
 
 
 def stages_of(
-    trail: History, rows: Sequence[StationRows], folds: Folds | None = None
+    trail: History, rows: Sequence[StationRows], validated: Validated | None = None
 ) -> tuple[tuple[Stage, ...], dict[str, dict[Literal["before", "after"], Gap]]]:
     """Return the errors at the start and after each change of the model, and at start and end on rows held out in each way.
 
     The share of a change is its reduction of the mean square given the previous changes, so that nothing counts twice.
-    (Shapley values would divide it evenly, but need a fit of every subset.)
+    (Shapley values would divide it evenly, but need a fit of every subset.) ``validated`` are the errors of the last fit by
+    cross-validation; default: rows were held out for good, or none.
     """
-    first, last = (
-        gaps_of(fit, rows, folds) for fit in (trail.first, trail.changes[-1].fit if trail.changes else trail.first)
-    )
+    folds = None if validated is None else validated.folds
+    final = trail.changes[-1].fit if trail.changes else trail.first
+    first = gaps_of(trail.first, rows, folds)
+    last = gaps_of(final, rows) if validated is None else _gaps(validated.errors("calibrated"))
     lead = headline_of({part: {"mean_mm": gap.mean_mm} for part, gap in last.items()})
     # Between them only the headline is shown.
-    leading = None if folds is None or not len(folds) else folds.only(cast(Way, lead))
+    leading = None if folds is None else folds.only(cast(Way, lead))
     between = [gaps_of(change.fit, rows, leading)[lead] for change in trail.changes[:-1]]
     gaps = [first[lead], *between, *([last[lead]] if trail.changes else [])]
     squares = [gap.rms_mm**2 for gap in gaps]
