@@ -56,6 +56,7 @@ BOUNDS = {
     "identify.problem": "_ROWS",
     "identify.quadratic": "SEEN ROUNDING NULL",
     "identify.prior_scale": "_SCALES _ROUNDS _ANYWHERE",
+    "identify.repeatability": "_SAME _AGREES",
     "identify.solve": (
         "SETTLED _ROUGH _NEAR _TRIALS _ROUNDED _STEADY _SETTLED _MEMORY _SLOW _FIRST _MORE _LESS _MOST _REPAIR _HALVINGS"
     ),

@@ -44,8 +44,10 @@ from pincal.calibration.station_information import spent_at
 from pincal.calibration.unmodelled import instruments_error
 from pincal.identify.fit import ModelFit
 from pincal.identify.prior_scale import has_instrument
+from pincal.identify.repeatability import Repeatability, repeatability_of
 from pincal.identify.station import Station
 from pincal.measure.poses import SCATTER, replicate_groups
+from pincal.measure.stops import plan_of
 from pincal.notes import Note, doubts_first, doubts_of
 from pincal.validate.accuracy import Replicates, error_statistics, error_summary, iso9283, pose_error_sizes
 from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
@@ -116,7 +118,7 @@ class Result(Outcome):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""
-        perhaps = ("iso9283", "lack_of_fit", "stations", "improvement", "clocks", "validation")
+        perhaps = ("iso9283", "lack_of_fit", "stations", "improvement", "clocks", "validation", "repeatability")
         absent = {name for name in perhaps if getattr(self, name) in (None, UNSET)}
         contents = {name: value for name, value in asdict(self).items() if name not in {*absent, "doubt", "shift"}}
         contents |= {"parameters": [row.to_dict() for row in self.parameters], "warnings": to_builtins(self.warnings)}
@@ -157,6 +159,7 @@ def result_of(
     seen = [_Seen.of(fit, k, part) for k, part in enumerate(rows)]
     again = [_replicates(fit, k, part, validated) for k, part in enumerate(seen)]
     iso, lack = again[0] if len(seen) == 1 else (None, None)
+    scatter = [_repeatability(fit, k, part) for k, part in enumerate(seen)]
     on_replicates = [
         replace(found, station=part.rows.name)
         for part, (_, lack) in zip(seen, again, strict=True)
@@ -217,8 +220,9 @@ def result_of(
         shift=next((str(n) for n in found if n.kind is CaveatKind.STEP), ""),
         iso9283=iso,
         lack_of_fit=lack,
+        repeatability=scatter[0] or UNSET if len(seen) == 1 else UNSET,
         validation=_validation(validated, error),
-        stations=tuple(_records(fit, seen, apart, again, moves, validated)) if len(seen) > 1 else UNSET,
+        stations=tuple(_records(fit, seen, apart, again, scatter, moves, validated)) if len(seen) > 1 else UNSET,
         improvement=improved or UNSET,
         clocks=tuple(_clocks(fit, rows)) or UNSET,
     )
@@ -309,6 +313,7 @@ def _records(
     seen: Sequence[_Seen],
     left_out: Sequence[LeftOut],
     again: Sequence[tuple[dict[str, Any] | None, LackOfFit | None]],
+    scatter: Sequence[Repeatability | None],
     moved_there: Sequence[Sequence[MovedParameter]],
     validated: Validated | None,
 ) -> Iterator[StationRecord]:
@@ -342,6 +347,8 @@ def _records(
             record["iso9283"] = iso
         if lack is not None:
             record["lack_of_fit"] = lack
+        if (levels := scatter[k]) is not None:
+            record["repeatability"] = levels
         yield record
 
 
@@ -407,6 +414,15 @@ def _replicates(
     known = np.all([np.isfinite(of).all(axis=0) for of in unseen.values()], axis=0)
     predicted = replace(found[0], part="test", counted=counted & known)
     return iso9283([predicted], seen.values, residuals=unseen), lack
+
+
+def _repeatability(fit: ModelFit, k: int, seen: _Seen) -> Repeatability | None:
+    """Return how the readings of a station scatter, level by level; None where none was repeated."""
+    table = seen.rows.measured[0]
+    if seen.rows.train is table:
+        return None
+    as_read = fit.readings(table, station=fit.problem.stations[k].name)
+    return repeatability_of(fit.alone[k], as_read, plan_of(table))
 
 
 def _noise(fit: ModelFit, blocks: slice = slice(None)) -> NoiseRecord:

@@ -178,6 +178,8 @@ def print_result(result: Result, out: Console) -> None:
     if result.improvement is not UNSET:
         out.print(result_tables.improvement_table(result.improvement))
     print_replicates(result.iso9283, result.lack_of_fit, out)
+    if result.repeatability is not UNSET:
+        out.print(hanging("scatter:", f"{result.repeatability} (standard deviation of one coordinate)"))
     out.print(result_tables.parameter_table(result.parameters))
     print_notes(result.warnings, out)
 

@@ -28,6 +28,7 @@ from pincal.identify.noise import is_exact, rounding, usual_sizes
 from pincal.identify.options import Options, PriorScale, StationOptions, Tools
 from pincal.identify.prior_scale import observes_places, prior_scale
 from pincal.identify.problem import Problem
+from pincal.identify.repeatability import with_visits
 from pincal.identify.solve import SETTLED, Course, solve
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
@@ -95,7 +96,7 @@ def fit_tables(
     fit = _in_best_frame(fit)
     if options.prior_scale is None and options.earlier is None and not observes_places(fit):
         fit = _cautious(fit)
-    fit = reweighted_by_stops(fit)
+    fit = reweighted_by_stops(reweighted_by_visits(fit, tables_of(measurements)))
     if any(station.serial is not None for station in fit.problem.stations):
         return with_blocks(placed_at_mean(fit))
     return with_blocks(reweighted_by_order(fit) if options.serial and is_dependent(fit) else fit)
@@ -281,6 +282,12 @@ def refit(
         begun.values[begun.problem.places_at(effect)] = values
     begun = replace(begun, priors=priors_of(begun.problem, begun.options))
     return _solved(begun, begun.values if start is None else begun.solution, until=until)
+
+
+def reweighted_by_visits(fit: ModelFit, tables: Mapping[str, Measurements]) -> ModelFit:
+    """Return a fit with means of poses weighted by the visits behind them; perhaps all poses were visited alike."""
+    found = with_visits(fit, tables)
+    return fit if found is fit else refit(found, fit.options.effects, start={})
 
 
 def reweighted_by_stops(fit: ModelFit) -> ModelFit:

@@ -234,6 +234,9 @@ def _replicates(result: Result) -> list[PageBlock]:
     if lack:
         sentence = "<b>Lack of fit.</b> Repeated measurements of a pose scatter by {}, whatever the model. {}."
         blocks.append(paragraph(rich(sentence, lack.scatter, lack)))
+    if result.repeatability is not UNSET:
+        sentence = "<b>Scatter</b>, as a standard deviation of one coordinate: {}."
+        blocks.append(paragraph(rich(sentence, str(result.repeatability))))
     return blocks
 
 

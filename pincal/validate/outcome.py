@@ -8,6 +8,7 @@ from typing import Any, Literal, NotRequired, TypedDict
 from msgspec import UNSET, UnsetType
 
 from pincal.identify.fit import FitStage
+from pincal.identify.repeatability import Repeatability
 from pincal.notes import Note
 from pincal.validate.lack_of_fit import LackOfFit
 
@@ -110,6 +111,7 @@ class StationRecord(TypedDict):
         parameters: of the robot, those that changed at any of the stations.
         iso9283: as for the whole, where the station measured poses more than once.
         lack_of_fit: likewise.
+        repeatability: likewise.
     """
 
     name: str
@@ -124,6 +126,7 @@ class StationRecord(TypedDict):
     parameters: NotRequired[list[MovedParameter]]
     iso9283: NotRequired[dict[str, Any]]
     lack_of_fit: NotRequired[LackOfFit]
+    repeatability: NotRequired[Repeatability]
 
 
 @dataclass(frozen=True)
@@ -209,6 +212,8 @@ class Outcome:
         degrees: readings of distinct poses beyond the parameters that they determine; not in files of version 0.1.0.
         iso9283: pose accuracy AP and pose repeatability RP (ISO 9283) by model and rows, and pose by pose [mm, mrad].
         lack_of_fit: test of the residuals against the scatter between repeated measurements.
+        repeatability: scatter of one coordinate of a position between readings within a stop of the robot (the instrument),
+            between stops at a pose (the arrival of the drives), and of the poses about the model; of a single station.
         stations: results of each station.
         validation: how the errors of "test" were found; not in files of version 0.1.0.
         improvement: how far predictions are improved, by link and region, where no instrument observed the robot.
@@ -232,6 +237,7 @@ class Outcome:
     degrees: float = 0.0
     iso9283: dict[str, Any] | None = None
     lack_of_fit: LackOfFit | None = None
+    repeatability: Repeatability | UnsetType = UNSET
     validation: ValidationWay | UnsetType = UNSET
     stations: tuple[StationRecord, ...] | UnsetType = UNSET
     improvement: tuple[Improvement, ...] | UnsetType = UNSET
