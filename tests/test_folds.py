@@ -175,3 +175,16 @@ def test_a_session_is_predicted_by_the_others(robot: Robot) -> None:
     sessions = Folds.of(fit.problem, ("sessions",)).of_way["sessions"]
 
     assert sessions.tolist() == [0] * 30 + [1] * 30
+
+
+def test_an_error_that_persists_along_the_rows_costs_no_fold_its_instrument(robot: Robot) -> None:
+    """Of a random walk only the first row tells where the instrument stands; without it predictions are as good."""
+    rows = measured(120)
+    walk = np.cumsum(2e-5 * np.random.default_rng(4).standard_normal((120, 3)), axis=0)
+    drifting = rows.with_readings(position=rows.position + walk - walk.mean(axis=0))
+    found = run_calibration(robot, drifting, Options(effects=ELASTIC))
+    errors = found.result.error["calibrated"]
+
+    assert found.fit.problem.stations[0].serial is not None
+    assert errors["stretches"]["mean_mm"] < 1.3 * errors["train"]["mean_mm"]
+    assert errors["stretches"]["max_mm"] < 2.0 * errors["train"]["max_mm"]

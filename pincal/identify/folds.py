@@ -17,7 +17,7 @@ is not short is repeated at its end.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -130,18 +130,25 @@ def _without_each(fit: ModelFit, solution: Solution, fold: np.ndarray) -> Iterat
     """Yield the values of the fit without each fold, shape (P,)."""
     weights, free = solution.weights, solution.free
     bounds = fit.priors.bounds[free]
-    readings = max(float(fit.problem.readings(weights).sum()), 1.0)
-    point = Linearised(fit.problem, solution.values, free, weights, fit.priors.sizes)
+    # Correlation along the rows would make the first row of a walk hold all that is known of the instrument's place: how
+    # far a fold pulls is told by independent rows.
+    stations = (replace(station, serial=None) for station in fit.problem.stations)
+    is_serial = any(station.serial is not None for station in fit.problem.stations)
+    problem = replace(fit.problem, stations=tuple(stations)) if is_serial else fit.problem
+    readings = max(float(problem.readings(weights).sum()), 1.0)
+    point = Linearised(problem, solution.values, free, weights, fit.priors.sizes)
+    at_rest = point.posterior(solution.sigma).step_within(bounds)[0]
     for k, first in enumerate(point.without_each(fold, solution.sigma)):
         posterior, values = first, solution.values
+        step = posterior.step_within(bounds)[0] - at_rest
         for _ in range(_STEPS):
-            step, _ = posterior.step_within(bounds)
             values = values.copy()
             values[free] += step
-            if posterior.square(step) < _SHORT**2 * readings:
+            if is_serial or posterior.square(step) < _SHORT**2 * readings:
                 break
             others = np.where(fold == k, 0.0, weights)
-            posterior = Linearised(fit.problem, values, free, others, fit.priors.sizes).posterior(solution.sigma)
+            posterior = Linearised(problem, values, free, others, fit.priors.sizes).posterior(solution.sigma)
+            step = posterior.step_within(bounds)[0]
         yield values
 
 
