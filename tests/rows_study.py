@@ -1,7 +1,8 @@
 """What a discovery makes of rows as they are measured in the world: ``python tests/rows_study.py --out FILE.jsonl``.
 
-Every case is a fresh draw of ``row_cases``, given to a discovery as the command does it, and one line of the file as soon
-as it is done: a run that was stopped goes on where it was. Rates stand with their exact 95 % intervals.
+Every case is a fresh draw of ``row_cases``, given to a discovery as the command does it, or with ``--kinds plans`` one of
+``plan_cases``, given to ``calibrate``, ``discover`` and ``diagnose``. It is one line of the file as soon as it is done: a
+run that was stopped goes on where it was. Rates stand with their exact 95 % intervals.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from discovery_cases import ELASTICITY, NAMED, SOFT
+from plan_cases import ARRIVAL, PLAN_KINDS, PLANS
+from plan_figures import VERBS, required, said_of_plan
 from rates import in_words, noticed, power, tables_for
 from row_cases import CORRELATED, KINDS, OF_ROBOT, RowsCase, draw_rows_case
 from test_discovery_rates import CI as INDEPENDENT
@@ -56,16 +59,34 @@ CI = (
 
 
 class Task(NamedTuple):
-    """A case to be drawn; ``hidden`` is "" for none."""
+    """A case to be drawn, and what is asked of it.
+
+    Attributes:
+        kind: of rows or of plans.
+        seed: of everything.
+        hidden: of rows: what is hidden of the robot besides, "" for nothing.
+        strength: of rows: its lambda.
+        verb: of plans: the command.
+        arrival: of plans: how drives arrive at a stop [rad, prismatic m].
+    """
 
     kind: str
     seed: int
-    hidden: str
-    strength: float
+    hidden: str = ""
+    strength: float = 0.0
+    verb: str = "discover"
+    arrival: float = ARRIVAL
 
 
 def said_of(task: Task) -> dict[str, Any]:
-    """Return what a discovery says of a case, and how true that is, in types that JSON knows."""
+    """Return what a command says of a case, and how true that is, in types that JSON knows."""
+    if task.kind in PLANS:
+        return {**task._asdict(), **said_of_plan(task.kind, task.seed, task.verb, task.arrival)}
+    return {**task._asdict(), **_said_of_rows(task)}
+
+
+def _said_of_rows(task: Task) -> dict[str, Any]:
+    """Return what a discovery says of a table of rows."""
     warnings.simplefilter("ignore", PincalWarning)
     case = draw_rows_case(task.kind, task.seed, hidden=task.hidden or None, strength=task.strength)
     known = {
@@ -85,7 +106,7 @@ def said_of(task: Task) -> dict[str, Any]:
         said: dict[str, Any] = {"refused": f"{type(error).__name__}: {error}"}
     else:
         said = _said(case, found)
-    return {**task._asdict(), **known, **said, "seconds": time.process_time() - begun}
+    return {**known, **said, "seconds": time.process_time() - begun}
 
 
 def _said(case: RowsCase, found: Discovery) -> dict[str, Any]:
@@ -201,7 +222,8 @@ def _said_of_all(tasks: Sequence[Task], workers: int) -> Iterator[dict[str, Any]
 
 
 def _task(case: dict[str, Any]) -> Task:
-    return Task(*(case[name] for name in Task._fields))
+    # Lines of earlier versions have no field that came later.
+    return Task(**{name: case[name] for name in Task._fields if name in case})
 
 
 def is_adequate(case: dict[str, Any]) -> bool:
@@ -299,6 +321,25 @@ def table(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
         yield f"adequate where intervals cover less than {COVERS:.0%}: {_share([covers_too_little(case) for case in cases])}"
 
 
+def table_of_plans(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """Yield the verdicts on each kind of plan, and the figures that are required of all, in lines."""
+    for kind, verb in dict.fromkeys((case["kind"], case["verb"]) for case in cases):
+        own = [case for case in cases if (case["kind"], case["verb"]) == (kind, verb)]
+        verdicts = Counter(_verdict(case) for case in own)
+        words = ", ".join(f"{verdict} {count}" for verdict, count in verdicts.most_common())
+        seconds = np.median([case["seconds"] for case in own])
+        yield f"{kind:22} {verb:10} {words}; {seconds:.1f} s each in the median"
+    yield from required(cases, false_names)
+
+
+def _verdict(case: dict[str, Any]) -> str:
+    if case["refused"]:
+        return f"refused (exit {case['exit']})"
+    if "changed" in case:
+        return "changed" if case["changed"] else "unchanged"
+    return case["verdict"] + (" (shift, exit 4)" if case["shift"] else "")
+
+
 def _lines(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
     yield f"a false name in {_share([bool(false_names(case)) for case in cases])}{_counted(map(false_names, cases))}"
     if any(case["truth"] for case in cases):
@@ -344,14 +385,31 @@ def rates() -> Iterator[str]:
         )
 
 
+# Kinds by the names of their groups.
+_GROUPS = {"rows": KINDS, "plans": PLAN_KINDS}
+_ALL_KINDS = (*KINDS, *PLAN_KINDS)
+
+
 def main() -> None:
     """Run what is left of a study and print what it found."""
-    parser = argparse.ArgumentParser(description="Print what a discovery makes of rows as they are measured in the world.")
-    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS, metavar="KIND", help=f"of {', '.join(KINDS)}")
+    parser = argparse.ArgumentParser(description="Print what the commands make of rows as they are measured in the world.")
+    kinds_help = f"rows: {', '.join(KINDS)}; or plans: {', '.join(PLAN_KINDS)}; default: rows"
+    choices = (*_GROUPS, *_ALL_KINDS)
+    parser.add_argument("--kinds", nargs="+", choices=choices, default=["rows"], metavar="KIND", help=kinds_help)
     parser.add_argument("--count", type=int, default=100, help="tables of each kind; default: 100")
     parser.add_argument("--seed", type=int, default=27000, help="of the first table; default: 27000")
     parser.add_argument("--hidden", nargs="+", default=[""], choices=(*NAMED, *SOFT), metavar="EFFECT", help="hide these")
     parser.add_argument("--strength", type=float, default=100.0, help="their lambda by the true covariance; default: 100")
+    parser.add_argument(
+        "--verb", nargs="+", choices=VERBS, help="commands asked of plans; default: all that are meant for a kind"
+    )
+    parser.add_argument(
+        "--arrival",
+        type=float,
+        default=1e6 * ARRIVAL,
+        metavar="URAD",
+        help=f"of plans, how drives arrive at a stop, 0 for exactly; default: {1e6 * ARRIVAL:g}",
+    )
     parser.add_argument("--workers", type=int, default=2, help="processes; default: 2")
     parser.add_argument("--out", type=Path, default=Path("rows_study.jsonl"), help="file to go on with")
     parser.add_argument("--any-version", action="store_true", help="also count cases that another version of the code did")
@@ -360,10 +418,24 @@ def main() -> None:
     if chosen.rates:
         print("\n".join(rates()))
         return
-    seeds = range(chosen.seed, chosen.seed + chosen.count)
-    tasks = [Task(k, seed, h, chosen.strength if h else 0.0) for seed in seeds for h in chosen.hidden for k in chosen.kinds]
+    kinds = dict.fromkeys(kind for name in chosen.kinds for kind in _GROUPS.get(name, (name,)))
+    tasks = [task for seed in range(chosen.seed, chosen.seed + chosen.count) for task in _tasks(kinds, seed, chosen)]
     found = study(tasks, chosen.out, workers=chosen.workers, any_version=chosen.any_version)
-    print("\n".join(table(sorted(found, key=lambda case: (KINDS.index(case["kind"]), case["hidden"])))))
+    found = sorted(found, key=lambda case: (_ALL_KINDS.index(case["kind"]), case["hidden"]))
+    if rows := [case for case in found if case["kind"] in KINDS]:
+        print("\n".join(table(rows)))
+    if plans := [case for case in found if case["kind"] in PLANS]:
+        print("\n".join(table_of_plans(plans)))
+
+
+def _tasks(kinds: Iterable[str], seed: int, chosen: argparse.Namespace) -> Iterator[Task]:
+    """Yield the tasks of one seed."""
+    kinds = list(kinds)
+    for hidden in chosen.hidden:
+        yield from (Task(kind, seed, hidden, chosen.strength if hidden else 0.0) for kind in kinds if kind in KINDS)
+    for kind in (kind for kind in kinds if kind in PLANS):
+        wanted = [verb for verb in PLANS[kind].verbs if chosen.verb is None or verb in chosen.verb]
+        yield from (Task(kind, seed, verb=verb, arrival=1e-6 * chosen.arrival) for verb in wanted)
 
 
 if __name__ == "__main__":
