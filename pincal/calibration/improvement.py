@@ -102,7 +102,7 @@ def _of_link(fit: ModelFit, link: str) -> Iterator[Improvement]:
     model = found.model.with_chain(chain.with_references(np.eye(3), np.tile(np.eye(3), (len(chain.targets), 1, 1))))
     robots, names = ~model.of_station, model.names
     tips, J = model.linearise(np.where(robots, found.model_values, 0.0), found.of_its_day(found.conditions_at(q)))
-    J = _unplaced(J[:, :3, robots], tips)
+    J = unplaced(J[:, :3, robots], tips)
     estimate = fit.estimate.names
     places = [estimate.index(name) for name, own in zip(names, robots, strict=True) if own]
     free, prior = fit.solution.free[places], fit.priors.sizes[places]
@@ -115,7 +115,7 @@ def _of_link(fit: ModelFit, link: str) -> Iterator[Improvement]:
         yield Improvement(link, region, int(rows.sum()), *sizes)
 
 
-def _unplaced(J: np.ndarray, tips: np.ndarray) -> np.ndarray:
+def unplaced(J: np.ndarray, tips: np.ndarray) -> np.ndarray:
     """Return derivatives of positions, shape (N, 3, P), with the placement of instrument and target projected out."""
     n, parts = len(J), np.zeros((len(J), 3, 9))
     parts[:, :, :3], parts[:, :, 6:] = np.eye(3), tips[:, :, :3]

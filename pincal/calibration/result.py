@@ -29,6 +29,7 @@ from pincal.calibration.caveats import (
     findings_on_replicates,
     findings_on_scatter,
 )
+from pincal.calibration.elsewhere import elsewhere_of
 from pincal.calibration.held_out import (
     LeftOut,
     StationRows,
@@ -118,7 +119,7 @@ class Result(Outcome):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""
-        perhaps = ("iso9283", "lack_of_fit", "stations", "improvement", "clocks", "validation", "repeatability")
+        perhaps = ("iso9283", "lack_of_fit", "stations", "improvement", "clocks", "validation", "repeatability", "elsewhere")
         absent = {name for name in perhaps if getattr(self, name) in (None, UNSET)}
         contents = {name: value for name, value in asdict(self).items() if name not in {*absent, "doubt", "shift"}}
         contents |= {"parameters": [row.to_dict() for row in self.parameters], "warnings": to_builtins(self.warnings)}
@@ -225,6 +226,7 @@ def result_of(
         stations=tuple(_records(fit, seen, apart, again, scatter, moves, validated)) if len(seen) > 1 else UNSET,
         improvement=improved or UNSET,
         clocks=tuple(_clocks(fit, rows)) or UNSET,
+        elsewhere=elsewhere_of(fit) or UNSET,
     )
 
 

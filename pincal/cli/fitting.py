@@ -74,6 +74,10 @@ class FitArguments:
     view: bool = option(f"Also write {VIEW}: the robot and its errors in 3D.", False)
     chosen: CalibrationOptions = group("Model")
     split: SplitOptions = group("Validation")
+    task: Path | None = option(
+        "Joint positions where accuracy matters; the error to expect there is printed.",
+        words="anywhere within the joint limits",
+    )
     accept_shift: bool = option(
         "Exit with 0 even if readings shift at some row, as if instrument or target had been moved.", False
     )
@@ -146,8 +150,11 @@ def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery
             are written nevertheless.
         AccuracyGateError: if the error exceeds the limit; files as above.
     """
+    from msgspec import UNSET
+
     from pincal.calibration.calibration import Calibration
-    from pincal.cli.inputs import load_tables, prepare
+    from pincal.calibration.elsewhere import elsewhere_of
+    from pincal.cli.inputs import load_table, load_tables, prepare
     from pincal.cli.progress import log_step
     from pincal.notes import doubts_first
     from pincal.report import plots  # noqa: F401  A missing matplotlib is reported here, not after the fit.
@@ -158,19 +165,22 @@ def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery
         held = split.holdout
         shared = replace(source.table.options, shares_log=True)
         holdout = None if held is None else load_tables(prepared.robot, [held], options=shared)
+        task = None if arguments.task is None else load_table(prepared.robot, arguments.task, joints_only=True)
         choice = {"test_fraction": split.test_fraction, "split": split.split, "seed": split.seed, "holdout": holdout}
         options, members = _of_type(arguments.chosen.fit.type, prepared)
         found = run(prepared.robot, prepared.tables, options, **choice)
         calibration, discovery = (found, None) if isinstance(found, Calibration) else (found.calibration, found)
         log_step("writing the model")
         origin = provenance([*prepared.files, *filter(None, [held])], seed=split.seed)
+        result = calibration.result
         if members:
-            result = replace(calibration.result, warnings=doubts_first([*members, *calibration.result.warnings]))
-            calibration = replace(calibration, result=result)
-            discovery = None if discovery is None else replace(discovery, calibration=calibration)
+            result = replace(result, warnings=doubts_first([*members, *result.warnings]))
+        if task is not None:
+            result = replace(result, elsewhere=elsewhere_of(calibration.fit, task) or UNSET)
+        calibration = replace(calibration, result=result)
+        discovery = None if discovery is None else replace(discovery, calibration=calibration)
         notes = write_results(draft, calibration, origin, discovery, view=arguments.view)
         written = " ".join(sorted(file.name for file in draft.iterdir()))
-    result = calibration.result
     if arguments.general.as_json:
         print_json(result.to_dict() if discovery is None else discovery.report)
     else:

@@ -31,6 +31,7 @@ from pincal.report.words import (
     HINTS,
     bootstrap_words,
     effect_words,
+    elsewhere_words,
     line_words,
     noise_words,
     rank_words,
@@ -61,6 +62,7 @@ def print_brief(
     _line(out, "robot", f"{_arm(calibration.robot)}; {rows}")
     for name, model in (("before", "nominal"), ("after", "calibrated")):
         _line(out, name, _errors(result.error[model], name))
+    _print_elsewhere(result, out)
     kinds = " and ".join(dict.fromkeys(rows.train.kind for rows in calibration.stations))
     _line(out, "noise", f"{_noise_of(result.noise, kinds)} ({result.noise['source']})")
     for clock in () if result.clocks is UNSET else result.clocks:
@@ -74,6 +76,15 @@ def print_brief(
     _line(out, "next", next_steps(calibration, discovery)[0])
     print_first_notes([*result.warnings, *notes], out)
     _line(out, "more", more)
+
+
+def _print_elsewhere(result: Result, out: Console) -> None:
+    """Print the error that the model expects away from the measured poses."""
+    if result.elsewhere is not UNSET:
+        errors = result.error["calibrated"]
+        error = errors.get("test", errors["train"])
+        name = "task" if result.elsewhere.over else "anywhere"
+        _line(out, name, elsewhere_words(result.elsewhere, error))
 
 
 def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command: str) -> None:
@@ -173,6 +184,7 @@ def print_result(result: Result, out: Console) -> None:
             if table is not None:
                 out.print(table)
     out.print(result_tables.error_table(result.error))
+    _print_elsewhere(result, out)
     if result.clocks is not UNSET:
         out.print(result_tables.clock_table(result.clocks))
     if result.improvement is not UNSET:
@@ -288,6 +300,7 @@ def print_discovery(found: Discovery, out: Console) -> None:
     if findings.only_in_halves:
         out.print(one_line(subsample_only_words(findings)), markup=False)
     out.print(found_tables.stage_table(findings.noise_floor_mm, found.gaps))
+    _print_elsewhere(found.calibration.result, out)
     for entry in findings.effects:
         if words := line_words(entry):
             out.print(hanging(effect_words(entry), words))

@@ -51,7 +51,7 @@ from pincal.report.illustrations import (
 )
 from pincal.report.judgement import judged, next_steps, unidentified_groups
 from pincal.report.subject import Subject
-from pincal.report.words import TERMS, effect_meaning, noise_words
+from pincal.report.words import TERMS, effect_meaning, elsewhere_words, noise_words
 from pincal.result_table import Column, Kind, RowTone, Table
 from pincal.units import fixed
 from pincal.validate.accuracy import cycle_words, leading_unit
@@ -80,7 +80,12 @@ def summary(subject: Subject) -> Section:
     tag = rich('<span class="tag {}">{}</span> {}', tone, verdict.judgement, verdict.reason)
     steps = bullets(next_steps(subject.calibration, subject.discovery))
     left = arranged(
-        "plain", *doubts(result.warnings), paragraph(_headline(subject)), paragraph(tag), *plain_notes(result.warnings)
+        "plain",
+        *doubts(result.warnings),
+        paragraph(_headline(subject)),
+        *_elsewhere(subject),
+        paragraph(tag),
+        *plain_notes(result.warnings),
     )
     columns = arranged("split", left, arranged("plain", heading("What to do next"), steps))
     return Section("summary", "Summary", (columns, arranged("glance", *_glance(subject))), style="panel")
@@ -125,6 +130,15 @@ def _predicted(result: Result) -> str:
     if validation is UNSET or validation.way not in _APART:
         return f"In {result.rows['test']} rows that the calibration has not used"
     return f"Where each of {result.rows['test']} rows is predicted by a fit without {_APART[validation.way]}"
+
+
+def _elsewhere(subject: Subject) -> Iterator[Markup]:
+    """Yield the error that the model expects away from the measured poses."""
+    found = subject.result.elsewhere
+    if found is not UNSET:
+        words = elsewhere_words(found, subject.result.error["calibrated"][subject.part])
+        meaning = "the model itself, by the uncertainty of its parameters; errors that it does not describe come on top"
+        yield paragraph(rich("Elsewhere: {} (by {}).", words, meaning))
 
 
 def _size(value: float, unit: str) -> str:

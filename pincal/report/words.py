@@ -10,6 +10,7 @@ from pincal.identify.explain import Status
 from pincal.io.discovery_file import Bootstrap, EffectName, Findings, FoundEffect
 from pincal.model.effect_registry import meaning_of
 from pincal.units import readable_unit
+from pincal.validate.outcome import Elsewhere
 
 # Words for the numbers of parameters that the data do not identify.
 _NOT_IDENTIFIED = {
@@ -18,6 +19,9 @@ _NOT_IDENTIFIED = {
     Status.AT_BOUND: "at a bound",
     Status.FIXED: "fixed",
 }
+# Ratio of the error that the model expects elsewhere to that at poses like the measured ones, above which more poses are
+# advised. The latter includes the noise of the instrument; a judgement.
+_MUCH = 1.5
 # Words for variables whose names do not explain themselves.
 _VARIABLES = {"move": "its last move"}
 # Effects other than those of the robot, with their meanings.
@@ -181,6 +185,33 @@ def noise_words(noise: Mapping[str, Any]) -> str:
     sigma = noise[f"sigma_{unit}"] * factor
     form = ".4g" if unit == "px" else ".4f" if sigma >= 1e-3 else ".2g"
     return f"{sigma:{form}} {name} per coordinate"
+
+
+def is_worse_elsewhere(found: Elsewhere, error: Mapping[str, float]) -> bool:
+    """Return whether the expected error elsewhere is much larger than the error at poses like the measured ones."""
+    return "mean_mm" in error and found.mean_mm > _MUCH * error["mean_mm"]
+
+
+def elsewhere_words(found: Elsewhere, error: Mapping[str, float]) -> str:
+    """Return what error the model expects elsewhere, where most, and the cure where it is much larger.
+
+    Args:
+        found: the expected errors.
+        error: statistics of the error at poses like the measured ones.
+
+    Example:
+        >>> found = Elsewhere(0.31, 0.9, "joint_3 is above 95 deg (not measured there)", 400)
+        >>> elsewhere_words(found, {"mean_mm": 0.05})[:76]
+        'mean 0.3100 mm expected within the joint limits, worst 0.9000, most where jo'
+        >>> elsewhere_words(Elsewhere(0.01, 0.02, "", 40, "task.csv"), {"mean_mm": 0.05})
+        'mean 0.0100 mm expected at the poses of task.csv, worst 0.0200'
+    """
+    poses = f"at the poses of {found.over}" if found.over else "within the joint limits"
+    words = f"mean {found.mean_mm:.4f} mm expected {poses}, worst {found.worst_mm:.4f}"
+    if not is_worse_elsewhere(found, error):
+        return words
+    where = f"most where {found.where}" if found.where else "in combinations of joints that were not measured"
+    return f"{words}, {where}; pincal design plans poses for it"
 
 
 def rank_words(statuses: Iterable[Status], *, rank: int, condition: float, why: str = "") -> str:

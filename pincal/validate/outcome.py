@@ -186,6 +186,28 @@ class Improvement:
     after_mm: float
 
 
+@dataclass(frozen=True)
+class Elsewhere:
+    """Position error that the calibrated model itself expects away from the measured poses.
+
+    It follows from the covariance of the parameters, which is as wide as their priors in what the poses leave open. Errors
+    that the model does not describe are not included.
+
+    Attributes:
+        mean_mm: expected distance from the predicted to the true position, mean over the poses [mm].
+        worst_mm: at the worst of the poses [mm].
+        where: in which range of which joint it is largest, and whether that was measured; "" if in no range of one joint.
+        poses: number of poses.
+        over: their file; "" for random poses within the joint limits.
+    """
+
+    mean_mm: float
+    worst_mm: float
+    where: str
+    poses: int
+    over: str = ""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
     """All of ``result.json`` besides the parameters.
@@ -218,6 +240,7 @@ class Outcome:
         validation: how the errors of "test" were found; not in files of version 0.1.0.
         improvement: how far predictions are improved, by link and region, where no instrument observed the robot.
         clocks: of the instruments that read an arm in motion.
+        elsewhere: position error to expect away from the measured poses; not where no instrument observed positions.
     """
 
     noise: NoiseRecord
@@ -242,3 +265,4 @@ class Outcome:
     stations: tuple[StationRecord, ...] | UnsetType = UNSET
     improvement: tuple[Improvement, ...] | UnsetType = UNSET
     clocks: tuple[ClockRecord, ...] | UnsetType = UNSET
+    elsewhere: Elsewhere | UnsetType = UNSET

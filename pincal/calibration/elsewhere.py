@@ -1,0 +1,162 @@
+r"""What the calibrated model itself expects of its position error away from the measured poses.
+
+Held-out poses resemble the fitted ones, so their error says nothing of the rest of the workspace. The covariance C of the
+parameters does: the predicted position of a pose with Jacobian J has the error :math:`e \sim N(0, J C J^T)`. Its expected
+length is
+
+.. math:: E|e| = \sqrt{8/\pi} \; \mathrm{mean}_u \sqrt{u^T J C J^T u}
+
+over all directions u, since a normal vector in 3D is a direction times an independent length of mean sqrt(8 / pi). What the
+data leave open is as large in C as the priors are wide. Errors that the model does not describe are not in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.improvement import unplaced
+from pincal.identify.fit import ModelFit
+from pincal.identify.prior_scale import has_instrument
+from pincal.measure.measurements import Measurements
+from pincal.model.conditions import Conditions
+from pincal.robot.robot import Robot
+from pincal.validate.outcome import Elsewhere
+
+# Random poses, more of which change the mean by a few per cent only, and their seed.
+_DRAWN, _SEED = 400, 0
+# Directions over which lengths are averaged: exact to 1 % for the flattest covariance.
+_DIRECTIONS = 60
+# Ends of the ranges of a joint that are compared: every twelfth of the poses.
+_PARTS = 12
+# Fewest poses that are divided by ranges, and the least share of the variance of the expected errors that a range has to
+# explain before it is named; below, it is combinations of joints that are missing, not the range of one.
+_FEWEST, _EXPLAINED = 48, 0.1
+# Of the number of measured poses in a range to that of evenly spread ones, below which the range is hardly covered.
+_SPARSE = 0.5
+
+
+def elsewhere_of(fit: ModelFit, task: Measurements | None = None) -> Elsewhere | None:
+    """Return the expected position error at random poses within the joint limits, or at those of a task.
+
+    Loads are those of the measured poses, spread evenly between the smallest and the largest; a task has its own.
+
+    Args:
+        fit: a calibration.
+        task: joint positions that matter; default: random ones.
+
+    Returns:
+        The expected error; None if no instrument observed any position.
+    """
+    stations = [station for station in fit.problem.stations if station.sensor.reads_place]
+    if not stations or not has_instrument(fit):
+        return None
+    at = stations[0]
+    model = CalibratedModel.of(fit, station=at.name)
+    conditions = _random_conditions(model) if task is None else model.conditions(task)
+    expected = 1e3 * expected_lengths(_covariances(model, conditions, placed=at.position is not None))
+    robot, measured = fit.problem.chain.robot, np.vstack([station.conditions.q for station in stations])
+    return Elsewhere(
+        mean_mm=float(expected.mean()),
+        worst_mm=float(expected.max()),
+        where=_where(robot, conditions.q, expected, measured),
+        poses=len(expected),
+        over="" if task is None else task.source,
+    )
+
+
+def expected_lengths(covariances: np.ndarray) -> np.ndarray:
+    """Return the expected lengths of normal vectors about zero, shape (N,), from covariances of shape (N, 3, 3).
+
+    Example:
+        >>> expected_lengths(np.array([np.eye(3), np.diag([1.0, 0.0, 0.0])])).round(2)
+        array([1.6, 0.8])
+    """
+    turns = np.arange(_DIRECTIONS) + 0.5
+    heights = 1.0 - 2.0 * turns / _DIRECTIONS
+    azimuths = np.pi * (1.0 + np.sqrt(5.0)) * turns
+    widths = np.sqrt(1.0 - heights**2)
+    directions = np.column_stack([widths * np.cos(azimuths), widths * np.sin(azimuths), heights])
+    squares = np.einsum("ui,nij,uj->nu", directions, covariances, directions)
+    return np.asarray(np.sqrt(8.0 / np.pi) * np.sqrt(np.maximum(squares, 0.0)).mean(axis=1))
+
+
+def _random_conditions(model: CalibratedModel) -> Conditions:
+    """Return random poses within the joint limits, of the first target, with loads as in the calibration."""
+    rng = np.random.default_rng(_SEED)
+    q = model.model.chain.robot.random_configurations(_DRAWN, rng)
+    conditions = Conditions.at(q, payload_centre=model.payload_centre)
+    return replace(conditions, payload=rng.uniform(*model.covered.payload, _DRAWN))
+
+
+def _covariances(model: CalibratedModel, conditions: Conditions, *, placed: bool) -> np.ndarray:
+    """Return the covariances of predicted positions, shape (N, 3, 3) [m^2].
+
+    Where readings are positions in the instrument's frame, ``placed``, so are these. Other readings may not determine that
+    frame; these are then the covariances that remain with instrument and target placed as well as possible.
+    """
+    n = model.model.n_parameters
+    poses, J = model.model.linearise(model.model_values, model.of_its_day(conditions))
+    along = J[:, :3] if placed else unplaced(J[:, :3], poses)
+    return np.asarray(np.einsum("nip,pq,njq->nij", along, model.dense_covariance[:n, :n], along, optimize=True))
+
+
+class _Range(NamedTuple):
+    """A range of a joint: the share of the variance that it explains, the joint, both ends, and which of them are open."""
+
+    explained: float
+    joint: int
+    low: float
+    high: float
+    is_lowest: bool
+    is_highest: bool
+
+
+def _where(robot: Robot, q: np.ndarray, expected: np.ndarray, measured: np.ndarray) -> str:
+    """Return in which range of which joint the expected errors are largest, and how it was covered; "" if in none."""
+    if len(q) < _FEWEST or not np.ptp(expected) > 0.0:
+        return ""
+    ranges = (found for joint in range(q.shape[1]) for found in _ranges(joint, q[:, joint], expected))
+    worst = max(ranges, key=lambda found: found.explained, default=None)
+    if worst is None or worst.explained < _EXPLAINED:
+        return ""
+    turns = robot.joint_units[worst.joint] == "rad"
+    unit = "deg" if turns else "mm"
+    low, high = (f"{np.degrees(end) if turns else 1e3 * end:z.0f}" for end in (worst.low, worst.high))
+    ends = f"below {high} {unit}" if worst.is_lowest else f"{low} to {high} {unit}"
+    ends = f"above {low} {unit}" if worst.is_highest else ends
+    return f"{robot.joint_names[worst.joint]} is {ends}{_coverage(worst, q[:, worst.joint], measured[:, worst.joint])}"
+
+
+def _coverage(worst: _Range, q: np.ndarray, measured: np.ndarray) -> str:
+    """Return how many measured poses are in a range, in words; "" if it was covered like the others."""
+    there = int(np.sum((measured >= worst.low) & (measured <= worst.high)))
+    share = np.mean((q >= worst.low) & (q <= worst.high))
+    if there == 0:
+        return " (not measured there)"
+    return f" ({there} of {len(measured)} poses)" if there < _SPARSE * share * len(measured) else ""
+
+
+def _ranges(joint: int, q: np.ndarray, expected: np.ndarray) -> Iterator[_Range]:
+    """Yield the ranges of a joint in which errors are larger than outside it."""
+    edges = np.unique(np.quantile(q, np.linspace(0.0, 1.0, _PARTS + 1)))
+    parts = np.clip(np.searchsorted(edges, q, side="right") - 1, 0, len(edges) - 2)
+    counts = np.concatenate([[0], np.cumsum(np.bincount(parts, minlength=len(edges) - 1))])
+    sums = np.concatenate([[0.0], np.cumsum(np.bincount(parts, expected, minlength=len(edges) - 1))])
+    last = len(edges) - 1
+    total = float(np.sum((expected - expected.mean()) ** 2))
+    for low in range(last):
+        for high in range(low + 1, last + 1):
+            inside = counts[high] - counts[low]
+            outside = len(q) - inside
+            if not inside or not outside:
+                continue
+            within = sums[high] - sums[low]
+            excess = within / inside - (sums[-1] - within) / outside
+            if excess > 0.0:
+                explained = inside * outside / len(q) * excess**2 / total
+                yield _Range(float(explained), joint, float(edges[low]), float(edges[high]), low == 0, high == last)

@@ -1,0 +1,159 @@
+"""What a calibration expects of its errors away from the measured poses, and that this holds."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from conftest import SHARED
+
+import pincal.simulate as sim
+from pincal import GEOMETRIC, Measurements, Options, Robot, measurements_from_arrays, read_measurements
+from pincal.builtin import kuka_urdf_path
+from pincal.calibration.calibration import Calibration, run_calibration
+from pincal.calibration.elsewhere import elsewhere_of, expected_lengths
+from pincal.cli import main
+from pincal.measure.table import write_table
+from pincal.report.html import report_page
+from pincal.report.subject import Subject
+from pincal.report.words import elsewhere_words, is_worse_elsewhere
+
+NOISE = 3e-5
+TOOL = (0.1, 0.0, 0.2)
+MACHINES = 8
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return Robot.from_urdf(kuka_urdf_path())
+
+
+def spread(robot: Robot, seed: int) -> np.ndarray:
+    """Return 80 random poses."""
+    return robot.random_configurations(80, np.random.default_rng(seed))
+
+
+def without_the_middle(robot: Robot, seed: int) -> np.ndarray:
+    """Return 80 poses in which joint 5 is only near its lower end."""
+    q = spread(robot, seed)
+    q[:, 4] = robot.lower[4] + 0.15 * (q[:, 4] - robot.lower[4])
+    return q
+
+
+def measured(robot: Robot, q: np.ndarray, seed: int) -> tuple[Measurements, sim.TrueMachine]:
+    """Return the rows of a drawn machine at some poses, and the machine."""
+    rng = np.random.default_rng(seed)
+    machine = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
+    machine = machine.draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
+    columns = sim.Instrument(targets=TOOL).measure(machine, q)
+    position = np.column_stack([columns[c] for c in "xyz"]) + NOISE * rng.standard_normal((len(q), 3))
+    return measurements_from_arrays(robot.joint_names, q, position=position), machine
+
+
+def calibrated(robot: Robot, q: np.ndarray, seed: int) -> tuple[Calibration, sim.TrueMachine]:
+    table, machine = measured(robot, q, seed)
+    return run_calibration(robot, table, Options(effects=GEOMETRIC, sigma=NOISE)), machine
+
+
+def true_error(found: Calibration, machine: sim.TrueMachine) -> float:
+    """Return the mean error [mm] at random poses within the limits."""
+    q = found.robot.random_configurations(200, np.random.default_rng(99))
+    columns = sim.Instrument(targets=TOOL).measure(machine, q)
+    true = np.column_stack([columns[c] for c in "xyz"])
+    return float(1e3 * np.linalg.norm(found.fit.predict(q)[:, :, 3] - true, axis=1).mean())
+
+
+def test_expected_lengths_are_those_of_normal_vectors():
+    """The closed forms in one, two and three dimensions, and in between the mean of a million draws."""
+    flat = [np.diag([1.0, 0.0, 0.0]), np.diag([1.0, 1.0, 0.0]), np.eye(3)]
+    exact = np.sqrt([2.0 / np.pi, np.pi / 2.0, 8.0 / np.pi])
+    np.testing.assert_allclose(expected_lengths(np.array(flat)), exact, rtol=1e-2)
+
+    L = np.array([[2.0, 0.0, 0.0], [0.5, 1.0, 0.0], [-1.0, 0.3, 0.2]])
+    drawn = np.random.default_rng(0).standard_normal((1_000_000, 3)) @ L.T
+    (found,) = expected_lengths((L @ L.T)[None])
+    assert found == pytest.approx(np.linalg.norm(drawn, axis=1).mean(), rel=1e-2)
+
+
+def test_errors_elsewhere_are_as_large_as_expected(robot):
+    """Over machines measured in poses that leave a joint's range out, errors at random poses are those expected."""
+    found = [calibrated(robot, without_the_middle(robot, seed), seed) for seed in range(MACHINES)]
+    expected = np.mean([one.result.elsewhere.mean_mm for one, _ in found])
+    true = np.mean([true_error(one, machine) for one, machine in found])
+
+    assert 0.3 < true / expected < 1.5
+
+
+def test_the_range_that_was_not_measured_is_named_with_the_cure(robot):
+    """Poses that leave most of a joint's range out are said to, wherever the result is shown."""
+    found, _ = calibrated(robot, without_the_middle(robot, 0), 0)
+    elsewhere, error = found.result.elsewhere, found.result.error["calibrated"]["test"]
+    words = elsewhere_words(elsewhere, error)
+
+    assert is_worse_elsewhere(elsewhere, error)
+    assert elsewhere.where.startswith("joint_5 is")
+    assert words in report_page(Subject(found, {"inputs": {}}, ()))
+    assert "pincal design" in words
+    assert found.result.to_dict()["elsewhere"]["mean_mm"] == elsewhere.mean_mm
+
+
+def test_poses_that_cover_the_ranges_are_left_in_peace(robot):
+    """Where poses are spread over all ranges, no cure is offered, and the expected errors are below those measured."""
+    found, _ = calibrated(robot, spread(robot, 0), 0)
+    elsewhere, error = found.result.elsewhere, found.result.error["calibrated"]["test"]
+
+    assert elsewhere.mean_mm < error["mean_mm"]
+    assert "design" not in elsewhere_words(elsewhere, error)
+
+
+def test_a_task_that_was_measured_is_expected_to_be_as_good_as_measured(robot):
+    """At the poses of a task like the measured ones, less error is expected than elsewhere."""
+    found, _ = calibrated(robot, without_the_middle(robot, 0), 0)
+    task = measurements_from_arrays(robot.joint_names, without_the_middle(robot, 1))
+    at_task = elsewhere_of(found.fit, task)
+
+    assert at_task.poses == len(task)
+    assert at_task.mean_mm < 0.5 * found.result.elsewhere.mean_mm
+
+
+def run(arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 0
+
+
+def test_the_command_tells_it_in_a_line(robot, tmp_path, capsys):
+    """``calibrate`` prints it beside the headline and writes it; with ``--task`` for the poses of that file."""
+    table, _ = measured(robot, without_the_middle(robot, 0), 0)
+    joints, task = (dict(zip(robot.joint_names, q.T, strict=True)) for q in (table.q, spread(robot, 5)))
+    write_table(tmp_path / "rows.csv", joints | dict(zip("xyz", table.position.T, strict=True)))
+    write_table(tmp_path / "task.csv", task)
+    arguments = ["calibrate", str(kuka_urdf_path()), str(tmp_path / "rows.csv"), "--out", str(tmp_path / "o"), "--quiet"]
+
+    run(arguments)
+    assert "anywhere mean" in capsys.readouterr().out
+    run([*arguments, "--task", str(tmp_path / "task.csv")])
+    assert "at the poses of task.csv" in " ".join(capsys.readouterr().out.split())
+    assert json.loads((tmp_path / "o" / "result.json").read_text())["elsewhere"]["over"] == "task.csv"
+
+
+PLANS = SHARED / "cases" / "plans"
+
+
+@pytest.mark.parametrize("plan", ["17_serpentine_grid", "18_circle_point"])
+def test_plans_that_leave_poses_out_say_what_is_to_be_expected_there(plan):
+    """A grid and single-joint sweeps of independent generators: what is expected elsewhere is of the size of the errors."""
+    folder = PLANS / plan
+    if not folder.exists():
+        pytest.skip(f"no folder shared/cases/plans/{plan} next to the project")
+    robot = Robot.from_urdf(folder / "robot.urdf")
+    found = run_calibration(robot, read_measurements(folder / "data.csv", robot.joint_names))
+    fresh = read_measurements(folder / "fresh_any.csv", robot.joint_names)
+    error = 1e3 * np.linalg.norm(found.fit.predict(fresh.q)[:, :, 3] - fresh.position, axis=1).mean()
+    elsewhere = found.result.elsewhere
+
+    assert is_worse_elsewhere(elsewhere, found.result.error["calibrated"]["test"])
+    # A machine's errors share their parameters: the mean of one has 95 % limits of 0.2 to 2.5 times the expectation.
+    assert 0.2 * elsewhere.mean_mm < error < 2.5 * elsewhere.mean_mm
+    assert elsewhere.where
