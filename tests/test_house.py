@@ -36,7 +36,7 @@ BOUNDS = {
     "identify.arrivals": "_BOUNDS",
     "identify.beliefs": "_FARTHEST _FREE _LEAST _MOST",
     "identify.believed": "_LEAST",
-    "identify.calibrate": "_WEIGHINGS _SAME_WEIGHT _SCALINGS _CLOSE",
+    "identify.calibrate": "_WEIGHINGS _SAME_WEIGHT _SCREENINGS _SCALINGS _CLOSE",
     "identify.choices": "_ROWS",
     "identify.dependence": (
         "_BANDS _NEAR _NEAREST _READINGS _ROWS _STARTS _LONGEST _MEMORIES _LENGTHS _BLOCK_READINGS _MOST_STATIONS "
@@ -57,11 +57,13 @@ BOUNDS = {
     "identify.quadratic": "SEEN ROUNDING NULL",
     "identify.prior_scale": "_SCALES _ROUNDS _ANYWHERE",
     "identify.repeatability": "_SAME _AGREES",
+    "identify.screening": "_ROUNDS",
     "identify.solve": (
         "SETTLED _ROUGH _NEAR _TRIALS _ROUNDED _STEADY _SETTLED _MEMORY _SLOW _FIRST _MORE _LESS _MOST _REPAIR _HALVINGS"
     ),
     "identify.split": "_BLOCKS",
     "identify.station": "PIECE",
+    "identify.visit_scatter": "_MOVED _ROUNDS _BEYOND _LEAST _RANK _FEW",
     "identify.whitening": "_TILE",
     "io.arrays": "_ROTATION _EXACT _MOST_EXACT _MOST_ROWS _BITS",
     "io.camera_file": "_ROTATION",

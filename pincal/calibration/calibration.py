@@ -25,6 +25,7 @@ from pincal.calibration.held_out import (
 )
 from pincal.calibration.result import Result, result_of
 from pincal.calibration.result_tables import error_table
+from pincal.calibration.screened import screened
 from pincal.errors import BadInputError, warn
 from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.folds import Folds
@@ -212,6 +213,7 @@ def fit_admitted(
     corrected += unknown_zeros(fit)
     for text in corrected:
         warn(text)
+    parts = screened(fit, parts)
     rows = tuple(replace(part, name=at.name) for part, at in zip(parts, fit.problem.stations, strict=True))
     notes = [*corrected, *robot.notes, *dict.fromkeys((*admitted.notes, *split_notes)), *admitted.idle]
     # What the sensor of one station can't observe, that of another may.

@@ -305,17 +305,25 @@ def findings_on_plausibility(fit: ModelFit, tables: Iterable[Measurements]) -> l
 
 
 def findings_on_outliers(
-    station: Station, values: np.ndarray, free: np.ndarray, *, table: Measurements, rejected: np.ndarray
+    station: Station,
+    values: np.ndarray,
+    free: np.ndarray,
+    *,
+    table: Measurements,
+    rejected: np.ndarray,
+    lines: Sequence[int] | None = None,
 ) -> list[Caveat]:
     """Return which of a station's fitted rows were rejected, and where the instrument was moved between rows.
 
-    Its parameters have values, shape (P,), and ``free``, shape (P,), were fitted; ``rejected``, shape (N,), is a mask.
+    Its parameters have values, shape (P,), and ``free``, shape (P,), were fitted; ``rejected``, shape (N,), is a mask, and
+    ``lines`` are those of all rejected readings as measured; default: of the rejected rows.
     """
 
     def about(kind: CaveatKind, some: np.ndarray, **figures: Any) -> Caveat:
         return Caveat(kind, figures, station.name, tuple(table.rows[some].tolist()))
 
-    found = [about(CaveatKind.OUTLIERS, rejected)] if rejected.any() else []
+    left_out = table.rows[rejected].tolist() if lines is None else lines
+    found = [Caveat(CaveatKind.OUTLIERS, {}, station.name, tuple(left_out))] if left_out else []
     if rejected.mean() >= _MANY:
         common = in_common(station, values, table, rejected) or "no common cause was found"
         found = [about(CaveatKind.MANY_OUTLIERS, rejected, rows=len(table), common=common)]

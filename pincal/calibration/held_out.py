@@ -58,6 +58,8 @@ class StationRows:
         test: held-out poses; may be empty.
         measured: the rows of both as measured.
         ways: for each of two ways of holding rows out its held-out poses, shape (test,); empty for one way.
+        wrong: lines of readings that others of their pose show to be wrong, which are in none of these tables.
+        screened_from: the rows of both with these readings; default: there are none.
     """
 
     name: str
@@ -65,6 +67,13 @@ class StationRows:
     test: Measurements
     measured: tuple[Measurements, Measurements]
     ways: Mapping[Way, np.ndarray] = field(default_factory=dict)
+    wrong: tuple[int, ...] = ()
+    screened_from: tuple[Measurements, Measurements] | None = None
+
+    @property
+    def as_read(self) -> tuple[Measurements, Measurements]:
+        """The rows of both with wrong readings among them."""
+        return self.measured if self.screened_from is None else self.screened_from
 
     @classmethod
     def of(

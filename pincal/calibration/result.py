@@ -280,8 +280,9 @@ class _Seen:
 
     @property
     def outliers(self) -> list[int]:
-        """Lines of the rejected rows."""
-        return [int(line) for line in self.rows.measured[0].rows[self.rows.by_row(self.weights) == 0.0]]
+        """Lines of the rejected rows, and of wrong readings of poses with others."""
+        rejected = self.rows.measured[0].rows[self.rows.by_row(self.weights) == 0.0]
+        return sorted([*rejected.tolist(), *self.rows.wrong])
 
 
 def _validation(validated: Validated | None, error: Errors) -> ValidationWay | UnsetType:
@@ -376,7 +377,8 @@ def _on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut], validated: Vali
     """Yield the findings on the fitted rows of each station, then on the held-out ones."""
     for part in seen:
         train, values, rejected = part.parts["train"], part.values["calibrated"], part.weights == 0.0
-        yield from findings_on_outliers(train, values, part.free, table=part.rows.train, rejected=rejected)
+        table, lines = part.rows.train, part.outliers
+        yield from findings_on_outliers(train, values, part.free, table=table, rejected=rejected, lines=lines)
         yield from findings_on_order(train)
     if not left_out and validated is None and not any("test" in part.parts for part in seen):
         yield Caveat(CaveatKind.NOT_HELD_OUT)

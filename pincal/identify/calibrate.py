@@ -29,6 +29,7 @@ from pincal.identify.options import Options, PriorScale, StationOptions, Tools
 from pincal.identify.prior_scale import observes_places, prior_scale
 from pincal.identify.problem import Problem
 from pincal.identify.repeatability import with_visits
+from pincal.identify.screening import without_wrong, wrong_readings
 from pincal.identify.solve import SETTLED, Course, solve
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
@@ -49,6 +50,8 @@ log = logging.getLogger(__name__)
 
 # Rounds in which the masses of an earlier fit are rescaled to the present ones, and the negligible relative change.
 _WEIGHINGS, _SAME_WEIGHT = 10, 1e-3
+# Rounds in which wrong readings are looked for by the fit without those of the round before.
+_SCREENINGS = 3
 # Rounds in which the factors on priors are estimated.
 _SCALINGS = 4
 # The paper's sequence (IV.D); base and tool, known there, are free throughout. The last stage releases everything.
@@ -87,7 +90,24 @@ def fit_tables(
 
     Tables without station names are station_1 and so on. Results do not depend on the executor.
     """
-    tables = {name: by_pose(table) for name, table in tables_of(measurements).items()}
+    tables = tables_of(measurements)
+    fit = _fit_to_means(robot, tables, options, executor)
+    wrong = {name: np.zeros(len(table), bool) for name, table in tables.items()}
+    for _ in range(_SCREENINGS if fit.options.loss == "screen" else 0):
+        before, wrong = wrong, wrong_readings(fit, tables)
+        if all(np.array_equal(wrong[name], before[name]) for name in tables):
+            break
+        log.info("without %d readings that do not fit others of their pose", sum(int(w.sum()) for w in wrong.values()))
+        fit = _fit_to_means(robot, without_wrong(tables, wrong), options, executor)
+        fit = replace(fit, wrong=tuple(wrong.values()))
+    return fit
+
+
+def _fit_to_means(
+    robot: Robot, tables: Mapping[str, Measurements], options: Options | None, executor: Executor | None
+) -> ModelFit:
+    """Return the fit to the means of the readings of each pose; arguments as for :func:`fit_tables`."""
+    tables = {name: by_pose(table) for name, table in tables.items()}
     options = _completed(robot, options, tables)
     some, problem = begin(robot, tables, options, executor)
     fit = with_bearings(_rescaled(_begun(some, executor)))

@@ -35,6 +35,7 @@ _SEEN_CURVE = "test_other_session.py::test_a_curve_that_was_not_seen_everywhere_
 _JUMP = "test_moves.py::test_a_jump_between_two_days_is_named_with_its_interval"
 _PRIORS = "test_contacts.py::test_priors_are_as_wide_as_the_readings_allow"
 _NOT_HELD = "test_contacts.py::test_what_contacts_do_not_hold_is_said"
+_WRONG = "test_screening.py::test_wrong_readings_are_named_by_their_lines"
 _STATIONS = "test_moves.py::test_a_robot_that_stays_the_same_moves_in_one_of_a_hundred"
 
 
@@ -166,6 +167,22 @@ class ChangeNumbers:
         "that share the fingerprint of a row of the calibration by chance", "hardly one in some thousands of rows")
 
 
+@dataclass(frozen=True, kw_only=True)
+class VisitNumbers:
+    """Thresholds of decisions on the readings of poses that were visited, or read, more than once."""
+
+    wrong: float = number(0.001, "probability", _WRONG,
+        "that a reading of a sound table deviates as much from the others of its pose", "one sound table in a thousand")
+    fewest: int = number(6, "readings", "test_screening.py::test_few_visits_do_not_judge_each_other",
+        "beyond one for each pose, below which readings do not show how they scatter",
+        "a limit at one in a thousand is then twice that of a known scatter")
+    decided: float = number(2.0 * log(1000.0), _GAIN, _WRONG,
+        "by which one of two readings has to agree better with the model for the other to be wrong", "odds of 1000 to 1")
+    too_many: float = number(0.25, "ratio", _WRONG,
+        "of wrong to all readings, from which on they are not exceptions", "as for rows of a robot that may have changed")
+
+
 # fmt: on
 CRITERIA = Criteria()
 CHANGES = ChangeNumbers()
+VISITS = VisitNumbers()

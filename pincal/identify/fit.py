@@ -129,6 +129,8 @@ class ModelFit:
         noise: declared noise.
         stages: the stages of the fit.
         options: how it was made.
+        wrong: for each station, shape (N,), which rows as measured were left out before means of poses were taken, as
+            others of their pose show them to be wrong (:mod:`pincal.identify.screening`); empty if none were.
     """
 
     problem: Problem
@@ -138,6 +140,7 @@ class ModelFit:
     noise: Noise
     stages: tuple[FitStage, ...]
     options: Options
+    wrong: tuple[np.ndarray, ...] = ()
 
     @property
     def station(self) -> Station:

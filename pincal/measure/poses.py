@@ -98,14 +98,19 @@ def mean_rows(table: Measurements, group: np.ndarray) -> Measurements:
 
 
 def without_copies(table: Measurements, group: np.ndarray) -> np.ndarray:
-    """Return the rows, shape (n,), that are no copies of an earlier row of their group.
+    """Return the rows, shape (n,), that are no copies of an earlier row of their group."""
+    return np.sort(np.unique(numbers_of_copies(table, group), return_index=True)[1])
+
+
+def numbers_of_copies(table: Measurements, group: np.ndarray) -> np.ndarray:
+    """Return a number for each row, shape (N,), that only copies of it in its group share.
 
     Copies have the same readings, or the same joints where these are all that is read, as in sockets.
     """
     numbers = {name: a for name, a in table.columns().items() if a.dtype.kind == "f"}
     read = [numbers[name].reshape(len(group), -1) for name in table.readings if name in numbers]
     key = np.column_stack([group, *(read or [table.q])])
-    return np.sort(np.unique(key, axis=0, return_index=True)[1])
+    return np.asarray(np.unique(key, axis=0, return_inverse=True)[1]).ravel()
 
 
 def replicate_groups(tables: Sequence[Measurements], *, within: float = SAME) -> list[np.ndarray]:
