@@ -49,6 +49,7 @@ BOUNDS = {
     "identify.initial": "_ROWS _SETTLED_ROWS _FEWEST_SETTLED_ROWS _ALIKE",
     "identify.jacobian": "_PADDING _AT_ONCE",
     "identify.many_rows": "MANY EACH",
+    "identify.motion_fields": "_MOVED _NOTHING",
     "identify.noise": "_POLISHING MOST_EXACT _PARTS _STRONG _CORRECTIONS _COARSE _EXACT",
     "identify.normal": "_MOST_CHANGED",
     "identify.options": "LENGTH_BOUND",

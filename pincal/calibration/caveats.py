@@ -96,6 +96,21 @@ class CaveatKind(Enum):
         "before using the model. Lines {lines}"
     )
     STEP = "from line {line} on {what} If so, make the rows before and after it two stations (column station)"
+    BETWEEN_VISITS = "{what}; the means of poses do not show it, and intervals do not include it"
+    VISITS_APART = (
+        "visits of the same pose differ by more than the means of poses about the model allow ({test}): something changed "
+        "between visits, such as a load, the direction of approach, or the set-up; measure in one set-up, or record it in "
+        "a column"
+    )
+    VISITS_SCATTER = (
+        "visits of the same pose differ by {scatter}, which is more than the declared noise of {declared} and drives that "
+        "arrive within {arrival:g} mrad explain (p {p_value:.1g}): the robot repeats poorly, the target is loose, or the "
+        "declared noise is too small"
+    )
+    NOISY_REPEATS = (
+        "repeated readings within a stop differ by {scatter} and the declared noise is {declared} (p {p_value:.1g}): the "
+        "declared noise is too small, or the arm was not yet at rest"
+    )
     DEPENDENT_ROWS = (
         "the residuals depend on the order of the rows: {what}; rows were weighted accordingly; look for what changed "
         "during the measurement: the instrument's set-up, temperature, the clamping of robot and target"

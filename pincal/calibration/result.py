@@ -43,6 +43,7 @@ from pincal.calibration.placing import moved
 from pincal.calibration.result_tables import ParameterRecord, ParameterRow, parameter_rows
 from pincal.calibration.station_information import spent_at
 from pincal.calibration.unmodelled import instruments_error
+from pincal.calibration.visit_findings import by_visit, findings_on_visits, joined_with_means
 from pincal.identify.fit import ModelFit
 from pincal.identify.prior_scale import has_instrument
 from pincal.identify.repeatability import Repeatability, repeatability_of
@@ -166,6 +167,11 @@ def result_of(
         for part, (_, lack) in zip(seen, again, strict=True)
         for found in findings_on_replicates(lack, p_value)
     ]
+    on_visits = [
+        found
+        for k, (part, (_, lack)) in enumerate(zip(seen, again, strict=True))
+        for found in findings_on_visits(fit, k, part.rows, lack)
+    ]
     read = Readings.of(fit, [part.poses[0] for part in seen])
     improved = () if has_instrument(fit) else improvements(fit)
     moves = moves_of(fit) if len(seen) > 1 else ()
@@ -177,8 +183,10 @@ def result_of(
         *findings_without_instrument(fit, improved),
         *_on_rows(seen, left_out, validated),
         *on_replicates,
+        *on_visits,
         *findings_on_moves(fit, moves),
     ]
+    found = joined_with_means(found)
     is_judged = fit.is_declared or any(lack is not None for _, lack in again)
     if is_judged and not any(n.kind in DOUBTS for n in found) and (misread := instruments_error(fit)) is not None:
         station, effect, chance = misread
@@ -186,6 +194,9 @@ def result_of(
     if len(on_replicates) == len(seen) and all(n.kind is CaveatKind.NOISY_REPLICATES for n in on_replicates):
         # The scatter between replicates, already reported, is what exceeds the declared noise.
         found = [n for n in found if n.kind is not CaveatKind.NOISE_EXCEEDED]
+    # What changed between visits is what makes them differ.
+    changed = {n.station for n in found if n.kind is CaveatKind.BETWEEN_VISITS or "lines" in n.figures}
+    found = [n for n in found if n.kind is not CaveatKind.NOISY_REPLICATES or n.station not in changed]
     # A change midway explains the other findings, so it precedes them and replaces "not this robot".
     stepped = {n.station for n in found if n.kind is CaveatKind.STEP}
     found = [n for n in found if n.kind is not CaveatKind.IMPLAUSIBLE or n.station not in stepped]
@@ -411,7 +422,8 @@ def _replicates(
         found.append(Replicates("test", test, fit.readings(test, station=at), test_poses, np.ones(len(test), bool)))
     solution, is_alone = fit.solution, len(fit.problem.stations) == 1
     spent = solution.effective if is_alone else spent_at(fit, k)
-    lack = lack_of_fit(found, seen.values["calibrated"], solution.sigma[seen.blocks], spent=spent)
+    visits = by_visit(fit, at, found)
+    lack = lack_of_fit(visits, seen.values["calibrated"], solution.sigma[seen.blocks], spent=spent)
     if validated is None or len(validated.lead[k].counted) != len(train):
         return iso9283(found, seen.values), lack
     unseen = {model: of_way[validated.headline][k].residuals for model, of_way in validated.of_model.items()}

@@ -96,18 +96,23 @@ def discover_effects(
     return found.fitted_again(reweighted_by_order(found.final))
 
 
-def withdraw_names_at_change(found: History) -> History:
+def withdraw_names_at_change(found: History, is_shifted: Callable[[ModelFit], bool]) -> History:
     """Withdraw all names if something changed midway in a table, which can be mistaken for effects of the robot.
 
     A model that describes neither half leaves residuals that some name always fits partly. Elasticity is kept.
+    ``is_shifted`` tells from single visits of poses whether something changed between them, which means do not show.
     """
+
+    def is_changed(fit: ModelFit) -> bool:
+        return _is_changed_midway(fit) or is_shifted(fit)
+
     names = [step for step in found.steps if not step.is_elastic]
-    if not names or not _is_changed_midway(found.final):
+    if not names or not is_changed(found.final):
         return found
     effects = tuple(effect for step in names for effect in step.effects)
     gone = {effect.identity for effect in effects}
     fit = refit(found.final, [e for e in found.final.options.effects if e.identity not in gone], start={})
-    if not _is_changed_midway(fit):
+    if not is_changed(fit):
         return found
     log.info("withdrawn because of a change during the session: %s", listed(effects))
     steps = tuple(step for step in found.steps if step.is_elastic)

@@ -29,6 +29,7 @@ from pincal.calibration.calibration import Calibration, FittedTables, fit_admitt
 from pincal.calibration.held_out import LeftOut, Validated, as_measured, leave_out_stations
 from pincal.calibration.result import result_of
 from pincal.calibration.validation import Validation
+from pincal.calibration.visit_findings import is_shifted
 from pincal.discover.candidate_tests import sampled
 from pincal.discover.drive_curves import notes_on_repeats
 from pincal.discover.elastic import significant_compliances
@@ -213,7 +214,7 @@ def _search(
     """Return the history of a search from a calibration on, and notes."""
     blocks = np.concatenate(_regions(first)) % TESTING.blocks
     found = discover_effects(first.fit, blocks, frames=frames, extra=extra, policy=policy)
-    trail = withdraw_names_at_change(found)
+    trail = withdraw_names_at_change(found, partial(is_shifted, rows=first.stations))
     problem = trail.final.problem
     tables = (rows.train for rows in first.stations)
     sides = (note_on_sides(table.source, table.approach_from) for table in tables)

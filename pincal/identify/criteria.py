@@ -36,6 +36,9 @@ _JUMP = "test_moves.py::test_a_jump_between_two_days_is_named_with_its_interval"
 _PRIORS = "test_contacts.py::test_priors_are_as_wide_as_the_readings_allow"
 _NOT_HELD = "test_contacts.py::test_what_contacts_do_not_hold_is_said"
 _WRONG = "test_screening.py::test_wrong_readings_are_named_by_their_lines"
+_SHIFTED = "test_visits.py::test_a_change_between_passes_is_found_with_its_line"
+_SOUND_VISITS = "test_visits.py::test_sound_visits_raise_no_doubt"
+_SCATTER = "test_visits.py::test_visits_that_scatter_more_than_drives_do_are_a_doubt"
 _STATIONS = "test_moves.py::test_a_robot_that_stays_the_same_moves_in_one_of_a_hundred"
 
 
@@ -178,8 +181,16 @@ class VisitNumbers:
         "a limit at one in a thousand is then twice that of a known scatter")
     decided: float = number(2.0 * log(1000.0), _GAIN, _WRONG,
         "by which one of two readings has to agree better with the model for the other to be wrong", "odds of 1000 to 1")
-    too_many: float = number(0.25, "ratio", _WRONG,
+    too_many: float = number(0.25, "ratio", _SHIFTED,
         "of wrong to all readings, from which on they are not exceptions", "as for rows of a robot that may have changed")
+    chance: float = number(0.001, "probability", _SOUND_VISITS,
+        "that a table of sound visits shows a step, a steady or another drift, or a dependence on the number of the visit, "
+        "each", "with these four tests, one sound table in 250 at most")
+    as_likely: float = number(2.0 * log(1000.0), _GAIN, _SHIFTED,
+        "within which another cause explains a change between visits as well", "odds of 1000 to 1")
+    arrival: float = number(1.5e-4, "rad or m", _SCATTER,
+        "standard deviation of the arrival of a drive, above which visits scatter by more than drives do",
+        "drives repeat to 1e-5 to 9e-5 rad (Slamani 2012)")
 
 
 # fmt: on

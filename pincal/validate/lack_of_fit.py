@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import fdtrc
+from scipy.special import fdtr, fdtrc
 
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
@@ -72,6 +72,15 @@ class LackOfFit:
         if self.is_significant:
             return f"{test}: the residuals exceed the scatter between replicates; the model is incomplete"
         return f"{test}: the residuals are within the scatter between replicates"
+
+    def is_too_small(self, together: float = 1.0) -> bool:
+        """Return whether replicates scatter by more than the means of poses about the model allow, as after a change.
+
+        ``together`` is the number of stops over that of readings: those of one stop share its arrival.
+        """
+        of_misfit = together * self.degrees.misfit
+        of_replicates = together * self.degrees.pure_error
+        return bool(fdtr(of_misfit, of_replicates, self.F) < MISFIT)
 
     @property
     def noise_test(self) -> NoiseTest | None:

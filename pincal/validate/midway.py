@@ -21,9 +21,9 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import chdtri
 
+from pincal.identify.motion_fields import MotionField, fields_of_joints, fields_of_setup
 from pincal.identify.station import Station
 from pincal.measure.extrinsics import sample_rows
-from pincal.validate.gathered import MotionField, fields_of_joints, fields_of_setup
 
 # Fewest rows on either side of a step.
 _EACH = 10
@@ -66,7 +66,7 @@ class StepCause:
     """A possible event between two rows.
 
     Attributes:
-        name: "instrument", "tool", or the joint's.
+        name: "instrument", "tool", "load", or the joint's.
         size: displacement of readings or target [m], or of the joint [rad, or m if prismatic].
         unit: of the size: "m" or "rad".
     """
@@ -81,6 +81,8 @@ class StepCause:
             return f"readings are shifted by {shown}: was the instrument or the robot's base touched?"
         if self.name == "tool":
             return f"the target is displaced by {shown} on the tool: was it touched, or the tool exchanged?"
+        if self.name == "load":
+            return f"the arm is bent by {shown} as by another load: was a payload changed?"
         return f"{self.name} is off by {shown}: was it remastered?"
 
 
@@ -112,6 +114,7 @@ class _Rows:
         fields: of possible changes.
         growth: growth about some point, as of a robot or an instrument that warms up.
         at: shape (n,), position of each row in the table, 1 apart in the median.
+        pose: shape (n,), number of the pose of each row; several targets of a pose share the arrival of the drives.
     """
 
     off: np.ndarray
@@ -119,6 +122,7 @@ class _Rows:
     fields: tuple[MotionField, ...]
     growth: MotionField
     at: np.ndarray
+    pose: np.ndarray
 
     def residuals(self, off: np.ndarray) -> np.ndarray:
         """Return displacements, shape (n, 3), minus their projection onto the fitted parameters."""
@@ -192,7 +196,8 @@ def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray
     kept = sizes > _RANK**2 * sizes[-1]
     fitted = (J @ (axes[:, kept] / np.sqrt(sizes[kept]))).reshape(n, 3, -1)
     growth, *fields = (*fields_of_setup(station, values), *fields_of_joints(station, values))
-    return _Rows(station.displacements(values), fitted, tuple(fields), growth, at)
+    pose = np.unique(station.conditions.q, axis=0, return_inverse=True)[1].ravel()
+    return _Rows(station.displacements(values), fitted, tuple(fields), growth, at, pose)
 
 
 def _clipped(off: np.ndarray) -> np.ndarray:
@@ -222,7 +227,7 @@ def _judged(rows: _Rows) -> tuple[list[_Best], np.ndarray, float]:
         best = max(steps, key=_excess)
         if best.row == before.row and best.field is before.field:
             break
-    even = 1.0 / _unevenness(rows, best)
+    even = 1.0 / max(_unevenness(rows, best), _togetherness(rows, best))
     return [replace(step, gain=even * step.gain) for step in steps], even * precision, even * likelihood
 
 
@@ -233,6 +238,16 @@ def _unevenness(rows: _Rows, step: _Best) -> float:
     left, way = rows.residuals(_clipped(rows.off - _robust_step(rows, step))), step.field.directions @ step.motion
     along = float(np.sum(np.sum(left * way, axis=1) ** 2) / np.sum(way**2))
     return max(along / float(np.mean(left**2)), 1.0)
+
+
+def _togetherness(rows: _Rows, step: _Best) -> float:
+    """Return the variance of sums of residuals over the targets of a pose, relative to independent ones; at least 1."""
+    left = rows.residuals(_clipped(rows.off - _robust_step(rows, step)))
+    count = np.bincount(rows.pose)
+    if count.max() == 1:
+        return 1.0
+    sums = np.stack([np.bincount(rows.pose, column) for column in left.T], axis=1)
+    return max(float(np.sum(sums**2) / np.sum(left**2)), 1.0)
 
 
 def _plain(rows: _Rows) -> _Best:

@@ -1,0 +1,393 @@
+"""Changes between visits of the same poses: a step, a drift along the rows, or a difference by the number of the visit.
+
+A fit uses the mean of all visits of a pose, in which a change between two passes is invisible: it moves all means alike. The
+deviations of single visits from this mean show it, whatever the model (:mod:`pincal.validate.visit_scan`). Readings of one
+stop share its arrival and are averaged before; readings within a stop are compared with each other in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import bdtrc, chdtri
+
+from pincal.identify.criteria import VISITS
+from pincal.identify.motion_fields import MotionField, field_of_load, fields_of_joints, fields_of_setup
+from pincal.identify.station import Station
+from pincal.identify.visit_scatter import Arrivals
+from pincal.measure.measurements import Measurements
+from pincal.measure.poses import without_copies
+from pincal.measure.stops import Plan, plan_of
+from pincal.validate.midway import StepCause, StepChange
+from pincal.validate.visit_scan import Best, Pattern, Scan, Visits
+
+# Changes looked for in one table, the most significant first.
+_MOST = 3
+# Stops from which on a step may begin at most, spread over the table; those around the best are then all tried.
+_CUTS = 150
+# Poses with visits on both sides of a step.
+_BOTH_SIDES = 3
+# Rounds in which a change and the scatter without it are estimated in turn.
+_TURNS = 2
+# Degree of the curves of a drift that is not steady.
+_DRIFT = 3
+# Twice the log likelihood ratio within which a line is as likely as the best: 95 % for one parameter.
+_SAME_LINE = 3.84
+# The same within which the simpler of two patterns is taken.
+_AS_GOOD = 3.84
+
+
+@dataclass(frozen=True)
+class VisitChange:
+    """What differs between visits of the same poses.
+
+    Attributes:
+        kind: "step", "drift" or "order".
+        causes: the best explanation first, then equally good ones.
+        size: largest difference between two visits of a pose that it explains [m].
+        within: whether it concerns readings within a stop.
+        pattern: of visits that differ by their number, which ones, in words.
+        line: of the first row after a step.
+        lines: the first and the last line that are as likely.
+    """
+
+    kind: str
+    causes: tuple[StepCause, ...]
+    size: float
+    within: bool = False
+    pattern: str = ""
+    line: int = 0
+    lines: tuple[int, int] = (0, 0)
+
+    @property
+    def step(self) -> StepChange:
+        """The step."""
+        first, *others = self.causes
+        return StepChange(self.line, first, tuple(others))
+
+    def __str__(self) -> str:
+        if self.kind == "step":
+            return str(self.step)
+        what = "readings within a stop" if self.within else "visits of the same pose"
+        far = f"by up to {1e3 * self.size:.2g} mm"
+        first, *others = (cause.name for cause in self.causes)
+        if self.kind == "drift":
+            seen = " or ".join(dict.fromkeys(_DRIFTS.get(name, f"{name} drifts") for name in (first, *others)))
+            return f"{what} drift apart along the rows {far}: {seen}"
+        seen = " or ".join(dict.fromkeys(_SEEN.get(name, f"along {name}") for name in (first, *others)))
+        columns = dict.fromkeys(_COLUMNS.get(name, f"approach_{name}") for name in (first, *others))
+        return f"{what} differ {self.pattern} {far}, {seen}; a column would tell why: {', '.join(columns)}"
+
+
+_DRIFTS = {
+    "growth": "as of an arm or an instrument that warms up",
+    "instrument": "as if the instrument or the robot's base moved",
+    "tool": "as if the target moved on the tool",
+    "load": "as if the arm sagged more and more",
+}
+_SEEN = {
+    "growth": "growing from a point, as with temperature",
+    "instrument": "all in one direction",
+    "tool": "all in one direction of the tool",
+    "load": "as a load bends the arm",
+}
+_COLUMNS = {"growth": "temperature", "instrument": "station", "tool": "target", "load": "payload"}
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Visits of poses that were visited more than once, and what they are in the table.
+
+    Attributes:
+        visits: the readings.
+        first: shape (n,), index in the table of the first row of each.
+        lines: shape (stops,), line of the first row of each stop of the table.
+        along: shape (n,), place of its stop in the order, from -1 to 1.
+        rank: shape (n,), number of the visit among those of its pose, from 0.
+        within: whether visits are readings within a stop.
+    """
+
+    visits: Visits
+    first: np.ndarray
+    lines: np.ndarray
+    along: np.ndarray
+    rank: np.ndarray
+    within: bool
+
+    def patterns(self) -> list[Pattern]:
+        """Return the patterns that are tried."""
+        if self.within:
+            return [self._order()]
+        return [self._steps(_CUTS), self._order(), self._drift(1), self._drift(_DRIFT)]
+
+    def steps(self) -> Pattern:
+        """Return the steps from each stop on."""
+        return self._steps(len(self.first))
+
+    def _steps(self, most: int) -> Pattern:
+        begins = self.begins(most)
+        after = (self.visits.visit[:, None] >= begins).astype(float)
+        return Pattern("step", after[:, :, None], frozenset({"growth"}))
+
+    def begins(self, most: int) -> np.ndarray:
+        """Return the numbers of the stops from which a step may begin, at most so many, shape (K,)."""
+        numbers = np.unique(self.visits.visit)[1:]
+        thing = self.visits.thing
+        after = np.array([np.bincount(thing, self.visits.visit >= number) for number in numbers])
+        both = np.count_nonzero((after > 0) & (after < self.visits.count), axis=1) if len(numbers) else after
+        numbers = numbers[both >= min(_BOTH_SIDES, len(self.visits.count))]
+        few = np.unique(np.linspace(0, len(numbers) - 1, min(most, len(numbers))).astype(int))
+        return np.asarray(numbers[few])
+
+    def _drift(self, degree: int) -> Pattern:
+        curves = np.polynomial.legendre.legvander(self.along, degree)[:, 1:]
+        return Pattern("drift", curves[:, None, :])
+
+    def _order(self) -> Pattern:
+        several = [self.rank.astype(float), (self.rank > 0).astype(float), (self.rank % 2).astype(float)]
+        kinds = several if self.rank.max() > 1 else several[:1]
+        return Pattern("order", np.stack(kinds, axis=1)[:, :, None])
+
+
+def changes_between_visits(station: Station, values: np.ndarray, table: Measurements) -> list[VisitChange]:
+    """Return what changed between visits of the same poses, and between readings of the same stops.
+
+    Args:
+        station: the calibrated model over the rows of the table.
+        values: shape (P,), of its parameters.
+        table: the rows as measured.
+    """
+    found = list[VisitChange]()
+    for rows in _rows_of(station, values, table):
+        found += _changes(rows)
+    return found
+
+
+@dataclass(frozen=True)
+class VisitScatter:
+    """Deviations of readings from the mean of their pose, or of their stop.
+
+    Attributes:
+        visits: the readings.
+        within: whether they are readings within a stop.
+    """
+
+    visits: Visits
+    within: bool
+
+    @property
+    def size(self) -> float:
+        """Standard deviation of one coordinate of a reading [m]."""
+        return float(np.sqrt(np.sum(self.visits.off**2) / self.visits.degrees))
+
+    @property
+    def typical(self) -> float:
+        """The same of a typical pose or stop, whatever a few others are like [m]."""
+        squares, degrees = self._by_thing()
+        return float(np.sqrt(np.median(squares / chdtri(degrees, 0.5))))
+
+    def larger(self, noise: float) -> float:
+        """Return the probability that so many poses, or stops, differ by more than the median for a noise [m].
+
+        A sign test: some consecutive rows of a pose may be of two stops, which nothing tells.
+        """
+        squares, degrees = self._by_thing()
+        above = int(np.count_nonzero(squares > noise**2 * chdtri(degrees, 0.5)))
+        return float(bdtrc(above - 1, len(squares), 0.5)) if above else 1.0
+
+    def _by_thing(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the sum of squares of each pose or stop and target, and its degrees of freedom."""
+        visits = self.visits
+        squares = np.bincount(visits.thing, np.sum(visits.off**2, axis=1))
+        return squares, 3.0 * (visits.count - 1.0)
+
+    def square(self, noise: float, arrival: float) -> tuple[float, float]:
+        """Return the sum of squares for a noise [m] and an arrival of all joints [rad or m], and its degrees of freedom.
+
+        Targets that are read in one stop share its arrival, so they count as one.
+        """
+        visits = self.visits
+        joints = visits.levers.shape[2]
+        covariance = Arrivals(np.full(3, noise), np.full(joints, arrival)).covariance(visits.levers)[visits.thing]
+        squares = np.sum(visits.off * np.linalg.solve(covariance, visits.off[:, :, None])[:, :, 0])
+        together = 1.0 if not arrival else len(np.unique(visits.visit)) / len(visits.visit)
+        return float(squares) * together, visits.degrees * together
+
+
+def scatters_of(station: Station, values: np.ndarray, table: Measurements) -> Iterator[VisitScatter]:
+    """Yield the scatter between visits of the same poses, then between readings of the same stops; arguments as before."""
+    for rows in _rows_of(station, values, table):
+        yield VisitScatter(rows.visits, rows.within)
+
+
+def _changes(rows: _Rows) -> Iterator[VisitChange]:
+    """Yield what changed, the most significant first, each without those before."""
+    visits = rows.visits
+    for _ in range(_MOST):
+        scan = Scan.of(visits, np.zeros_like(visits.off))
+        seen = [pattern for pattern in rows.patterns() if scan.chance(pattern) < VISITS.chance]
+        if not seen:
+            return
+        bests = [max(scan.best(pattern), key=lambda found: found.likelihood) for pattern in seen]
+        # A step, or a difference from visit to visit, may be the same pattern as a drift, and explains it with less.
+        enough = max(best.likelihood for best in bests) - _AS_GOOD
+        pattern, best = next(pair for pair in zip(seen, bests, strict=True) if pair[1].likelihood >= enough)
+        if pattern.kind == "step":
+            pattern = rows.steps()
+        for _ in range(_TURNS):
+            best = next(other for other in scan.best(pattern) if other.field is best.field)
+            explained = scan.motion(pattern, best)
+            scan = Scan.of(visits, explained)
+            best = max(scan.best(pattern), key=lambda found: found.likelihood)
+        explained = scan.motion(pattern, best)
+        yield _described(rows, scan, pattern=pattern, best=best)
+        visits = replace(visits, off=visits.centred(visits.off - explained))
+        rows = replace(rows, visits=visits)
+
+
+def _described(rows: _Rows, scan: Scan, *, pattern: Pattern, best: Best) -> VisitChange:
+    """Return a change with its likely causes."""
+    every = sorted(scan.best(pattern), key=lambda other: -other.likelihood)
+    causes = dict[str, StepCause]()
+    for other in every:
+        if other.likelihood > best.likelihood - VISITS.as_likely:
+            causes.setdefault(other.field.name, _cause(rows, scan.motion(pattern, other), pattern, other))
+    if "instrument" in causes:
+        # Growth about a point that is far away is the same.
+        causes.pop("growth", None)
+    size = _largest_difference(rows.visits, scan.motion(pattern, best))
+    change = VisitChange(pattern.kind, tuple(causes.values()), size, rows.within)
+    if pattern.kind == "order":
+        words = ("more with each", "from the first", "by turns")
+        only = "between the first and the second"
+        return replace(change, pattern=words[best.pattern] if pattern.x.shape[1] > 1 else only)
+    if pattern.kind == "step":
+        begins = rows.begins(len(rows.first))
+        line = int(rows.lines[begins[best.pattern]])
+        gains = scan.gains(pattern, best.field)
+        ratios = best.degrees * -np.log(np.maximum(scan.total - gains, 1e-12 * scan.total))
+        close = begins[ratios > ratios.max() - _SAME_LINE]
+        # Poses that were visited once tell nothing of what lies between the last visit before and the first one after.
+        before = rows.visits.visit[rows.visits.visit < close[0]].max()
+        lines = int(rows.lines[before + 1]), int(rows.lines[close[-1]])
+        return replace(change, line=line, lines=lines)
+    return change
+
+
+def _cause(rows: _Rows, motion: np.ndarray, pattern: Pattern, best: Best) -> StepCause:
+    """Return the cause of a displacement of shape (n, 3): its size is that of the target [m] or of the joint."""
+    visits = rows.visits
+    field = best.field
+    whole = motion - motion[np.unique(visits.thing, return_index=True)[1]][visits.thing]
+    if field.freedoms > 1 or field.name in _SEEN:
+        lengths = np.linalg.norm(whole, axis=1)
+        moved = lengths[lengths > 0.0]
+        return StepCause(field.name, float(np.sqrt(np.mean(moved**2))) if len(moved) else 0.0, "m")
+    x = visits.centred(pattern.x[:, best.pattern])[:, 0]
+    lever = field.directions[visits.thing, :, 0] * x[:, None]
+    size = float(abs(np.sum(motion * lever)) / max(float(np.sum(lever**2)), 1e-300))
+    return StepCause(field.name, size, field.unit)
+
+
+def _largest_difference(visits: Visits, motion: np.ndarray) -> float:
+    """Return the largest distance between two visits of a pose in a displacement of shape (n, 3) [m]."""
+    low = np.full((len(visits.count), 3), np.inf)
+    high = -low
+    np.minimum.at(low, visits.thing, motion)
+    np.maximum.at(high, visits.thing, motion)
+    return float(np.linalg.norm(high - low, axis=1).max())
+
+
+def _rows_of(station: Station, values: np.ndarray, table: Measurements) -> Iterator[_Rows]:
+    """Yield the visits of poses, then the readings within stops, where there are several."""
+    if not station.sensor.reads_pose or table.moving is not None or table.readings_per_row is not None:
+        return
+    plan = plan_of(table)
+    if not (plan.is_revisited or plan.is_repeated):
+        return
+    off = station.displacements(values)
+    kept = np.zeros(len(table), bool)
+    kept[without_copies(table, plan.thing)] = True
+    if plan.is_revisited:
+        pairs = np.column_stack([plan.stop, plan.thing])
+        yield from _visits(
+            station, values, plan, off, lines=table.rows, kept=kept, slots=pairs, group=plan.thing, visit=plan.stop
+        )
+    if plan.is_repeated:
+        rank = _ranks(plan)
+        group = np.unique(np.column_stack([plan.stop, plan.thing]), axis=0, return_inverse=True)[1].ravel()
+        visit = plan.stop * (int(rank.max()) + 1) + rank
+        pairs = np.column_stack([visit, group])
+        yield from _visits(
+            station,
+            values,
+            plan,
+            off,
+            lines=table.rows,
+            kept=kept,
+            slots=pairs,
+            group=group,
+            visit=visit,
+            rank=rank,
+            within=True,
+        )
+
+
+def _ranks(plan: Plan) -> np.ndarray:
+    """Return the number of each reading among those of its target in its stop, from 0, shape (N,)."""
+    rank = np.zeros(len(plan), int)
+    seen = dict[tuple[int, int], int]()
+    for row in plan.order.tolist():
+        key = int(plan.stop[row]), int(plan.thing[row])
+        rank[row] = seen.get(key, 0)
+        seen[key] = rank[row] + 1
+    return rank
+
+
+def _visits(
+    station: Station,
+    values: np.ndarray,
+    plan: Plan,
+    off: np.ndarray,
+    *,
+    lines: np.ndarray,
+    kept: np.ndarray,
+    slots: np.ndarray,
+    group: np.ndarray,
+    visit: np.ndarray,
+    rank: np.ndarray | None = None,
+    within: bool = False,
+) -> Iterator[_Rows]:
+    """Yield the readings of groups with several visits; arrays of shape (N,), ``slots`` (N, 2) whose rows are averaged."""
+    rows = plan.order[kept[plan.order]]
+    _, first, slot = np.unique(slots[rows], axis=0, return_index=True, return_inverse=True)
+    slot = slot.ravel()
+    count = np.bincount(slot)
+    means = np.stack([np.bincount(slot, column) for column in off[rows].T], axis=1) / count[:, None]
+    first = rows[first]
+    several = np.bincount(group[first], minlength=int(group.max()) + 1) > 1
+    again = several[group[first]]
+    means, first = means[again], first[again]
+    if not len(first):
+        return
+    thing = np.unique(group[first], return_inverse=True)[1].ravel()
+    if len(first) - len(np.unique(thing)) < _BOTH_SIDES:
+        return
+    at = station.select(first[np.unique(thing, return_index=True)[1]])
+    joints = list(fields_of_joints(at, values))
+    setup = list(fields_of_setup(at, values))
+    fields = (*setup[1:], *joints, field_of_load(at, values), setup[0])
+    levers = np.concatenate([field.directions for field in joints], axis=2) if joints else np.zeros((len(at), 3, 0))
+    visits = Visits(np.zeros_like(means), thing, visit[first], _distinct(fields), levers)
+    visits = replace(visits, off=visits.centred(means))
+    begins = np.unique(plan.stop[plan.order], return_index=True)[1]
+    along = 2.0 * plan.stop[first] / max(len(begins) - 1, 1) - 1.0
+    rank = plan.visit if rank is None else rank
+    yield _Rows(visits, first, lines[plan.order[begins]], along, rank[first], within)
+
+
+def _distinct(fields: tuple[MotionField, ...]) -> tuple[MotionField, ...]:
+    """Return the fields that move any target."""
+    return tuple(field for field in fields if field.freedoms and np.any(field.directions))
