@@ -87,6 +87,12 @@ def change_examples() -> Path:
     return _folder("change_examples", "cases of a changed robot")
 
 
+@pytest.fixture(scope="session")
+def shared_cases() -> Path:
+    """Return the folder of tables of measuring plans and their mistakes; skip the test where it is absent."""
+    return _folder("cases", "tables of measuring plans")
+
+
 def _folder(name: str, what: str) -> Path:
     path = SHARED / name
     if not path.is_dir():

@@ -14,7 +14,7 @@ from pincal.identify.arrivals import arrival_noise, shares_stops
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import ModelFit
-from pincal.identify.whitening import SharedNoise
+from pincal.identify.whitening import StopNoise
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.model.effects import GEOMETRIC
 
@@ -60,7 +60,9 @@ def test_the_scatter_of_the_drives_is_found() -> None:
     assert found is not None
     np.testing.assert_allclose(found.drives[:5], 5e-5, rtol=0.35)
     assert found.readings[0] == pytest.approx(NOISE, rel=0.1)
-    assert fit.solution.sigma[0] == pytest.approx(NOISE, rel=0.1)
+    # The noise of the fit is that of a reading with its arrival.
+    arrival = fit.problem.stations[0].arrival
+    assert fit.solution.sigma[0] == pytest.approx(NOISE * arrival.size[0], rel=0.1)
 
 
 def test_whitening_is_that_of_the_dense_covariance() -> None:
@@ -68,7 +70,7 @@ def test_whitening_is_that_of_the_dense_covariance() -> None:
     rng = np.random.default_rng(0)
     stop = np.array([0, 0, 0, 1, 2, 2])
     L = rng.standard_normal((2, 3, 6))
-    shared = SharedNoise.of(L, stop)
+    shared = StopNoise.of(L, stop)
     flat = L.transpose(2, 1, 0).reshape(18, 2)
     V = np.eye(18) + (flat @ flat.T) * (np.repeat(stop, 3)[:, None] == np.repeat(stop, 3))
     columns = rng.standard_normal((4, 3, 6))
@@ -86,9 +88,9 @@ def _rows(columns: np.ndarray) -> np.ndarray:
 def test_some_rows_of_a_stop_are_whitened_as_such() -> None:
     """A selection that divides a stop has the covariance of the rows that are left."""
     rng = np.random.default_rng(1)
-    shared = SharedNoise.of(rng.standard_normal((2, 3, 6)), np.array([0, 0, 0, 1, 1, 1]))
+    shared = StopNoise.of(rng.standard_normal((2, 3, 6)), np.array([0, 0, 0, 1, 1, 1]))
     part = shared.select(np.array([0, 1, 3, 4, 5]))
-    again = SharedNoise.of(part.levers, part.stop)
+    again = StopNoise.of(part.levers, part.stop)
     columns = rng.standard_normal((2, 3, 5))
 
     np.testing.assert_allclose(part.whitened(columns), again.whitened(columns))

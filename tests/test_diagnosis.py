@@ -98,11 +98,12 @@ def test_some_of_very_many_rows_tell_what_changed(
     model, new = offset
     new = new.select(np.tile(np.arange(len(new)), 2))
     everything = pincal.diagnose(model, new)
-    monkeypatch.setattr("pincal.diagnosis.robot_diagnosis._MOST_ROWS", 20)
+    monkeypatch.setattr("pincal.diagnosis.robot_diagnosis._MOST_ROWS", 13)
     found = pincal.diagnose(model, new)
 
     assert [(c.effect, c.joint) for c in found.changes] == [(c.effect, c.joint) for c in everything.changes]
-    assert found.found.rows <= 20
+    assert found.found.rows <= 13
+    assert any("15 of the 30 rows are copies of others" in str(note) for note in found.found.warnings)
     assert [f"in {found.found.rows} of the {len(new)} rows" in str(note) for note in found.found.warnings].count(True) == 1
     with pytest.raises(ChangedRobotError):
         pincal.update(model, new)

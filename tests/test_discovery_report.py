@@ -25,7 +25,7 @@ from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import score_test
 from pincal.discover.shrink import PartialResidual, period_of
 from pincal.identify.calibrate import refit
-from pincal.identify.drive_levers import levers
+from pincal.identify.fit_levers import levers
 from pincal.identify.folds import Folds
 from pincal.io.discovery_file import Findings, FoundEffect, Gap, ScatteringJoint
 from pincal.io.discovery_file import Verdict as FoundVerdict

@@ -57,14 +57,15 @@ BOUNDS = {
     "identify.problem": "_ROWS",
     "identify.quadratic": "SEEN ROUNDING NULL",
     "identify.prior_scale": "_SCALES _ROUNDS _ANYWHERE",
-    "identify.repeatability": "_SAME _AGREES",
     "identify.screening": "_ROUNDS",
     "identify.solve": (
         "SETTLED _ROUGH _NEAR _TRIALS _ROUNDED _STEADY _SETTLED _MEMORY _SLOW _FIRST _MORE _LESS _MOST _REPAIR _HALVINGS"
     ),
     "identify.split": "_BLOCKS",
     "identify.station": "PIECE",
-    "identify.visit_scatter": "_MOVED _ROUNDS _BEYOND _LEAST _RANK _FEW",
+    "identify.visit_scatter": "_ROUNDS _BEYOND _LEAST _RANK _FEW",
+    "identify.stop_scatter": "_LOGITS _MOST_ROWS _RANK",
+    "identify.visit_weights": "_SAME _AGREES",
     "identify.whitening": "_TILE",
     "io.arrays": "_ROTATION _EXACT _MOST_EXACT _MOST_ROWS _BITS",
     "io.camera_file": "_ROTATION",

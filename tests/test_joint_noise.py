@@ -11,9 +11,9 @@ from pincal import simulate as sim
 from pincal.discover.ending import JointNoise, joint_noise, weighed
 from pincal.discover.run import run_discovery
 from pincal.identify.calibrate import fit_tables, refit
-from pincal.identify.drive_levers import levers
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import ModelFit
+from pincal.identify.fit_levers import levers
 from pincal.identify.options import Options
 from pincal.identify.split import monte_carlo
 from pincal.identify.station import PIECE

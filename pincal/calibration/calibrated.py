@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from pincal.atomic import write_atomic
 from pincal.calibration.covered import Covered
 from pincal.calibration.model_file import ModelFile, write_model_file
+from pincal.calibration.repeatability import Repeatability
 from pincal.calibration.result_tables import estimate_table
 from pincal.calibration.station_model import StationModel
 from pincal.errors import BadInputError
@@ -225,6 +226,7 @@ class CalibratedModel(StationModel, Calibrated):
         own = tuple(fit.problem.parameters[i].name for i in fit.problem.places[k])
         # Stations that share only the robot need no list of names.
         table_names = own if at.shares_setup else ()
+        scatter = fit.scatter.get(name)
         estimate, places = estimate_at(fit.estimate, name, at.model, own)
         return cls(
             model=at.model,
@@ -239,6 +241,7 @@ class CalibratedModel(StationModel, Calibrated):
             rows=fingerprints(at),
             is_noise_declared=options.sigma is not None,
             table_names=table_names,
+            repeatability=None if scatter is None else Repeatability.of(scatter),
         )
 
     def __repr__(self) -> str:

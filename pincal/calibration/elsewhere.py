@@ -90,7 +90,8 @@ def _random_conditions(model: CalibratedModel) -> Conditions:
     rng = np.random.default_rng(_SEED)
     q = model.model.chain.robot.random_configurations(_DRAWN, rng)
     conditions = Conditions.at(q, payload_centre=model.payload_centre)
-    return replace(conditions, payload=rng.uniform(*model.covered.payload, _DRAWN))
+    lightest, heaviest = model.covered.payload.tolist()
+    return replace(conditions, payload=rng.uniform(lightest, heaviest, _DRAWN))
 
 
 def _covariances(model: CalibratedModel, conditions: Conditions, *, placed: bool) -> np.ndarray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from pincal.calibration.covered import Covered
 from pincal.calibration.information import RobotInformation
+from pincal.calibration.repeatability import Repeatability
 from pincal.calibration.station_model import StationModel
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import OutputError
@@ -46,6 +47,8 @@ class MeasuredEntry(Record, frozen=True, kw_only=True):
         left: effects present in the rows but not in the model; none if not tested.
         information: information of the rows on the robot, without any prior, from which types of robots are learned; of
             several stations with the first, and not in files of earlier versions.
+        repeatability: of the readings within a stop and of stops at a pose; none where nothing was repeated, and not in
+            files of earlier versions.
     """
 
     sensor_kind: str
@@ -58,6 +61,7 @@ class MeasuredEntry(Record, frozen=True, kw_only=True):
     is_noise_declared: bool = False
     left: Unmodelled | None = None
     information: RobotInformation | None = None
+    repeatability: Repeatability | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -6,7 +6,6 @@ the sensor are estimated. Effects of another station (a drift, a scale) are not 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
@@ -15,6 +14,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.covered import of_the_day
+from pincal.calibration.row_noise import RowNoise, noise_of_rows
 from pincal.errors import BadInputError
 from pincal.identify.beliefs import bounds_of
 from pincal.identify.fit import Priors, Solution
@@ -24,11 +24,13 @@ from pincal.identify.normal import accumulate
 from pincal.identify.posterior import eliminate
 from pincal.identify.problem import Problem
 from pincal.identify.solve import solve
-from pincal.identify.station import Station
+from pincal.identify.station import Station, known_rows, station_of
+from pincal.identify.stop_scatter import SharedNoise, StopScatter, scatter_of_stops, shared_noise
 from pincal.measure.admit import check_placeable
 from pincal.measure.measurements import Measurements
-from pincal.measure.registry import blocks_of
-from pincal.measure.sensor import Block
+from pincal.measure.poses import by_pose
+from pincal.measure.setup import Setup
+from pincal.measure.stops import StopRows
 from pincal.model.effect import Effect
 from pincal.parameters import FRAME_SYMBOLS, Estimate, estimate_of
 from pincal.robot.se3 import placed as frame_at
@@ -77,9 +79,11 @@ class Placed:
 
     Attributes:
         model: the calibrated model, which predicts in the frame of the new station's instrument.
-        station: that model over the station's rows.
+        station: that model over the station's rows: the mean of each stop.
         solution: the fit of the station's own parameters.
         moved: displacement of instrument and target.
+        stops: the rows, and the single readings behind them.
+        noise: of the rows.
         notes: effects of the calibration's day or set-up that could not be transferred.
     """
 
@@ -87,6 +91,8 @@ class Placed:
     station: Station
     solution: Solution
     moved: FrameShift
+    stops: StopRows
+    noise: RowNoise
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -96,6 +102,38 @@ class Placed:
     def values(self) -> np.ndarray:
         """Values of the station's parameters, shape (P,)."""
         return self.model.values
+
+    @property
+    def table(self) -> Measurements:
+        """The rows: the mean of each stop."""
+        return self.stops.table
+
+    @cached_property
+    def shared(self) -> SharedNoise | None:
+        """Noise that coordinates and targets of a stop, and stops at a pose, share; None where none is known.
+
+        What targets share is estimated from the residuals: if the robot has changed it is too large, which is cautious.
+        """
+        plan = self.stops.plan
+        sizes = self.station.block_sizes
+        of_pose = float(np.average(self.noise.of_pose, weights=sizes))
+        of_drives = float(np.average(self.noise.of_drives, weights=sizes))
+        if plan.n_poses == len(plan) and not of_drives:
+            return None
+        sigma = self.model.sigma
+        each = np.full(len(plan), of_pose)
+        found = shared_noise(self.station, self.values, plan, sigma=sigma, of_pose=each)
+        found = replace(found, of_drives=of_drives, of_rows=1.0 - of_drives)
+        if plan.shares_stops:
+            scale = self.station.weights / np.repeat(sigma, self.station.block_sizes)[:, None]
+            sound = np.flatnonzero(self.solution.weights > 0.0)
+            residuals = (self.station.residuals(self.values) * scale)[:, sound]
+            spent = int(self.solution.free.sum())
+            likeliest = found.select(sound).likeliest(residuals, spent=spent)
+            # Together no less than the noise that is expected.
+            of_drives = max(likeliest.of_drives, 1.0 - likeliest.of_rows)
+            found = replace(found, of_drives=of_drives, of_rows=likeliest.of_rows)
+        return found if found.of_drives or of_pose else None
 
     def misfit_of(self, rows: np.ndarray) -> Misfit:
         """Return the residuals of some of the rows, a mask of shape (N,), against what is allowed."""
@@ -109,12 +147,18 @@ class Placed:
         return self.misfit_of(self.solution.weights > 0.0)
 
 
-def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
+def place_station(
+    calibrated: Calibrated, measurements: Measurements | StopRows, *, sigma_orientation: float | None = None
+) -> Placed:
     """Locate instrument and targets of a new station; the robot is held as calibrated.
+
+    Readings of a target in one stop share the arrival of the drives, so that their mean is one row.
 
     Args:
         calibrated: the calibrated robot; of several stations, displacements refer to the first with such readings.
         measurements: rows of the new station, with any instrument.
+        sigma_orientation: noise of orientations [rad]; default: that of the calibration, or, of a model without any,
+            estimated from the rows.
 
     Returns:
         The robot at the new station. Outliers are left out.
@@ -132,6 +176,8 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
         >>> round(found.moved.instrument, 6), found.moved.target < 1e-9
         (0.866025, True)
     """
+    stops = measurements if isinstance(measurements, StopRows) else StopRows.of(measurements)
+    measurements = stops.table
     known = calibrated.robot_model(measurements.kind)
     # Other named points belong to other stations.
     points = () if measurements.point_names is None else map(str, np.unique(measurements.point_names))
@@ -151,21 +197,42 @@ def place_station(calibrated: Calibrated, measurements: Measurements) -> Placed:
     station.split(free)[1][:] = ~station.sensor.fixed
     unknown, notes = _of_another_session(known, station, as_recorded, set(arm.model.effects))
     in_metres = [block.unit == "m" for block in station.sensor.blocks]
-    noise = expected_noise(known, station.sensor.blocks, measurements)
-    sigma = np.where(in_metres, np.hypot(noise, unknown), noise) if unknown else noise
+    scatter = _scatter(known, station, start, stops, setup)
+    noise = noise_of_rows(
+        known,
+        measurements.kind,
+        station.sensor.blocks,
+        declared=measurements.sigma,
+        scatter=scatter,
+        sigma_orientation=sigma_orientation,
+    )
+    if unknown:
+        noise = replace(noise, sigma=np.where(in_metres, np.hypot(noise.sigma, unknown), noise.sigma))
     priors = Priors(np.array([parameter.size for parameter in station.parameters]), bounds_of(problem, options))
-    solution = solve(problem, start, free, priors, Noise(tuple(map(float, sigma))))
+    solution = solve(problem, start, free, priors, Noise(noise.declared))
     model = replace(
         known,
         model=station.model,
         estimate=_estimate(station, solution, arm.estimate),
         sensor_kind=measurements.kind,
-        sigma=sigma,
+        sigma=noise.estimated(solution.estimated),
         setup=setup,
         nominal_values=None,
+        repeatability=noise.repeatability,
     )
     _refuse_undetermined(model, station, solution, source=measurements.source)
-    return Placed(model, station, solution, moved(known, model), notes)
+    return Placed(model, station, solution, moved(known, model), stops, noise, notes)
+
+
+def _scatter(
+    known: CalibratedModel, station: Station, values: np.ndarray, stops: StopRows, setup: Setup
+) -> StopScatter | None:
+    """Return the scatter of the single readings behind a station's rows; None where none was repeated."""
+    if not stops.of_readings.is_repeated:
+        return None
+    readings = known.of_its_day(stops.readings)
+    single = station_of(station.model, readings, station.conditions.payload_centre, setup)
+    return scatter_of_stops(single, values, stops.of_readings)
 
 
 def _of_another_session(
@@ -194,27 +261,24 @@ def _of_another_session(
     return float(np.sqrt(sum(size**2 / 3.0 for size, _ in found))), tuple(note for _, note in found)
 
 
-def expected_noise(known: CalibratedModel, blocks: Sequence[Block], measurements: Measurements) -> np.ndarray:
-    """Return the expected standard deviation per component of each block of readings, shape (blocks,).
+def fitted_rows(marks: str, model: CalibratedModel, stops: StopRows) -> np.ndarray:
+    """Return which single readings a model was fitted to, alone or in a mean of their stop or pose, shape (N,).
 
-    See :func:`noise_like`; a larger declared one takes precedence.
+    Args:
+        marks: fingerprints of the rows that it was fitted to.
+        model: that reads them, wherever the station is.
+        stops: the readings and their means.
     """
-    found = noise_like(known, measurements.kind, blocks)
-    if measurements.sigma is not None:
-        declared = float(np.sqrt(np.mean(measurements.sigma**2)))
-        found = np.where([block.unit == "m" for block in blocks], np.maximum(found, declared), found)
-    return found
-
-
-def noise_like(known: CalibratedModel, kind: str, blocks: Sequence[Block]) -> np.ndarray:
-    """Return the expected standard deviation per component of each block of a sensor's readings, shape (blocks,).
-
-    It is the calibration's of blocks in the same unit, which includes unmodelled errors, else that of good instruments.
-    """
-    if known.sensor_kind == kind:
-        return np.array(known.sigma, float)
-    by_unit = dict(zip((block.unit for block in blocks_of(known.sensor_kind)), known.sigma, strict=True))
-    return np.array([by_unit.get(block.unit, block.noise) for block in blocks], float)
+    found = known_rows(marks, model.readings(stops.readings))
+    if not stops.of_readings.is_repeated:
+        return found
+    of_stops = np.flatnonzero(known_rows(marks, model.readings(stops.table)))
+    found |= np.isin(stops.row_of, of_stops)
+    means = by_pose(stops.readings)
+    things = stops.of_readings.thing
+    # Means of poses stand in the order of their first readings.
+    order = things[np.sort(np.unique(things, return_index=True)[1])]
+    return np.asarray(found | np.isin(things, order[known_rows(marks, model.readings(means))]))
 
 
 def _estimate(station: Station, solution: Solution, arm: Estimate) -> Estimate:

@@ -44,10 +44,11 @@ from pincal.calibration.result_tables import ParameterRecord, ParameterRow, para
 from pincal.calibration.station_information import spent_at
 from pincal.calibration.unmodelled import instruments_error
 from pincal.calibration.visit_findings import by_visit, findings_on_visits, joined_with_means
+from pincal.identify.beliefs import declared_noise
 from pincal.identify.fit import ModelFit
 from pincal.identify.prior_scale import has_instrument
-from pincal.identify.repeatability import Repeatability, repeatability_of
 from pincal.identify.station import Station
+from pincal.identify.visit_weights import ScatterByLevel, scatter_by_level
 from pincal.measure.poses import SCATTER, replicate_groups
 from pincal.measure.stops import plan_of
 from pincal.notes import Note, doubts_first, doubts_of
@@ -327,7 +328,7 @@ def _records(
     seen: Sequence[_Seen],
     left_out: Sequence[LeftOut],
     again: Sequence[tuple[dict[str, Any] | None, LackOfFit | None]],
-    scatter: Sequence[Repeatability | None],
+    scatter: Sequence[ScatterByLevel | None],
     moved_there: Sequence[Sequence[MovedParameter]],
     validated: Validated | None,
 ) -> Iterator[StationRecord]:
@@ -432,18 +433,19 @@ def _replicates(
     return iso9283([predicted], seen.values, residuals=unseen), lack
 
 
-def _repeatability(fit: ModelFit, k: int, seen: _Seen) -> Repeatability | None:
+def _repeatability(fit: ModelFit, k: int, seen: _Seen) -> ScatterByLevel | None:
     """Return how the readings of a station scatter, level by level; None where none was repeated."""
     table = seen.rows.measured[0]
     if seen.rows.train is table:
         return None
     as_read = fit.readings(table, station=fit.problem.stations[k].name)
-    return repeatability_of(fit.alone[k], as_read, plan_of(table))
+    return scatter_by_level(fit.alone[k], as_read, plan_of(table))
 
 
 def _noise(fit: ModelFit, blocks: slice = slice(None)) -> NoiseRecord:
     """Return the noise of some blocks of readings, the root mean square over the readings of each unit."""
-    of_blocks = zip(fit.problem.blocks, fit.solution.sigma, fit.noise.declared, fit.solution.estimated, strict=True)
+    stated = declared_noise(fit.problem, fit.options).declared
+    of_blocks = zip(fit.problem.blocks, fit.solution.sigma, stated, fit.solution.estimated, strict=True)
     rows = np.repeat([len(station) for station in fit.problem.stations], [b.stop - b.start for b in fit.problem.block_spans])
     found: dict[str, list[tuple[float, float]]] = {}
     for (block, sigma, declared, estimated), n in list(zip(of_blocks, rows, strict=True))[blocks]:

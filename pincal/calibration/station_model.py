@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from pincal.calibration.covered import Covered, CurveGap, Outside, OutsideCurve, Turned, curves_at, of_the_day
 from pincal.calibration.information import RobotInformation
+from pincal.calibration.repeatability import Repeatability
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.options import Options
@@ -45,6 +46,7 @@ class StationModel:
         rows: fingerprints of the training rows; empty where unknown.
         is_noise_declared: whether the noise was declared, not estimated.
         table_names: names of its parameters among those of all stations, where it shares some besides the robot's.
+        repeatability: of the readings within a stop and of stops at a pose; None where nothing was repeated, or unknown.
         left_by: :attr:`left`, or a function that returns it, as the search takes as long as a fit.
         information_by: :attr:`information`, or a function that returns it.
     """
@@ -61,6 +63,7 @@ class StationModel:
     rows: str = ""
     is_noise_declared: bool = False
     table_names: tuple[str, ...] = ()
+    repeatability: Repeatability | None = None
     left_by: Unmodelled | Callable[[], Unmodelled | None] | None = None
     information_by: RobotInformation | Callable[[], RobotInformation] | None = None
 

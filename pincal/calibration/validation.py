@@ -8,16 +8,18 @@ from functools import cached_property, reduce
 from typing import Any, Literal
 
 import numpy as np
+from scipy.special import chdtri
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.caveats import findings_on_held_out
-from pincal.calibration.placing import FrameShift, Placed, expected_noise, place_station
+from pincal.calibration.placing import FrameShift, Placed, fitted_rows, place_station
+from pincal.calibration.row_noise import noise_of_rows
 from pincal.errors import BadInputError
 from pincal.identify.initial import links_of
-from pincal.identify.station import Station, known_rows, together
+from pincal.identify.station import Station, together
 from pincal.measure.admit import scorable, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
-from pincal.measure.poses import SCATTER, replicate_groups
+from pincal.measure.stops import StopRows
 from pincal.notes import Note, Severity, doubts_of
 from pincal.validate.accuracy import error_summary, pose_error_sizes
 from pincal.validate.agreement import belongs_to_other_robot, mix_up, nominal_displacements
@@ -90,15 +92,21 @@ class Validation:
         against = None if lack is None else lack.noise_test
         if against is None and (self.model.is_noise_declared or self.table.sigma is not None):
             against = NoiseTest("the declared noise of the instrument", self.misfit.ratio, self.misfit.p_value)
-        distinct = len(np.unique(replicate_groups([self.table], within=SCATTER)[0])) / len(self.table)
+        things = self.stops.plan.thing
+        distinct = len(np.unique(things)) / len(things)
         few = not is_informative(distinct * self.misfit.degrees - self.misfit.found)
         return judge(against, doubts_of(self.notes), unusable=bool(self.doubt), few=few)
 
     @cached_property
     def fitted_rows(self) -> int:
         """Number of rows that the model was fitted to; a single one may match by chance and does not count."""
-        found = int(np.sum(known_rows(self.fitted, self.station)))
+        found = int(np.sum(fitted_rows(self.fitted, self.model, self.stops)))
         return found if found > 1 else 0
+
+    @cached_property
+    def stops(self) -> StopRows:
+        """The means of the readings of each stop, by which the model is judged."""
+        return StopRows.of(self.table)
 
     @cached_property
     def error(self) -> dict[str, float]:
@@ -128,14 +136,29 @@ class Validation:
         return path_accuracy(self.station, self.values, self.table)
 
     def replicate_statistics(self) -> tuple[dict[str, Any] | None, LackOfFit | None]:
-        """Return accuracy and repeatability, and lack of fit; None where the rows hold no replicates."""
+        """Return accuracy and repeatability, and lack of fit; None where no pose was visited again.
+
+        Readings within a stop are no replicates: they share the arrival of the drives.
+        """
+        stops = self.stops
         return replicate_statistics(
-            self.station, self.values, self.table, sigma=self.model.sigma, covariance=self.model.covariance, found=self.found
+            self.model.readings(stops.table),
+            self.values,
+            stops.table,
+            pose=stops.plan.thing,
+            sigma=self.model.sigma,
+            covariance=self.model.covariance,
+            found=self.found,
         )
 
 
 def validate_rows(
-    models: Sequence[CalibratedModel], measurements: Measurements, *, name: str = "", refit: bool = True
+    models: Sequence[CalibratedModel],
+    measurements: Measurements,
+    *,
+    name: str = "",
+    refit: bool = True,
+    sigma_orientation: float | None = None,
 ) -> Validation:
     """Judge a calibrated robot by rows of one station, of the calibration or new.
 
@@ -147,6 +170,8 @@ def validate_rows(
         measurements: the rows.
         name: of their station.
         refit: whether instrument and targets may be located anew; else the nearest calibrated station is taken.
+        sigma_orientation: noise of orientations [rad]; default: that of the calibration, or, of a model without any,
+            estimated from the rows.
 
     Returns:
         The judgement; check ``doubt``.
@@ -154,17 +179,19 @@ def validate_rows(
     Raises:
         BadInputError: if the rows are not of a calibrated station, and too few to locate another.
     """
-    found = _judged(models, measurements, name=name, refit=refit)
+    found = _judged(models, measurements, name=name, refit=refit, angle=sigma_orientation)
     return replace(found, fitted=together(*(model.rows for model in models)))
 
 
-def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, name: str, refit: bool) -> Validation:
+def _judged(
+    models: Sequence[CalibratedModel], measurements: Measurements, *, name: str, refit: bool, angle: float | None
+) -> Validation:
     def refitted(model: CalibratedModel) -> Validation:
         rows = usable_rows(measurements, model.setup.over(measurements))
-        return _refitted(name, rows, place_station(model, rows))
+        return _refitted(name, rows, place_station(model, rows, sigma_orientation=angle))
 
     # Another session has other clock parameters.
-    stands = list(_stands(models, measurements)) if measurements.moving is None else []
+    stands = list(_stands(models, measurements, angle)) if measurements.moving is None else []
     if not stands:
         if not refit:
             raise BadInputError(
@@ -175,17 +202,20 @@ def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, na
     _, model, table, station, sigma = min(stands, key=lambda stand: stand[0])
 
     def misfit(sigma: np.ndarray, robust: np.ndarray) -> Misfit:
-        return misfit_at(station, model.values, covariance=model.covariance, sigma=sigma, robust=robust)
+        means = model.readings(StopRows.of(table).table)
+        return misfit_at(means, model.values, covariance=model.covariance, sigma=sigma, robust=robust)
 
     def as_calibrated(found: Misfit, **reservations: Any) -> Validation:
         still, none = FrameShift(0.0, 0.0, 0.0), np.zeros(len(model.values), bool)
-        return Validation(name, "as calibrated", table, model, station, none, still, found, **reservations)
+        # Of other readings than those of the calibration, with their noise.
+        own = model if model.sensor_kind == table.kind else replace(model, sensor_kind=table.kind, sigma=sigma)
+        return Validation(name, "as calibrated", table, own, station, none, still, found, **reservations)
 
     try:
-        placed = place_station(model, table)
+        placed = place_station(model, table, sigma_orientation=angle)
     except BadInputError as error:
         # These rows do not determine another pose.
-        before = misfit(sigma, np.ones(len(table)))
+        before = misfit(sigma, np.ones(len(StopRows.of(table).table)))
         if refit and before.is_far():
             unit, errors = next(iter(pose_error_sizes(station, model.values).items()))
             raise BadInputError(f"{error}; as calibrated, their mean error is {errors.mean():.4g} {unit}") from None
@@ -198,7 +228,7 @@ def _judged(models: Sequence[CalibratedModel], measurements: Measurements, *, na
         # Called for its warning about rows left out.
         scorable_rows(measurements, model.setup)
     note = f"{name or table.source}: these rows fit a different pose of instrument and target: {placed.moved}"
-    return as_calibrated(before, doubt=doubt_of(table, placed), note=note if is_moved else "", of_day=placed.notes)
+    return as_calibrated(before, doubt=doubt_of(placed), note=note if is_moved else "", of_day=placed.notes)
 
 
 def _anywhere(models: Sequence[CalibratedModel]) -> CalibratedModel:
@@ -210,7 +240,7 @@ def _anywhere(models: Sequence[CalibratedModel]) -> CalibratedModel:
 
 
 def _stands(
-    models: Sequence[CalibratedModel], measurements: Measurements
+    models: Sequence[CalibratedModel], measurements: Measurements, angle: float | None
 ) -> Iterator[tuple[float, CalibratedModel, Measurements, Station, np.ndarray]]:
     """Yield the stations that rows may be of: same sensor, targets and points, and the columns that their effects need.
 
@@ -234,23 +264,30 @@ def _stands(
         if kept.any():
             table = measurements if kept.all() else measurements.select(kept)
             station = model.readings(table)
-            sigma = expected_noise(model, station.sensor.blocks, table)
-            off = station.residuals(model.values) / np.repeat(sigma, station.block_sizes)[:, None]
+            blocks = station.sensor.blocks
+            noise = noise_of_rows(model, table.kind, blocks, declared=table.sigma, sigma_orientation=angle)
+            residuals = station.residuals(model.values)
+            squares = [np.median(np.sum(residuals[rows] ** 2, axis=0)) for rows in station.block_rows]
+            usual = np.sqrt(squares / chdtri(station.block_sizes, 0.5))
+            sigma = noise.estimated(usual)
+            off = residuals / np.repeat(sigma, station.block_sizes)[:, None]
             yield float(np.median(np.linalg.norm(off, axis=0))), model, table, station, sigma
 
 
 def _refitted(name: str, table: Measurements, placed: Placed) -> Validation:
-    model, found, doubt = placed.model, placed.solution.free, doubt_of(table, placed)
-    at = table, model, placed.station, found, placed.moved, placed.misfit
+    model = placed.model
+    doubt = doubt_of(placed)
+    at = table, model, model.readings(table), placed.solution.free, placed.moved, placed.misfit
     return Validation(name, "refitted", *at, doubt=doubt, of_day=placed.notes)
 
 
-def doubt_of(table: Measurements, placed: Placed) -> str:
+def doubt_of(placed: Placed) -> str:
     """Return why rows can't be of the robot as it was calibrated, wherever the instrument is; empty if they can.
 
     Where drive curves were not determined the limit is wider, and beyond the calibrated loads rows only show whether the
     calibration is better than none.
     """
+    table = placed.table
     known, station, values = placed.model, placed.station, placed.values
     used, inside = placed.solution.weights > 0.0, known.knows(station.conditions)
     sound = used & known.covered.carries(station.conditions.payload)

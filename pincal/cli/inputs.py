@@ -362,7 +362,7 @@ def _placed(file: Path, model: CalibratedModel, path: Path, reading: TableOption
     check_table(robot, table, minimum=1)
     table = usable_rows(table, model.setup.over(table))
     found = place_station(model, table)
-    if doubt := doubt_of(table, found):
+    if doubt := doubt_of(found):
         raise other_robot(doubt, file)
     words = f"placement from {len(table)} rows of {path.name}: {found.moved}"
     contents = {"placement": {"rows": len(table), "ratio": found.misfit.ratio} | found.moved.to_dict()}

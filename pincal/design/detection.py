@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.placing import noise_like
+from pincal.calibration.row_noise import noise_of_rows
 from pincal.design.design_model import check_rig, frame_effects, nominal_values, predicted_station
 from pincal.design.exchange import covariance
 from pincal.design.reach import SensorSetup
@@ -76,7 +76,7 @@ def lineup_over(model: CalibratedModel, rig: SensorSetup, conditions: Conditions
         model=there,
         estimate=estimate_of(station.parameters, values, of_arm),
         sensor_kind=rig.sensor,
-        sigma=noise_like(model, rig.sensor, station.sensor.blocks),
+        sigma=noise_of_rows(model, rig.sensor, station.sensor.blocks).sigma,
     )
     few = ChangeHypotheses.of(placed, station.select(np.arange(_ROWS)), Known.of(model, station.conditions))
     return replace(few, station=station.with_model(few.station.model))

@@ -12,6 +12,7 @@ from scipy.special import chdtrc, fdtrc
 from pincal.diagnosis.lineup import ChangeHypotheses
 from pincal.diagnosis.row_evidence import RowEvidence
 from pincal.identify.criteria import CHANGES
+from pincal.identify.quadratic import ROUNDING, root_of_inverse
 from pincal.identify.selection import Scored, select_stepwise
 
 # Changes that are fitted, where first-order tests are not accurate enough.
@@ -81,7 +82,7 @@ def search(lineup: ChangeHypotheses, *, alpha: float, degrees: float, apart: np.
                 return replace(state, wrong_rows=tuple(apart.tolist()), is_undecided=True)
             state = rest
     most = _MOST + sum(change.belief is not None for change in lineup.changes)
-    return select_stepwise(state, ChangeVerdict.offers, ChangeVerdict.after, most=most)
+    return select_stepwise(state, ChangeVerdict.offers, ChangeVerdict.after, most=most).without_vanished()
 
 
 def raises_alarm(lineup: ChangeHypotheses, *, alpha: float, degrees: float) -> bool:
@@ -257,6 +258,37 @@ class ChangeVerdict:
         if not 0.0 < part < CHANGES.part_of_noise:
             return False
         return bool(rest / (1.0 - part) + n * np.log(1.0 - part) < rest)
+
+    def without_vanished(self) -> ChangeVerdict:
+        """Return the state without changes that, given all the others, are within their own uncertainty."""
+        if len(self.steps) < 2:
+            return self
+        chances = self._chances()
+        weakest = int(np.argmax(chances))
+        if chances[weakest] <= CHANGES.vanished:
+            return self
+        steps = tuple(step for k, step in enumerate(self.steps) if k != weakest)
+        state = replace(self, steps=steps)
+        values = self.lineup.release(state._released, self.values)
+        return replace(state, values=values).without_vanished()
+
+    def _chances(self) -> list[float]:
+        """Return the probability of each change as large, given all others, by its own uncertainty alone."""
+        found = self.lineup.reidentify(self.happened, self.values)
+        free = self.lineup.free(self.happened)
+        chances = []
+        for step in self.steps:
+            k = step.score.change
+            if self.lineup.changes[k].belief is not None:
+                # The values of a curve are not compared with their uncertainty one by one.
+                chances.append(0.0)
+                continue
+            at = np.searchsorted(free, self.lineup.places[k])
+            covariance = found.of_changes[np.ix_(at, at)]
+            root = root_of_inverse(covariance, np.diag(covariance), ROUNDING)
+            square = float(np.sum((root.T @ found.changes[at]) ** 2))
+            chances.append(float(chdtrc(root.shape[1], square)))
+        return chances
 
     def without(self, row: int | np.ndarray) -> ChangeVerdict:
         """Return the state without one or some rows."""

@@ -119,7 +119,7 @@ def separation(verdict: ChangeVerdict, more: Station, change: int, rival: int) -
     old, new = lineup.station.conditions, more.conditions
     both = replace(wider.conditions, q=np.concatenate([old.q, new.q]), payload=np.concatenate([old.payload, new.payload]))
     others = [i for i in verdict.happened if i != change]
-    found = replace(lineup, station=replace(wider, conditions=both)).weigh(verdict.values, others)
+    found = replace(lineup, station=replace(wider, conditions=both), shared=None).weigh(verdict.values, others)
     c = lineup.places[change]
     g = np.setdiff1d(lineup.places[rival], c)
     size = (verdict.values - lineup.start)[c]

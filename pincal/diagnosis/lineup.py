@@ -17,6 +17,7 @@ from pincal.discover.levers import compliances_of
 from pincal.identify.criteria import CHANGES
 from pincal.identify.quadratic import ROUNDING, Quadratic, root_of_inverse
 from pincal.identify.station import Station
+from pincal.identify.stop_scatter import SharedNoise
 from pincal.model.catalogue.candidates import elasticity, testable
 from pincal.model.conditions import Conditions, PoseSet, varies
 from pincal.model.effect import Curve, Effect, Family
@@ -155,14 +156,19 @@ class Refitted:
         places: shape (p,), indices of parameters that may have moved.
         covariance: shape (p, p), of these.
         changes: shape (F,), of the unconstrained parameters.
-        sigma: shape (F,), standard deviations of the changes.
+        of_changes: shape (F, F), covariance of the changes.
     """
 
     values: np.ndarray
     places: np.ndarray
     covariance: np.ndarray
     changes: np.ndarray
-    sigma: np.ndarray
+    of_changes: np.ndarray
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard deviations of the changes, shape (F,)."""
+        return np.sqrt(np.diag(self.of_changes))
 
 
 @dataclass(frozen=True)
@@ -180,6 +186,7 @@ class ChangeHypotheses:
         own: indices of the station's own parameters.
         surroundings: indices of parameters of effects of the instrument and the environment, with a prior of their size.
         start: shape (P,), the robot as calibrated.
+        shared: noise that rows share: of the arrival in a stop, and of a pose; default: none.
     """
 
     robot: CalibratedModel
@@ -190,9 +197,12 @@ class ChangeHypotheses:
     own: np.ndarray
     surroundings: np.ndarray
     start: np.ndarray
+    shared: SharedNoise | None = None
 
     @classmethod
-    def of(cls, robot: CalibratedModel, station: Station, known: Known) -> ChangeHypotheses:
+    def of(
+        cls, robot: CalibratedModel, station: Station, known: Known, shared: SharedNoise | None = None
+    ) -> ChangeHypotheses:
         """Return the hypotheses for a robot that was located at the station of new rows."""
         model = station.model
         of_model, of_sensor = station.split(robot.values)
@@ -220,12 +230,13 @@ class ChangeHypotheses:
         nothing = np.zeros(wide.n_parameters - model.n_parameters)
         start = np.concatenate([of_model, nothing, of_sensor])
         start[[wide.index(name) for name in known.names]] = known.values
-        return cls(robot, known, station.with_model(wide), changes, tuple(places), own, surroundings, start)
+        return cls(robot, known, station.with_model(wide), changes, tuple(places), own, surroundings, start, shared)
 
     def without(self, row: int | np.ndarray) -> ChangeHypotheses:
         """Return the hypotheses without one or some rows."""
         kept = ~np.isin(np.arange(len(self.station)), row)
-        return replace(self, station=self.station.select(kept))
+        shared = None if self.shared is None else self.shared.select(kept)
+        return replace(self, station=self.station.select(kept), shared=shared)
 
     def free(self, happened: Sequence[int]) -> np.ndarray:
         """Return the indices of the unconstrained parameters, given some changes."""
@@ -271,7 +282,7 @@ class ChangeHypotheses:
         def at_values(unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
             values = self.start.copy()
             values[places] += W @ unknown
-            A, r = rows_in_noise(self.station, values, self.robot.sigma, places)
+            A, r = rows_in_noise(self.station, values, self.robot.sigma, places, shared=self.shared)
             return values, W.T @ (A @ A.T) @ W + precision, W.T @ (A @ r), float(r @ r + unknown @ precision @ unknown)
 
         values, H, g, cost = at_values(unknown)
@@ -290,7 +301,7 @@ class ChangeHypotheses:
                 break
         uncertain = root_of_inverse(H, np.diag(H), ROUNDING)
         spread = W @ uncertain
-        return Refitted(values, places, spread @ spread.T, unknown[n:], np.linalg.norm(uncertain[n:], axis=1))
+        return Refitted(values, places, spread @ spread.T, unknown[n:], uncertain[n:] @ uncertain[n:].T)
 
     def weigh(self, values: np.ndarray, happened: Sequence[int]) -> RowEvidence:
         """Return the evidence of the rows on everything else, given some changes, linearised about values, shape (P,).
@@ -308,7 +319,7 @@ class ChangeHypotheses:
             degrees=len(r) - rank,
             whole=np.diag(G).copy(),
         )
-        return RowEvidence(form, len(self.station), A, S, r - (along @ S) @ A)
+        return RowEvidence(form, len(self.station), A, S, r - (along @ S) @ A, self.shared)
 
     def square_given(self, values: np.ndarray, happened: Sequence[int]) -> tuple[float, int]:
         """Return the square and the degrees of freedom of :meth:`weigh`, in a fraction of the time."""
@@ -323,7 +334,7 @@ class ChangeHypotheses:
 
         Q = S A is projected out: V^-1 = 1 - Q^T Q. The rank is of the unconstrained parameters; other parameters are known.
         """
-        A, r = rows_in_noise(self.station, values, self.robot.sigma, places)
+        A, r = rows_in_noise(self.station, values, self.robot.sigma, places, shared=self.shared)
         free = np.searchsorted(places, self.free([i for i in happened if self.changes[i].belief is None]))
         uncertain = [prior_root(self.station, self.known, self.surroundings)[:, places]]
         for of_change, belief in self._redrawn(happened):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,8 +14,11 @@ from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, changes_since, doubts_
 from pincal.errors import BadInputError, ChangedRobotError, IdentificationError, nearest_first
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.station import together
+from pincal.identify.stop_scatter import shared_in_fit
 from pincal.measure.measurements import Measurements
+from pincal.measure.poses import by_pose
 from pincal.measure.registry import blocks_of
+from pincal.measure.stops import StopRows
 from pincal.model.effect import Effect
 from pincal.model.sizes import largest_basis
 from pincal.parameters import Covariance, Estimate
@@ -27,6 +30,7 @@ def update(
     *,
     alpha: float = FALSE_ALARM,
     sigma: float | None = None,
+    sigma_orientation: float | None = None,
     anew: Sequence[str] = (),
 ) -> CalibratedModel:
     """Add new rows to a calibration permanently, equivalent to a joint fit of old and new rows, without the old ones.
@@ -36,6 +40,7 @@ def update(
         measurements: new rows, with any instrument in any set-up.
         alpha: probability that the rows of a robot that has not changed are refused.
         sigma: noise of the new rows [m]; default: that of the calibration if it was declared, else estimated.
+        sigma_orientation: likewise of orientations [rad].
         anew: effects of the model, as ``EFFECT`` or ``EFFECT:JOINT``, that are re-estimated from their priors, as named by
             a diagnosis. Whether the robot has changed is then not tested.
 
@@ -48,14 +53,14 @@ def update(
         BadInputError: as :func:`diagnose`, or for an effect that the model does not have.
     """
     model = calibrated.robot_model(measurements.kind)
-    rows = looked_at(measurements)
-    some = measurements.select(rows)
-    placed = relocated(model, some)
+    some = looked_at(StopRows.of(measurements))
+    placed = relocated(model, some, sigma_orientation=sigma_orientation)
+    noise = _Declared(sigma, sigma_orientation)
     if anew:
         released = [effect for text in anew for effect in _named(text, model)]
-        return _taken_in(model, measurements, sigma=sigma, earlier=_released(model, placed, released))
+        return _taken_in(placed, model, measurements, noise, earlier=_released(model, placed, released))
     verdict = changes_since(model, placed, alpha)
-    if doubts := doubts_about(verdict, placed, some):
+    if doubts := doubts_about(verdict, placed):
         raise IdentificationError(f"{measurements.source}: not added: {'; '.join(map(str, doubts))}")
     if verdict.changed:
         raise ChangedRobotError(
@@ -63,9 +68,10 @@ def update(
             "rows and these can't be combined; pincal diagnose identifies what has changed and re-estimates it. With --anew "
             "EFFECT:JOINT the rows are added nevertheless, and that effect is re-estimated"
         )
-    kept = np.delete(np.arange(len(measurements)), rows[list(verdict.wrong_rows)])
+    wrong = some.readings.rows[np.isin(some.row_of, verdict.wrong_rows)]
+    kept = measurements.select(~np.isin(measurements.rows, wrong))
     known = model.robot_estimate
-    return _taken_in(model, measurements.select(kept), sigma=sigma, earlier=known, before=model.information)
+    return _taken_in(placed, model, kept, noise, earlier=known, before=model.information)
 
 
 def _named(text: str, model: CalibratedModel) -> list[Effect]:
@@ -96,11 +102,57 @@ def _released(model: CalibratedModel, placed: Placed, effects: Sequence[Effect])
     return replace(earlier, covariance=Covariance.of(C[np.ix_(earlier.free, earlier.free)]))
 
 
+@dataclass(frozen=True)
+class _Declared:
+    """Noise of the new rows by the user [m, rad]; None where it is that of the calibration, if declared, else estimated."""
+
+    sigma: float | None
+    sigma_orientation: float | None
+
+    @classmethod
+    def of(cls, model: CalibratedModel, kind: str, given: _Declared) -> _Declared:
+        """Return the noise that is given, else that of the calibration for such readings if it was declared."""
+        known = model.sigma if model.is_noise_declared and model.sensor_kind == kind else ()
+        units = [block.unit for block in blocks_of(model.sensor_kind)]
+        angles = [float(size) for size, unit in zip(known, units, strict=False) if unit == "rad"]
+        sigma = float(next(iter(known))) if given.sigma is None and len(known) else given.sigma
+        angle = angles[0] if given.sigma_orientation is None and angles else given.sigma_orientation
+        return cls(sigma, angle)
+
+    def of_means(self, placed: Placed, table: Measurements) -> _Declared:
+        """Return the noise of the means of poses, whose readings share the arrival of the drives."""
+        assert table.readings_per_row is not None
+        scatter = placed.noise.scatter
+        readings = float(1.0 / np.mean(1.0 / table.readings_per_row))
+        stops = placed.stops.plan.n_stops / placed.stops.plan.n_poses
+        units = [block.unit for block in placed.station.sensor.blocks]
+
+        def size(declared: float | None, unit: str) -> float | None:
+            if declared is None or unit not in units:
+                return declared
+            between = float(scatter.between[units.index(unit)])
+            return float(np.sqrt(between / stops + declared**2 / readings))
+
+        return _Declared(size(self.sigma, "m"), size(self.sigma_orientation, "rad"))
+
+    def widened(self, placed: Placed, factor: float) -> _Declared:
+        """Return the noise times a factor, that of the rows where none is declared."""
+        units = [block.unit for block in placed.station.sensor.blocks]
+        of_rows = dict(zip(units, placed.model.sigma.tolist(), strict=True))
+        sigma = of_rows.get("m", of_rows.get("px")) if self.sigma is None else self.sigma
+        angle = of_rows.get("rad") if self.sigma_orientation is None else self.sigma_orientation
+        return _Declared(
+            None if sigma is None else factor * sigma,
+            None if angle is None else factor * angle,
+        )
+
+
 def _taken_in(
+    placed: Placed,
     model: CalibratedModel,
     measurements: Measurements,
+    declared: _Declared,
     *,
-    sigma: float | None,
     earlier: Estimate,
     before: RobotInformation | None = None,
 ) -> CalibratedModel:
@@ -110,13 +162,19 @@ def _taken_in(
     """
     arm = model.model
     gx, gy, gz = map(float, arm.chain.gravity)
-    declared = model.sigma if model.is_noise_declared and model.sensor_kind == measurements.kind else ()
-    units = [block.unit for block in blocks_of(model.sensor_kind)]
-    angles = [float(size) for size, unit in zip(declared, units, strict=False) if unit == "rad"]
+    noise = _Declared.of(model, measurements.kind, declared)
+    means = by_pose(measurements)
+    if means is not measurements:
+        # By their own noise, not by the number of readings.
+        noise = noise.of_means(placed, means)
+        measurements = replace(means, readings_per_row=None, stops_per_row=None)
+    factor = _shared(placed)
+    if factor > 1.0:
+        noise = noise.widened(placed, factor**0.5)
     options = model.options(
         effects=tuple(effect for effect in arm.effects if effect.scope == "robot"),
-        sigma=float(next(iter(declared))) if sigma is None and len(declared) else sigma,
-        sigma_orientation=angles[0] if angles else None,
+        sigma=noise.sigma,
+        sigma_orientation=noise.sigma_orientation,
         moment_frame=arm.chain.moment_frame,
         equilibrium=arm.equilibrium,
         gravity=(gx, gy, gz),
@@ -128,4 +186,19 @@ def _taken_in(
     if before is not None:
         information = before + information
     covered, marks = model.covered.over(found.covered), together(model.rows, found.rows)
+    repeatability = placed.noise.repeatability
+    found = replace(found, repeatability=repeatability)
+    if factor > 1.0:
+        # Predictions of single rows have the noise of single rows.
+        is_declared = model.is_noise_declared or declared.sigma is not None
+        found = replace(found, sigma=found.sigma / factor**0.5, is_noise_declared=is_declared)
     return replace(found, covered=covered, rows=marks, provenance=model.provenance, information_by=information)
+
+
+def _shared(placed: Placed) -> float:
+    """Return the factor by which targets of a stop, which share its arrival, increase the variances of an update."""
+    plan = placed.stops.plan
+    if not plan.shares_stops:
+        return 1.0
+    free = placed.solution.free | (np.diag(placed.model.covariance) > 0.0)
+    return shared_in_fit(placed.station, placed.values, plan, sigma=placed.model.sigma, free=free)[0]

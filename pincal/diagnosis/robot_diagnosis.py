@@ -12,7 +12,7 @@ import numpy as np
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.caveats import CaveatKind, findings_on_outliers
-from pincal.calibration.placing import Placed, moved, place_station
+from pincal.calibration.placing import Placed, fitted_rows, moved, place_station
 from pincal.diagnosis.change_search import ChangeVerdict, search
 from pincal.diagnosis.excluded import excluded, rival_names, tell_apart
 from pincal.diagnosis.lineup import ChangeHypotheses, Refitted
@@ -24,7 +24,7 @@ from pincal.identify.fit import Priors
 from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
 from pincal.identify.solve import solve
-from pincal.identify.station import Station, count, fingerprints, known_rows, together
+from pincal.identify.station import Station, count, fingerprints, together
 from pincal.io.diagnosis_file import (
     ChangedParameter,
     ChangeEntry,
@@ -37,6 +37,7 @@ from pincal.io.diagnosis_file import (
 from pincal.measure.admit import check_table
 from pincal.measure.extrinsics import sample_rows
 from pincal.measure.measurements import Measurements
+from pincal.measure.stops import StopRows
 from pincal.model.conditions import recorded_variable
 from pincal.model.effect import Curve
 from pincal.notes import Note, Severity, doubts_first
@@ -87,9 +88,16 @@ class Diagnosis:
 
 
 def diagnose(
-    calibrated: Calibrated, measurements: Measurements, *, alpha: float = FALSE_ALARM, sigma: float | None = None
+    calibrated: Calibrated,
+    measurements: Measurements,
+    *,
+    alpha: float = FALSE_ALARM,
+    sigma: float | None = None,
+    sigma_orientation: float | None = None,
 ) -> Diagnosis:
     """Test whether a robot still matches its model, up to the poses of instrument and target, and identify what has changed.
+
+    Readings within a stop share the arrival of the drives: their mean is one row.
 
     Args:
         calibrated: the robot as it was calibrated.
@@ -97,6 +105,8 @@ def diagnose(
         alpha: probability of an alarm on a robot that has not changed.
         sigma: noise of one component of the new readings [m]; default: the column ``sigma``. The residuals of the
             calibration, which include unmodelled errors, are a lower bound.
+        sigma_orientation: noise of the new orientations about each axis [rad]; default: that of the calibration, which is a
+            lower bound, or, of one without orientations, estimated from the rows.
 
     Returns:
         The changes with their equivalents, changes that are excluded, and the re-identified model.
@@ -124,11 +134,14 @@ def diagnose(
     """
     if not 0.0 < alpha < 0.5:
         raise BadInputError(f"alpha is {alpha:g}; expected a probability of a false alarm between 0 and 0.5, such as 0.01")
-    model, all_rows = calibrated.robot_model(measurements.kind), len(measurements)
-    measurements = measurements.select(looked_at(measurements))
-    placed = relocated(model, measurements, sigma=sigma)
+    model = calibrated.robot_model(measurements.kind)
+    all_rows = len(measurements)
+    whole = StopRows.of(measurements)
+    stops = looked_at(whole)
+    placed = relocated(model, stops, sigma=sigma, sigma_orientation=sigma_orientation)
+    measurements = placed.table
     verdict = searched = changes_since(model, placed, alpha)
-    if doubts := doubts_about(verdict, placed, measurements):
+    if doubts := doubts_about(verdict, placed):
         verdict = verdict.none()
     lineup, happened = verdict.lineup, verdict.happened
     posterior = lineup.reidentify(happened, lineup.release(happened, verdict.values))
@@ -151,7 +164,8 @@ def diagnose(
     shifts = [moved(before, reidentified) for before in calibrated.models.values()]
     nearest = min(shifts, key=lambda shift: np.inf if shift.instrument is None else shift.instrument)
     notes: list[Note | str] = [*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, placed, measurements)]
-    if len(measurements) < all_rows:
+    notes += _averaged(whole, all_rows)
+    if len(measurements) < len(whole.table):
         notes.append(
             f"changes were searched for in {len(measurements)} of the {all_rows} rows, sampled from the whole table"
         )
@@ -171,14 +185,18 @@ def diagnose(
     return Diagnosis(found, reidentified)
 
 
-def looked_at(measurements: Measurements) -> np.ndarray:
-    """Return the rows of a table used to search for changes, shape (n,): a sample of very many, of all targets."""
-    return sample_rows(len(measurements), _MOST_ROWS, np.unique(measurements.target, return_inverse=True)[1])
+def looked_at(stops: StopRows) -> StopRows:
+    """Return the rows used to search for changes: a sample of very many, of all targets."""
+    if len(stops.table) <= _MOST_ROWS:
+        return stops
+    target = np.unique(stops.table.target, return_inverse=True)[1]
+    return stops.select(sample_rows(len(stops.table), _MOST_ROWS, target))
 
 
 def changes_since(model: CalibratedModel, placed: Placed, alpha: float) -> ChangeVerdict:
     """Return the changes of a calibrated robot that was located at a new station."""
-    lineup = ChangeHypotheses.of(placed.model, placed.station, Known.of(model, placed.station.conditions))
+    known = Known.of(model, placed.station.conditions)
+    lineup = ChangeHypotheses.of(placed.model, placed.station, known, placed.shared)
     return search(lineup, alpha=alpha, degrees=known_degrees(model, placed.station), apart=row_anomalies(placed))
 
 
@@ -195,30 +213,60 @@ def row_anomalies(placed: Placed) -> np.ndarray:
     return np.flatnonzero(found.weights == 0.0)
 
 
-def doubts_about(verdict: ChangeVerdict, placed: Placed, measurements: Measurements) -> tuple[Note, ...]:
+def doubts_about(verdict: ChangeVerdict, placed: Placed) -> tuple[Note, ...]:
     """Return why rows can't decide whether a robot has changed, as a calibration of them would; none if they can."""
-    rejected = np.isin(np.arange(len(measurements)), verdict.wrong_rows)
-    at = placed.station, placed.values, placed.solution.free
-    found = findings_on_outliers(*at, table=measurements, rejected=rejected & verdict.is_undecided)
+    table = placed.table
+    rejected = np.isin(np.arange(len(table)), verdict.wrong_rows) & verdict.is_undecided
+    at = placed.values, placed.solution.free
+    found = findings_on_outliers(placed.station, *at, table=table, rejected=rejected)
+    if placed.stops.plan.shares_stops:
+        # Targets of a stop share its arrival, which is no step: one of each stop is looked at.
+        found = [one for one in found if one.kind is not CaveatKind.STEP]
+        first = np.sort(np.unique(placed.stops.plan.stop, return_index=True)[1])
+        of_each = placed.station.select(first)
+        found += findings_on_outliers(of_each, *at, table=table.select(first), rejected=np.zeros(len(first), bool))
     # A single change that explains all rows may look like a step in rows that happen to be ordered.
     explained = len(verdict.steps) == 1 and not verdict.is_unexplained
     wanted = (CaveatKind.MANY_OUTLIERS,) if explained else (CaveatKind.MANY_OUTLIERS, CaveatKind.STEP)
     return tuple(one.note for one in found if one.kind in wanted)
 
 
+def _averaged(stops: StopRows, n: int) -> Iterator[str]:
+    """Yield notes if some of n rows are copies of others, or rows are means of readings within a stop."""
+    several = len(stops.readings)
+    if several < n:
+        yield f"{n - several} of the {n} rows are copies of others, digit by digit, and count once"
+    if len(stops.table) < several:
+        yield (
+            f"{several} readings at {stops.plan.n_stops} stops of the robot count as {len(stops.table)} rows, their means: "
+            "readings within a stop share the arrival of the drives"
+        )
+
+
 def known_degrees(model: CalibratedModel, station: Station) -> float:
     """Return the degrees of freedom of a calibration's noise estimate, for readings like a station's."""
     rows = count(model.rows)
-    return max(rows * station.reading_size - float(model.estimate.free.sum()), 1.0) if rows else CHANGES.degrees
+    if not rows:
+        return CHANGES.degrees
+    degrees = max(rows * station.reading_size - float(model.estimate.free.sum()), 1.0)
+    shared = 1.0 if model.repeatability is None else model.repeatability.shared
+    return degrees / shared
 
 
-def relocated(model: CalibratedModel, measurements: Measurements, *, sigma: float | None = None) -> Placed:
-    """Return a calibrated robot at the station of new rows, whose noise may be declared [m].
+def relocated(
+    model: CalibratedModel,
+    stops: StopRows,
+    *,
+    sigma: float | None = None,
+    sigma_orientation: float | None = None,
+) -> Placed:
+    """Return a calibrated robot at the station of new rows, whose noise may be declared [m, rad].
 
     Raises:
         BadInputError: if the noise is not a length; if the rows are too few to locate instrument and target, or of an IMU,
             which measures no position; or if the model was fitted to them, so that they agree whatever happened since.
     """
+    measurements = stops.table
     if measurements.sensor is not None and not measurements.sensor.reads_place:
         raise MeasurementError(
             f"{measurements.source}: readings of an {measurements.sensor.kind} alone do not determine positions of the "
@@ -228,13 +276,15 @@ def relocated(model: CalibratedModel, measurements: Measurements, *, sigma: floa
     if sigma is not None:
         if not 0.0 < sigma < np.inf:
             raise BadInputError(f"noise of {sigma:g} m; expected a length above 0, such as 5e-5")
-        measurements = replace(measurements, sigma=np.full(len(measurements), sigma))
-    placed = place_station(model, measurements)
-    known = int(np.sum(known_rows(model.rows, placed.station)))
+        stops = replace(stops, table=replace(measurements, sigma=np.full(len(measurements), sigma)))
+    if sigma_orientation is not None and not 0.0 < sigma_orientation < np.inf:
+        raise BadInputError(f"noise of {sigma_orientation:g} rad; expected an angle above 0, such as 1e-4")
+    placed = place_station(model, stops, sigma_orientation=sigma_orientation)
+    known = int(np.sum(fitted_rows(model.rows, placed.model, stops)))
     if known > CHANGES.same_by_chance:
         raise MeasurementError(
-            f"{measurements.source}: the model was fitted to {known} of these {len(measurements)} rows, so they can't show "
-            "whether the robot has changed since; expected rows measured later"
+            f"{measurements.source}: the model was fitted to {known} of these {len(stops.readings)} rows, so they can't "
+            "show whether the robot has changed since; expected rows measured later"
         )
     _refuse_strange(model, measurements, error_summary(placed.station, placed.values)["median_mm"], CHANGES.strange)
     return placed

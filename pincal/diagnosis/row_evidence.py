@@ -28,6 +28,7 @@ from pincal.discover.levers import MassError
 from pincal.identify.normal import belief_rows
 from pincal.identify.quadratic import ROUNDING, SEEN, Quadratic, root_of_inverse
 from pincal.identify.station import Station
+from pincal.identify.stop_scatter import SharedNoise
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect
 from pincal.model.sizes import largest_basis
@@ -67,7 +68,11 @@ class Known:
         estimate = calibrated.estimate.take(names)
         masses = MassError.of(calibrated.model, calibrated.model_values)
         taken_up = np.zeros((len(names), 0)) if masses is None else _taken_up(calibrated, names, masses)
-        known = cls(names, estimate.values, root_of(estimate.dense_covariance()), masses, taken_up)
+        root = root_of(estimate.dense_covariance())
+        if calibrated.repeatability is not None:
+            # A calibration takes the targets of a stop to be independent.
+            root = root * np.sqrt(calibrated.repeatability.shared)
+        known = cls(names, estimate.values, root, masses, taken_up)
         if (left := calibrated.left) is None:
             return known
         # The part that the parameters absorbed remains in them where rows lack a column that the effect needs.
@@ -124,6 +129,7 @@ class RowEvidence:
         jacobian: shape (F, R), with R >= n m, in units of the noise.
         projected: shape (k, F), combinations of its rows that are projected out.
         weighted: shape (R,), V^-1 r.
+        shared: noise that rows share, by which all of these are whitened; default: none.
     """
 
     form: Quadratic
@@ -131,14 +137,23 @@ class RowEvidence:
     jacobian: np.ndarray = field(repr=False)
     projected: np.ndarray = field(repr=False)
     weighted: np.ndarray = field(repr=False)
+    shared: SharedNoise | None = field(default=None, repr=False)
 
     @cached_property
     def rows(self) -> np.ndarray:
         """Gain and rank of each row if its reading alone is wrong, shape (N, 2)."""
         m = len(self.weighted) // self.n
-        Q = (self.projected @ self.jacobian[:, : self.n * m]).reshape(-1, self.n, m).transpose(1, 0, 2)
-        seen, axes = np.linalg.eigh(np.eye(m) - Q.transpose(0, 2, 1) @ Q)
-        along = np.einsum("nab,na->nb", axes, self.weighted[: self.n * m].reshape(self.n, m))
+        projected = self.projected @ self.jacobian[:, : self.n * m]
+        weighted = self.weighted[: self.n * m]
+        own = np.broadcast_to(np.eye(m), (self.n, m, m))
+        if self.shared is not None:
+            # A wrong reading of one row, whitened, is seen in all rows of its pose.
+            own = self.shared.own_precision()
+            projected = self.shared.back(projected)
+            weighted = self.shared.back(weighted)
+        Q = projected.reshape(-1, self.n, m).transpose(1, 0, 2)
+        seen, axes = np.linalg.eigh(own - Q.transpose(0, 2, 1) @ Q)
+        along = np.einsum("nab,na->nb", axes, weighted.reshape(self.n, m))
         gains = np.where(seen > SEEN, along**2 / np.maximum(seen, SEEN), 0.0)
         return np.stack([gains.sum(axis=1), np.sum(seen > SEEN, axis=1)], axis=1)
 
@@ -191,11 +206,17 @@ def prior_root(station: Station, known: Known, surroundings: np.ndarray) -> np.n
 
 
 def rows_in_noise(
-    station: Station, values: np.ndarray, sigma: np.ndarray, places: np.ndarray | None = None
+    station: Station,
+    values: np.ndarray,
+    sigma: np.ndarray,
+    places: np.ndarray | None = None,
+    *,
+    shared: SharedNoise | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return Jacobian, shape (P, R), and residuals, shape (R,), in units of the noise, row by row.
 
     Prior information of the sensor comes last. With places, shape (p,), the Jacobian is by these parameters only, (p, R).
+    Noise that rows share is whitened.
     """
     free = np.ones(len(values), bool) if places is None else np.isin(np.arange(len(values)), places)
     columns, readings = [], []
@@ -205,6 +226,11 @@ def rows_in_noise(
             whitening[rows] = station.weights[piece] / size
         columns.append((jacobian * whitening).transpose(0, 2, 1).reshape(len(jacobian), -1))
         readings.append((residuals * whitening).T.ravel())
+    whole = np.hstack(columns)
+    off = np.concatenate(readings)
+    if shared is not None:
+        whole = shared.whitened(whole)
+        off = shared.whitened(off)
     J, r = belief_rows(station, values, free)
-    A = np.hstack([*columns, J])
-    return A if places is None else A[np.searchsorted(np.flatnonzero(free), places)], np.concatenate([*readings, r])
+    A = np.hstack([whole, J])
+    return A if places is None else A[np.searchsorted(np.flatnonzero(free), places)], np.concatenate([off, r])

@@ -37,8 +37,8 @@ from pincal.identify.arrivals import shares_stops, with_arrivals
 from pincal.identify.calibrate import Tolerance, refit
 from pincal.identify.choices import deviance
 from pincal.identify.dependence import with_blocks
-from pincal.identify.drive_levers import levers
 from pincal.identify.fit import Ending, ModelFit, without
+from pincal.identify.fit_levers import levers
 from pincal.measure.extrinsics import sample_rows
 from pincal.model.catalogue.ripple import resolution_of
 from pincal.model.effect import Curve, Effect, Harmonic

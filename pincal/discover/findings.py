@@ -28,8 +28,8 @@ from pincal.discover.precheck import ABSORBED
 from pincal.discover.scatter import Excess, find_excess
 from pincal.discover.shrink import PartialResidual, period_of
 from pincal.discover.steps import History, SearchStep
-from pincal.identify.drive_levers import levers
 from pincal.identify.fit import ModelFit, without
+from pincal.identify.fit_levers import levers
 from pincal.io.discovery_file import (
     Bootstrap,
     Disagreement,

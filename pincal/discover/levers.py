@@ -20,8 +20,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from pincal.discover.policy import TESTING, WAVES
-from pincal.identify.drive_levers import with_motions
 from pincal.identify.fit import ModelFit
+from pincal.identify.fit_levers import with_motions
 from pincal.model import kernels
 from pincal.model.basis import FEWEST_SPLINES, spline_basis
 from pincal.model.catalogue.bearing_features import bearing_features

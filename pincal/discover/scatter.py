@@ -26,8 +26,8 @@ from scipy.special import chdtrc, chdtri, fdtrc
 
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.policy import NOISE, TESTING
-from pincal.identify.drive_levers import levers
 from pincal.identify.fit import ModelFit
+from pincal.identify.fit_levers import levers
 from pincal.identify.station import Station
 from pincal.io.discovery_file import ScatteringJoint
 from pincal.measure.poses import same_joints

@@ -14,8 +14,8 @@ from pincal.discover.levers import on_steps
 from pincal.discover.policy import WAVES
 from pincal.discover.steps import History, ModelChange
 from pincal.identify.dependence import placed_at_mean
-from pincal.identify.drive_levers import levers
 from pincal.identify.fit import ModelFit
+from pincal.identify.fit_levers import levers
 from pincal.identify.folds import Folds, Way
 from pincal.io.discovery_file import EffectName, Gap, Stage
 from pincal.model.conditions import MOMENT, recorded_variable

@@ -21,11 +21,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
+from pincal.identify.beliefs import declared_noise
 from pincal.identify.criteria import CRITERIA
-from pincal.identify.drive_levers import levers
+from pincal.identify.drive_levers import drive_levers
 from pincal.identify.fit import ModelFit
+from pincal.identify.noise import Noise
 from pincal.identify.station import Station
-from pincal.identify.whitening import SharedNoise
+from pincal.identify.whitening import StopNoise
 from pincal.measure.poses import SCATTER, same_joints
 
 # Variances are searched within these factors of that of the readings, as seen at the target.
@@ -64,8 +66,20 @@ def with_arrivals(fit: ModelFit) -> ModelFit:
         if is_shared and noise is not None:
             arrival = _shared_noise(alone, noise.drives, noise.readings[blocks])
         stations.append(replace(station, arrival=arrival))
-    is_changed = any(a.arrival is not b.arrival for a, b in zip(stations, fit.problem.stations, strict=True))
-    return fit.over(stations) if is_changed else fit
+    if all(a.arrival is b.arrival for a, b in zip(stations, fit.problem.stations, strict=True)):
+        return fit
+    return replace(fit.over(stations), noise=_declared_with(stations, declared_noise(fit.problem, fit.options)))
+
+
+def _declared_with(stations: Sequence[Station], declared: Noise) -> Noise:
+    """Return the declared noise of single readings, with what readings of a stop share in addition."""
+    factors = [
+        1.0 if station.arrival is None else float(station.arrival.size[rows.start])
+        for station in stations
+        for rows in station.block_rows
+    ]
+    pairs = zip(declared.declared, factors, strict=True)
+    return Noise(tuple(None if sigma is None else sigma * factor for sigma, factor in pairs))
 
 
 def arrival_noise(fit: ModelFit, shared: Sequence[bool]) -> ArrivalNoise | None:
@@ -98,21 +112,16 @@ def _pose_of(station: Station) -> np.ndarray:
     return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
 
 
-def _drive_levers(alone: ModelFit) -> np.ndarray:
-    """Return the levers of the drives on the readings of the only station, shape (n, m, N)."""
-    station = alone.station
-    # As the readings themselves are read: neither weighted nor whitened.
-    plain = replace(station, whitening=None, serial=None, arrival=None)
-    return levers(alone.over([plain]), tuple(map(int, station.model.chain.drives)))
-
-
-def _shared_noise(alone: ModelFit, drives: np.ndarray, readings: np.ndarray) -> SharedNoise:
+def _shared_noise(alone: ModelFit, drives: np.ndarray, readings: np.ndarray) -> StopNoise:
     """Return what rows of the only station share, in units of the noise of their blocks."""
     station = alone.station
     size = np.repeat(readings, station.block_sizes)[:, None]
-    moved = _drive_levers(alone) * drives[:, None, None] / size * station.weights
-    moved = moved * (alone.solution.weights > 0.0)
-    return SharedNoise.of(moved[drives > 0.0], _pose_of(station))
+    moved = drive_levers(station, alone.values) * drives[:, None, None] / size * station.weights
+    counted = alone.solution.weights > 0.0
+    moved = moved * counted
+    square = 1.0 + np.sum(moved**2, axis=(0, 2)) / max(np.count_nonzero(counted), 1)
+    of_blocks = np.sqrt([np.mean(square[rows]) for rows in station.block_rows])
+    return StopNoise.of(moved[drives > 0.0], _pose_of(station), np.repeat(of_blocks, station.block_sizes))
 
 
 @dataclass(frozen=True)
@@ -142,7 +151,7 @@ class _Stops:
         sound = np.flatnonzero(alone.solution.weights > 0.0)
         scale = station.weights[sound] / np.repeat(alone.solution.estimated, station.block_sizes)[:, None]
         residuals = station.residuals(alone.values)[:, sound] * scale
-        moved = _drive_levers(alone)[:, :, sound] * scale
+        moved = drive_levers(station, alone.values)[:, :, sound] * scale
         pose = np.unique(_pose_of(station)[sound], return_inverse=True)[1].ravel()
         n_stops, n = int(pose.max(initial=-1)) + 1, len(moved)
         information = np.zeros((len(station.block_rows), n_stops, n, n))

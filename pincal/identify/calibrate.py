@@ -28,12 +28,14 @@ from pincal.identify.noise import is_exact, rounding, usual_sizes
 from pincal.identify.options import Options, PriorScale, StationOptions, Tools
 from pincal.identify.prior_scale import observes_places, prior_scale
 from pincal.identify.problem import Problem
-from pincal.identify.repeatability import with_visits
 from pincal.identify.screening import without_wrong, wrong_readings
 from pincal.identify.solve import SETTLED, Course, solve
+from pincal.identify.stop_scatter import StopScatter, scatter_of_stops, shared_in_fit
+from pincal.identify.visit_weights import weighs_visits, with_visits
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
 from pincal.measure.sensor import KnownParameters, Sensor
+from pincal.measure.stops import plan_of
 from pincal.measure.table import stations_of
 from pincal.model.catalogue.bearing_features import without_idle_features
 from pincal.model.catalogue.masses import with_masses
@@ -104,10 +106,10 @@ def fit_tables(
 
 
 def _fit_to_means(
-    robot: Robot, tables: Mapping[str, Measurements], options: Options | None, executor: Executor | None
+    robot: Robot, readings: Mapping[str, Measurements], options: Options | None, executor: Executor | None
 ) -> ModelFit:
     """Return the fit to the means of the readings of each pose; arguments as for :func:`fit_tables`."""
-    tables = {name: by_pose(table) for name, table in tables.items()}
+    tables = {name: by_pose(table) for name, table in readings.items()}
     options = _completed(robot, options, tables)
     some, problem = begin(robot, tables, options, executor)
     fit = with_bearings(_rescaled(_begun(some, executor)))
@@ -116,10 +118,41 @@ def _fit_to_means(
     fit = _in_best_frame(fit)
     if options.prior_scale is None and options.earlier is None and not observes_places(fit):
         fit = _cautious(fit)
-    fit = reweighted_by_stops(reweighted_by_visits(fit, tables_of(measurements)))
+    fit = reweighted_by_stops(reweighted_by_visits(fit, readings))
     if any(station.serial is not None for station in fit.problem.stations):
-        return with_blocks(placed_at_mean(fit))
-    return with_blocks(reweighted_by_order(fit) if options.serial and is_dependent(fit) else fit)
+        fit = placed_at_mean(fit)
+    elif options.serial and is_dependent(fit):
+        fit = reweighted_by_order(fit)
+    fit = with_blocks(fit)
+    return replace(fit, scatter=_scatter(fit, list(readings.values())))
+
+
+def _scatter(fit: ModelFit, readings: Sequence[Measurements]) -> dict[str, StopScatter]:
+    """Return the scatter of the readings of each station within and between the stops of its poses, by its name."""
+    found = dict[str, StopScatter]()
+    for table, (station, places, blocks), rows in zip(readings, fit.stations, fit.problem.rows, strict=True):
+        plan = plan_of(table)
+        if table.moving is not None or not (plan.is_repeated or plan.shares_stops):
+            continue
+        single = fit.readings(table, station=station.name)
+        of_table = scatter_of_stops(single, fit.values[places], plan)
+        sound = np.flatnonzero(fit.solution.weights[rows] > 0.0)
+        shared, drives = shared_in_fit(
+            station.select(sound),
+            fit.values[places],
+            plan_of(by_pose(table)).select(sound),
+            sigma=fit.solution.sigma[blocks],
+            free=fit.solution.free[places],
+        )
+        if station.arrival is not None:
+            # Rows of a stop are weighted by what they share.
+            shared = 1.0
+        of_table = replace(of_table, shared=max(shared / fit.solution.widened, 1.0), drives=drives)
+        if weighs_visits(station, plan) or fit.options.at(station.name).sigma is not None:
+            # The noise is that of a single reading, and rows are weighted by their number.
+            of_table = replace(of_table, readings=1.0, stops=1.0)
+        found[station.name] = of_table
+    return found
 
 
 def _cautious(fit: ModelFit) -> ModelFit:

@@ -151,6 +151,8 @@ class ChangeNumbers:
         "a drive with an error of 0.2 rad leaves half as much")
     degrees: float = number(200.0, "degrees of freedom", "test_diagnosis.py::test_an_instrument_with_more_noise_tells_less",
         "of a calibration's noise estimate, where its number of rows is unknown", "chosen: as for a typical table")
+    vanished: float = number(0.0455, "probability", "test_stop_noise.py::test_what_is_announced_exceeds_its_uncertainty",
+        "of a change as large given all others, above which it is not announced", "two of its standard deviations")
     many: int = number(4, "changes", _REFUSED,
         "from which on another robot of the same type is more likely", "chosen: a bound on what is believable")
     worth_a_note: float = number(0.9, "ratio", _CURVE,
@@ -191,9 +193,28 @@ class VisitNumbers:
     arrival: float = number(1.5e-4, "rad or m", _SCATTER,
         "standard deviation of the arrival of a drive, above which visits scatter by more than drives do",
         "drives repeat to 1e-5 to 9e-5 rad (Slamani 2012)")
+_STOPS = "test_stop_noise.py::test_the_scatter_within_and_between_stops_is_found"
+_SHARED = "test_stop_noise.py::test_rows_that_share_an_arrival_count_as_one_stop"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StopNumbers:
+    """Thresholds of the scatter of readings within a stop and of stops at a pose."""
+
+    fewest: float = number(12.0, "degrees of freedom", _STOPS, "from which on a table's own scatter is used",
+        "a standard deviation to 20 %, as of four differences of positions")
+    chance: float = number(1e-3, "probability", _STOPS, "that repeats of a sound table are left out as gross",
+        "one sound table in a thousand")
+    gross: float = number(4.0, "ratio", _STOPS, "by which repeats scatter more at some poses than usually",
+        "an arm stretched out has twice the usual lever")
+    sure: float = number(2.0, "standard deviations", "test_stop_noise.py::test_a_check_of_ten_cycles_raises_no_alarm",
+        "by which what a model lacks at a pose may exceed its estimate", "one-sided limit at 2.5 %")
+    shared: float = number(4.0, _GAIN, _SHARED, "above which targets of a stop share its arrival",
+        "cautious: one table of fifty that share nothing")
 
 
 # fmt: on
 CRITERIA = Criteria()
 CHANGES = ChangeNumbers()
 VISITS = VisitNumbers()
+STOPS = StopNumbers()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 from typing import Any
@@ -17,6 +17,7 @@ from pincal.identify.options import Options
 from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station, station_of
+from pincal.identify.stop_scatter import StopScatter
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import MomentFrame
 from pincal.model.effect import Effect
@@ -131,6 +132,7 @@ class ModelFit:
         options: how it was made.
         wrong: for each station, shape (N,), which rows as measured were left out before means of poses were taken, as
             others of their pose show them to be wrong (:mod:`pincal.identify.screening`); empty if none were.
+        scatter: of the readings of each station, by its name, where any was repeated or a stop has several targets.
     """
 
     problem: Problem
@@ -141,6 +143,7 @@ class ModelFit:
     stages: tuple[FitStage, ...]
     options: Options
     wrong: tuple[np.ndarray, ...] = ()
+    scatter: Mapping[str, StopScatter] = field(default_factory=dict)
 
     @property
     def station(self) -> Station:

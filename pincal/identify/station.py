@@ -13,7 +13,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.identify.jacobian import Jacobian, SharedColumns
-from pincal.identify.whitening import Serial, SharedNoise, whitened_rows
+from pincal.identify.whitening import Serial, StopNoise, whitened_rows
 from pincal.measure.extrinsics import sample_rows
 from pincal.measure.instruments import InstrumentNoise, seen_by
 from pincal.measure.measurements import Measurements, sensor_of
@@ -60,7 +60,7 @@ class Station:
     whitening: np.ndarray | None = None
     position: np.ndarray | None = None
     serial: Serial | None = None
-    arrival: SharedNoise | None = None
+    arrival: StopNoise | None = None
     trusted: np.ndarray | None = None
     setup: str = ""
 

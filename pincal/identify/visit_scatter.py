@@ -14,16 +14,15 @@ that are too large. What rows of one stop share beyond this, whatever the visit,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
 from scipy.special import chdtri
 
+from pincal.identify.drive_levers import drive_levers
 from pincal.identify.station import Station
 
-# Difference of joint positions [rad or m] for numerical derivatives.
-_MOVED = 1e-5
 # Rounds in which variances and weights are estimated in turn.
 _ROUNDS = 6
 # Probability of a sound deviation beyond which deviations have no part in the estimate.
@@ -60,17 +59,8 @@ class Arrivals:
 
 
 def levers_of(station: Station, values: np.ndarray) -> np.ndarray:
-    """Return the motion of the readings by each joint, shape (N, m, J) [m/rad, ...]; ``values`` are of shape (P,)."""
-    of_model, own = station.split(values)
-    conditions = station.conditions
-    here = station.sensor.residuals(station.model.predict(of_model, conditions), own)
-    found = []
-    for j in range(conditions.q.shape[1]):
-        moved = conditions.q.copy()
-        moved[:, j] += _MOVED
-        poses = station.model.predict(of_model, replace(conditions, q=moved))
-        found.append((here - station.sensor.residuals(poses, own)).T / _MOVED)
-    return np.stack(found, axis=2)
+    """Return the motion of the readings by each drive, shape (N, m, J) [m/rad, ...]; ``values`` are of shape (P,)."""
+    return np.ascontiguousarray(drive_levers(station, values).transpose(2, 1, 0))
 
 
 def arrivals_of(

@@ -147,54 +147,59 @@ class Serial:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SharedNoise:
+class StopNoise:
     """Noise that all rows of a stop share, beside independent noise of variance 1: V = 1 + L L^T.
 
     Attributes:
         levers: shape (r, m, N), L of each row, in units of the independent noise.
+        size: shape (m,), standard deviation of both together, a typical row's, by component: noise is whitened to this.
         stop: shape (N,), number of each row's stop, from 0.
         axes: eigenvalues, shape (S, r), and eigenvectors, shape (S, r, r), of L^T L of each stop.
         rows: shape (S,), number of rows of each stop behind them.
     """
 
     levers: np.ndarray
+    size: np.ndarray
     stop: np.ndarray
     axes: tuple[np.ndarray, np.ndarray]
     rows: np.ndarray
 
     @classmethod
-    def of(cls, levers: np.ndarray, stop: np.ndarray) -> SharedNoise:
-        """Return the noise of rows with levers, shape (r, m, N), in stops, shape (N,)."""
+    def of(cls, levers: np.ndarray, stop: np.ndarray, size: np.ndarray | None = None) -> StopNoise:
+        """Return the noise of rows with levers, shape (r, m, N), in stops, shape (N,); ``size`` by default 1."""
+        size = np.ones(levers.shape[1]) if size is None else size
         stop = np.unique(stop, return_inverse=True)[1].ravel()
         rows = np.bincount(stop)
         G = np.zeros((len(rows), len(levers), len(levers)))
         np.add.at(G, stop, np.einsum("imn,jmn->nij", levers, levers))
         values, vectors = np.linalg.eigh(G)
-        return cls(np.ascontiguousarray(levers), stop, (np.maximum(values, 0.0), vectors), rows)
+        return cls(np.ascontiguousarray(levers), size, stop, (np.maximum(values, 0.0), vectors), rows)
 
-    def select(self, index: Any) -> SharedNoise:
+    def select(self, index: Any) -> StopNoise:
         """Return that of some rows (mask, indices or slice)."""
         levers, stop = self.levers[..., index], self.stop[index]
         count = np.bincount(stop, minlength=len(self.rows))
         if np.any((count > 0) & (count < self.rows)):
             # Of some stops only a part of the rows is left.
-            return SharedNoise.of(levers, stop)
+            return StopNoise.of(levers, stop, self.size)
         return replace(self, levers=np.ascontiguousarray(levers), stop=stop)
 
     @property
     def log_determinant(self) -> float:
-        """Logarithm of the determinant of V."""
-        return float(np.sum(np.log1p(self.axes[0][np.unique(self.stop)])))
+        """Logarithm of the determinant of the covariance, relative to independent noise of the same size."""
+        together = float(np.sum(np.log1p(self.axes[0][np.unique(self.stop)])))
+        return together - 2.0 * len(self.stop) * float(np.sum(np.log(self.size)))
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """Return V^(-1/2) times columns of all rows, shape (D, m, N)."""
+        """Return columns of all rows, shape (D, m, N), whitened to white noise of the same size."""
         root = np.sqrt(1.0 + self.axes[0])
         # (1 / root - 1) / values without the difference of near numbers.
-        return self._along(columns, -1.0 / (root * (root + 1.0)))
+        return np.asarray(self._along(columns, -1.0 / (root * (root + 1.0))) * self.size[:, None])
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
-        """Return V^(1/2) times white noise, shape (m, N)."""
-        return np.asarray(self._along(noise[None], 1.0 / (np.sqrt(1.0 + self.axes[0]) + 1.0))[0])
+        """Return white noise, shape (m, N), with this covariance: the inverse of :meth:`whitened`."""
+        independent = noise / self.size[:, None]
+        return np.asarray(self._along(independent[None], 1.0 / (np.sqrt(1.0 + self.axes[0]) + 1.0))[0])
 
     def _along(self, columns: np.ndarray, factor: np.ndarray) -> np.ndarray:
         """Return columns plus L U f U^T L^T times these, with the eigenvectors U and factors f, shape (S, r)."""

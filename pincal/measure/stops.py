@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from pincal.measure.measurements import Measurements
-from pincal.measure.poses import SCATTER, mean_rows, pose_groups, replicate_groups
+from pincal.measure.poses import SCATTER, mean_rows, pose_groups, replicate_groups, without_copies
 
 # Consecutive rows of one pose are of two stops if the time between them is at least this part of the
 # usual time from one pose to the next: the arm had time to leave and come back.
@@ -135,6 +135,53 @@ def plan_of(table: Measurements) -> Plan:
     passes[order] = _passes_of(pose[order], begins)
     session = np.zeros(n, int) if table.time is None else sessions_by_time(table.time)
     return Plan(order, pose, thing, stop, passes, session)
+
+
+@dataclass(frozen=True, eq=False)
+class StopRows:
+    """A table with one row for each target, or point, read in each stop, and the single readings behind it.
+
+    Attributes:
+        table: the M rows: means of repeats within a stop.
+        plan: of these.
+        readings: the N single readings, without copies of readings at the same pose.
+        of_readings: the plan of these.
+        row_of: shape (N,), the row of the table to which each of them belongs.
+    """
+
+    table: Measurements
+    plan: Plan
+    readings: Measurements
+    of_readings: Plan
+    row_of: np.ndarray
+
+    @classmethod
+    def of(cls, table: Measurements) -> StopRows:
+        """Return the rows of a table by stops; a table of means, or of an arm in motion, stands for itself."""
+        plan = plan_of(table)
+        if table.readings_per_row is not None or table.moving is not None or not plan.is_repeated:
+            return cls(table, plan, table, plan, np.arange(len(table)))
+        kept = without_copies(table, plan.thing)
+        readings = table.select(kept)
+        plan = plan.select(kept)
+        pairs = np.column_stack([plan.stop, plan.thing])
+        _, first, number = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+        in_order = np.argsort(first)
+        row_of = np.argsort(in_order)[number.ravel()]
+        return cls(mean_rows(readings, row_of), plan.select(first[in_order]), readings, plan, row_of)
+
+    def select(self, rows: np.ndarray) -> StopRows:
+        """Return some of the rows, by index, with their readings."""
+        kept = np.isin(self.row_of, rows)
+        rank = np.full(len(self.table), -1)
+        rank[rows] = np.arange(len(rows))
+        return StopRows(
+            self.table.select(rows),
+            self.plan.select(rows),
+            self.readings.select(kept),
+            self.of_readings.select(kept),
+            rank[self.row_of[kept]],
+        )
 
 
 def by_stop(table: Measurements) -> Measurements:

@@ -153,6 +153,7 @@ def replicate_statistics(
     sigma: np.ndarray,
     covariance: np.ndarray,
     found: np.ndarray | None = None,
+    pose: np.ndarray | None = None,
 ) -> tuple[dict[str, Any] | None, LackOfFit | None]:
     r"""Return accuracy, repeatability and lack of fit of rows that were not fitted, where they contain replicates.
 
@@ -162,15 +163,18 @@ def replicate_statistics(
     Args:
         station: the calibrated model over the rows.
         values: shape (P,), its values.
-        table: the rows.
+        table: the rows, the mean of each stop.
         sigma: shape (blocks,), standard deviations of one component in the calibration; only their ratio counts.
         covariance: shape (P, P), of the values.
         found: shape (P,), parameters that were estimated from these rows; default: none.
+        pose: shape (N,), number of each row's pose and target; default: rows with the same joints, target and load.
 
     Returns:
         ``iso9283`` as in ``result.json``, and the test of lack of fit; None where rows do not determine them.
     """
-    rows_of, lack = Replicates("test", table, station, replicate_groups([table])[0], np.ones(len(table), bool)), None
+    pose = replicate_groups([table])[0] if pose is None else pose
+    rows_of = Replicates("test", table, station, pose, np.ones(len(table), bool))
+    lack = None
     squares = replicate_squares(rows_of, values, sigma)
     if _is_enough([squares], station):
         scale, everything = squares.pure / squares.degrees, np.ones(len(table))

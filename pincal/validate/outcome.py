@@ -8,7 +8,7 @@ from typing import Any, Literal, NotRequired, TypedDict
 from msgspec import UNSET, UnsetType
 
 from pincal.identify.fit import FitStage
-from pincal.identify.repeatability import Repeatability
+from pincal.identify.visit_weights import ScatterByLevel
 from pincal.notes import Note
 from pincal.validate.lack_of_fit import LackOfFit
 
@@ -126,7 +126,7 @@ class StationRecord(TypedDict):
     parameters: NotRequired[list[MovedParameter]]
     iso9283: NotRequired[dict[str, Any]]
     lack_of_fit: NotRequired[LackOfFit]
-    repeatability: NotRequired[Repeatability]
+    repeatability: NotRequired[ScatterByLevel]
 
 
 @dataclass(frozen=True)
@@ -260,7 +260,7 @@ class Outcome:
     degrees: float = 0.0
     iso9283: dict[str, Any] | None = None
     lack_of_fit: LackOfFit | None = None
-    repeatability: Repeatability | UnsetType = UNSET
+    repeatability: ScatterByLevel | UnsetType = UNSET
     validation: ValidationWay | UnsetType = UNSET
     stations: tuple[StationRecord, ...] | UnsetType = UNSET
     improvement: tuple[Improvement, ...] | UnsetType = UNSET

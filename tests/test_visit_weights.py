@@ -10,7 +10,7 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import ModelFit
-from pincal.identify.repeatability import Repeatability, VarianceComponent, repeatability_of
+from pincal.identify.visit_weights import ScatterByLevel, VarianceComponent, scatter_by_level
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.stops import plan_of
 from pincal.model.effects import GEOMETRIC
@@ -34,9 +34,9 @@ def measured(visits: np.ndarray, dwell: int, *, seed: int = 0, arrival: float = 
     return measurements_from_arrays(machine.names, np.repeat(q[order], dwell, axis=0), position=position)
 
 
-def scatter_of(rows: Measurements, **options: object) -> tuple[ModelFit, Repeatability | None]:
+def scatter_of(rows: Measurements, **options: object) -> tuple[ModelFit, ScatterByLevel | None]:
     fit = fit_tables(Robot.from_urdf(URDF), rows, Options(effects=GEOMETRIC, **options))  # type: ignore[arg-type]
-    return fit, repeatability_of(fit, fit.readings(rows), plan_of(rows))
+    return fit, scatter_by_level(fit, fit.readings(rows), plan_of(rows))
 
 
 def test_each_level_has_its_scatter() -> None:

@@ -22,6 +22,7 @@ from scipy.special import chdtri
 
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
+from pincal.identify.stop_scatter import scatter_of_stops
 from pincal.measure.measurements import Measurements
 from pincal.measure.stops import Plan, plan_of
 
@@ -53,7 +54,7 @@ class VarianceComponent:
 
 
 @dataclass(frozen=True)
-class Repeatability:
+class ScatterByLevel:
     """The scatter of the readings of a station, level by level, of its first block of readings.
 
     Attributes:
@@ -88,13 +89,23 @@ def with_visits(fit: ModelFit, tables: Mapping[str, Measurements]) -> ModelFit:
     """
     stations = list[Station]()
     for alone, station, table in zip(fit.alone, fit.problem.stations, tables.values(), strict=True):
-        found = repeatability_of(alone, fit.readings(table, station=station.name), plan_of(table))
+        found = scatter_by_level(alone, fit.readings(table, station=station.name), plan_of(table))
         stations.append(station if found is None else _weighted(station, found, plan_of(table), table.sigma))
     is_changed = any(a is not b for a, b in zip(stations, fit.problem.stations, strict=True))
     return fit.over(stations) if is_changed else fit
 
 
-def repeatability_of(alone: ModelFit, as_read: Station, plan: Plan) -> Repeatability | None:
+def weighs_visits(station: Station, plan: Plan) -> bool:
+    """Return whether rows of a station that are means of repeated readings are weighted by these.
+
+    Contacts, and readings that are judged by the mean of all of them, are not.
+    """
+    sensor = station.sensor
+    is_of_readings = sensor.reads_place and not sensor.is_of_joints and not sensor.is_whole
+    return plan.is_repeated and is_of_readings and len(station) == int(plan.thing.max()) + 1
+
+
+def scatter_by_level(alone: ModelFit, as_read: Station, plan: Plan) -> ScatterByLevel | None:
     """Return how the readings of a station scatter; None where none was repeated, or readings are not of positions.
 
     Args:
@@ -103,23 +114,23 @@ def repeatability_of(alone: ModelFit, as_read: Station, plan: Plan) -> Repeatabi
         plan: how these came about.
     """
     station = alone.station
-    sensor = station.sensor
-    is_of_readings = sensor.reads_place and not sensor.is_of_joints and not sensor.is_whole
-    if not plan.is_repeated or not is_of_readings or len(station) != int(plan.thing.max()) + 1:
+    if not weighs_visits(station, plan):
         return None
     rows = station.block_rows[0]
     counted = alone.solution.weights > 0.0
-    sound = counted[plan.thing]
-    residuals = as_read.residuals(alone.values)[rows][:, sound]
-    reading, stop = _within_poses(residuals, plan.select(sound))
+    sound = np.flatnonzero(counted[plan.thing])
+    found = scatter_of_stops(as_read.select(sound), alone.values, plan.select(sound))
+    reading = VarianceComponent(float(np.sqrt(found.within[0])), float(found.within_degrees[0]))
     reading = _as_declared(reading, alone.noise.declared[0])
+    # Where no stop has repeats, its component is that of a reading, instrument included.
+    stop = VarianceComponent(float(np.sqrt(found.between[0])), float(found.between_degrees[0]))
     readings, stops = _counts(plan)
     pure = reading.sigma_m**2 / readings + stop.sigma_m**2 / stops
     squares = np.sum(station.residuals(alone.values)[rows][:, counted] ** 2, axis=0)
     size = rows.stop - rows.start
     degrees = float(max(size * np.count_nonzero(counted) - alone.solution.effective, 1.0))
     left = _beyond(squares, pure[counted], degrees)
-    return Repeatability(reading, stop, VarianceComponent(float(np.sqrt(left)), degrees))
+    return ScatterByLevel(reading, stop, VarianceComponent(float(np.sqrt(left)), degrees))
 
 
 def _as_declared(reading: VarianceComponent, declared: float | None) -> VarianceComponent:
@@ -130,7 +141,7 @@ def _as_declared(reading: VarianceComponent, declared: float | None) -> Variance
     return replace(reading, sigma_m=declared) if low <= declared <= high else reading
 
 
-def _weighted(station: Station, scatter: Repeatability, plan: Plan, sigma: np.ndarray | None) -> Station:
+def _weighted(station: Station, scatter: ScatterByLevel, plan: Plan, sigma: np.ndarray | None) -> Station:
     """Return the station with rows weighted by the visits behind them; itself if they are so already."""
     readings, stops = _counts(plan)
     one = np.ones(1)
@@ -146,32 +157,6 @@ def _counts(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     """Return the number of readings and of stops of each pose and target, shape (groups,)."""
     pairs = np.unique(np.column_stack([plan.thing, plan.stop]), axis=0)
     return np.bincount(plan.thing), np.bincount(pairs[:, 0])
-
-
-def _within_poses(residuals: np.ndarray, plan: Plan) -> tuple[VarianceComponent, VarianceComponent]:
-    """Return the components within stops and between stops of a pose, by moments, of residuals of shape (m, N)."""
-    m = len(residuals)
-    thing = np.unique(plan.thing, return_inverse=True)[1].ravel()
-    pairs, stop = np.unique(np.column_stack([thing, plan.stop]), axis=0, return_inverse=True)
-    stop = stop.ravel()
-    of_stop = pairs[:, 0]
-    n_stop = np.bincount(stop).astype(float)
-    n_pose = np.bincount(thing).astype(float)
-    mean_of_stop = np.stack([np.bincount(stop, r) for r in residuals]) / n_stop
-    mean_of_pose = np.stack([np.bincount(thing, r) for r in residuals]) / n_pose
-    within = float(np.sum((residuals - mean_of_stop[:, stop]) ** 2))
-    between = float(np.sum(n_stop * (mean_of_stop - mean_of_pose[:, of_stop]) ** 2))
-    dof_within = m * float(np.sum(n_stop - 1.0))
-    dof_between = m * float(len(n_stop) - len(n_pose))
-    # Readings per stop, as they count in the expected squares between stops.
-    share = float(np.sum(n_pose) - np.sum(np.bincount(of_stop, n_stop**2) / n_pose)) * m
-    reading = within / dof_within if dof_within else 0.0
-    beyond = max(between - dof_between * reading, 0.0) / share if dof_between else 0.0
-    # Where no stop has repeats, its component is that of a reading, instrument included.
-    return (
-        VarianceComponent(float(np.sqrt(reading)), dof_within),
-        VarianceComponent(float(np.sqrt(beyond)), dof_between),
-    )
 
 
 def _beyond(squares: np.ndarray, known: np.ndarray, degrees: float) -> float:

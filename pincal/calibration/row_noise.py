@@ -1,0 +1,158 @@
+r"""Noise of new rows under a calibrated model: that of the calibration, carried over to another plan of measurement.
+
+The noise of a calibration is that of its rows, :math:`\sigma^2 = m^2 + s^2`, with m what the model lacks at a pose and s the
+scatter of the means that were fitted, of n readings in each of v stops. A row of one stop, the mean of n' readings, has
+:math:`m^2 + s'^2`. Where repeats of the calibration, or of the new rows, show the scatter within and between stops, m
+follows from the difference. It is taken at its upper limit, as it counts in full at each pose, however often visited.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pincal.calibration.repeatability import Repeatability
+from pincal.calibration.station_model import StationModel
+from pincal.identify.criteria import CHANGES, STOPS
+from pincal.identify.station import count
+from pincal.identify.stop_scatter import StopScatter
+from pincal.measure.registry import blocks_of
+from pincal.measure.sensor import Block
+
+
+@dataclass(frozen=True, eq=False)
+class RowNoise:
+    """Noise of one component of each block of the readings of new rows, shape (blocks,) each.
+
+    Attributes:
+        sigma: standard deviations [m, rad, px].
+        is_known: where they are declared or known from the calibration; the others are of a good instrument, and are to be
+            estimated from the rows.
+        of_pose: fraction of the variance that all stops at a pose have in common.
+        of_drives: fraction of the variance that follows the levers of the drives, as far as the calibration shows it.
+        scatter: variances within a stop and between stops, as far as these rows or the calibration show them.
+    """
+
+    sigma: np.ndarray
+    is_known: np.ndarray
+    of_pose: np.ndarray
+    of_drives: np.ndarray
+    scatter: StopScatter
+
+    @property
+    def repeatability(self) -> Repeatability | None:
+        """The record of the scatter; None where none is known."""
+        known = np.any(self.scatter.within_degrees) or np.any(self.scatter.between_degrees) or self.scatter.shared > 1.0
+        return Repeatability.of(self.scatter) if known else None
+
+    @property
+    def declared(self) -> tuple[float | None, ...]:
+        """The standard deviations, None where they are to be estimated."""
+        pairs = zip(self.sigma.tolist(), self.is_known.tolist(), strict=True)
+        return tuple(size if is_known else None for size, is_known in pairs)
+
+    def estimated(self, sigma: np.ndarray) -> np.ndarray:
+        """Return the standard deviations, those that are not known from an estimate, shape (blocks,)."""
+        return np.where(self.is_known, self.sigma, sigma)
+
+
+def noise_of_rows(
+    known: StationModel,
+    kind: str,
+    blocks: Sequence[Block],
+    *,
+    declared: np.ndarray | None = None,
+    scatter: StopScatter | None = None,
+    sigma_orientation: float | None = None,
+) -> RowNoise:
+    """Return the noise of rows of one stop each.
+
+    Args:
+        known: the calibrated model.
+        kind: of the readings.
+        blocks: of the readings.
+        declared: shape (N,), declared noise of each row [m], which takes precedence if it is larger; default: none.
+        scatter: of the single readings behind them; default: none was repeated.
+        sigma_orientation: declared noise of orientations [rad].
+    """
+    of_calibration, is_known = calibrated_noise(known, kind, blocks)
+    own = _calibrated_scatter(known, kind, blocks)
+    here = StopScatter.none(len(blocks)) if scatter is None else scatter
+    best = here.known_with(own)
+    before = own.known_with(best)
+    # Scatter of a calibration's rows can't exceed their noise.
+    square = of_calibration**2
+    shown = np.minimum(before.of_row(own.readings, own.stops), square)
+    is_shown = shown > 0.0
+    degrees = _degrees(known, blocks)
+    doubt = np.sqrt(2.0 / degrees) * square + np.sqrt(2.0 / np.maximum(before.within_degrees, STOPS.fewest)) * shown
+    lacking = np.where(is_shown, np.clip(square - shown + STOPS.sure * doubt, 0.0, square), 0.0)
+    of_stop = best.of_row(here.readings)
+    variance = np.where(is_shown, lacking + of_stop, square)
+    has_visits = best.between_degrees > 0.0
+    of_pose = np.where(has_visits & is_shown, lacking / np.maximum(variance, 1e-300), 0.0)
+    # Noise of readings does not follow the levers.
+    of_readings = best.within / here.readings
+    apart = np.maximum((1.0 - own.drives) * square - before.within / (own.readings * own.stops), 0.0) + of_readings
+    of_drives = np.where(own.drives > 0.0, np.maximum(1.0 - apart / np.maximum(variance, 1e-300), 0.0), 0.0)
+    sigma = np.where(is_known, np.sqrt(variance), of_calibration)
+    is_angle = np.array([block.unit == "rad" for block in blocks])
+    is_length = np.array([block.unit == "m" for block in blocks])
+    if sigma_orientation is not None:
+        at_least = np.where(is_known, np.maximum(sigma, sigma_orientation), sigma_orientation)
+        sigma = np.where(is_angle, at_least, sigma)
+        is_known = is_known | is_angle
+    if declared is not None:
+        size = float(np.sqrt(np.mean(declared**2)))
+        at_least = np.where(is_known, np.maximum(sigma, size), size)
+        sigma = np.where(is_length, at_least, sigma)
+        is_known = is_known | is_length
+    of_one_stop = replace(best, readings=here.readings, stops=1.0, shared=own.shared, drives=float(of_drives[0]))
+    return RowNoise(sigma, is_known, of_pose, of_drives, of_one_stop)
+
+
+def calibrated_noise(known: StationModel, kind: str, blocks: Sequence[Block]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the noise of a calibration for each block of readings, and whether it has any for it, shape (blocks,) each.
+
+    It is the calibration's of blocks in the same unit, which includes unmodelled errors, else that of good instruments.
+    """
+    if known.sensor_kind == kind:
+        return np.array(known.sigma, float), np.ones(len(blocks), bool)
+    of_kind = blocks_of(known.sensor_kind)
+    by_unit = dict(zip((block.unit for block in of_kind), known.sigma, strict=True))
+    is_known = np.array([block.unit in by_unit for block in blocks], bool)
+    return np.array([by_unit.get(block.unit, block.noise) for block in blocks], float), is_known
+
+
+def _calibrated_scatter(known: StationModel, kind: str, blocks: Sequence[Block]) -> StopScatter:
+    """Return the scatter of a calibration's readings for each block of other readings."""
+    if known.repeatability is None:
+        return StopScatter.none(len(blocks))
+    found = known.repeatability.scatter
+    if known.sensor_kind == kind:
+        return found
+    units = [block.unit for block in blocks_of(known.sensor_kind)]
+    places = [units.index(block.unit) if block.unit in units else -1 for block in blocks]
+
+    def taken(values: np.ndarray) -> np.ndarray:
+        return np.array([values[k] if k >= 0 else 0.0 for k in places])
+
+    return StopScatter(
+        within=taken(found.within),
+        between=taken(found.between),
+        within_degrees=taken(found.within_degrees),
+        between_degrees=taken(found.between_degrees),
+        readings=found.readings,
+        stops=found.stops,
+        shared=found.shared,
+        drives=found.drives,
+    )
+
+
+def _degrees(known: StationModel, blocks: Sequence[Block]) -> float:
+    """Return the degrees of freedom of a calibration's noise."""
+    size = sum(block.size for block in blocks)
+    rows = count(known.rows)
+    return max(rows * size - float(known.estimate.free.sum()), 1.0) if rows else CHANGES.degrees
