@@ -40,6 +40,8 @@ from pincal.validate.misfit import Misfit, misfit_at
 
 # Standard deviation of a prediction, in units of the noise, above which rows do not determine instrument and target.
 _UNDETERMINED = 100.0
+# Multiple of its noise at which a block of readings tells nothing, and halvings of the range of a noise.
+_NO_INFORMATION, _HALVINGS = 1e4, 12
 # Poses of the calibrated range at which it is evaluated.
 _EVALUATED = 64
 
@@ -221,7 +223,35 @@ def place_station(
         repeatability=noise.repeatability,
     )
     _refuse_undetermined(model, station, solution, source=measurements.source)
+    for block in np.flatnonzero(~noise.is_known):
+        model = replace(model, sigma=_beyond_uncertainty(model, station, solution, int(block)))
     return Placed(model, station, solution, moved(known, model), stops, noise, notes)
+
+
+def _beyond_uncertainty(model: CalibratedModel, station: Station, solution: Solution, block: int) -> np.ndarray:
+    """Return the noise, shape (blocks,), with that of one block reduced by what the calibration's uncertainty explains.
+
+    Residuals of readings that a calibration did not have, such as orientations, are partly its own uncertainty.
+    """
+    robust = (solution.weights > 0.0).astype(float)
+
+    def at(size: float) -> Misfit:
+        sigma = model.sigma.copy()
+        sigma[block] = size
+        return misfit_at(station, model.values, covariance=model.covariance, sigma=sigma, robust=robust, found=solution.free)
+
+    largest = float(model.sigma[block])
+    without = at(_NO_INFORMATION * largest)
+    expected = float(station.block_sizes[block] * robust.sum()) - (at(largest).found - without.found)
+    low = 0.0
+    high = largest
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        if at(middle).square - without.square > expected:
+            low = middle
+        else:
+            high = middle
+    return np.where(np.arange(len(model.sigma)) == block, high, model.sigma)
 
 
 def _scatter(

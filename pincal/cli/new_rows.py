@@ -13,7 +13,7 @@ from pincal.cli.arguments import Output, argument, group, option, verb
 from pincal.cli.common import GeneralOptions, TableArguments, max_error_option, model_argument, station_option
 from pincal.cli.motion_options import MotionOptions
 from pincal.cli.outputs import echo_notes, extrapolation, print_json, provenance, require_accuracy
-from pincal.cli.quantities import LENGTH
+from pincal.cli.quantities import ANGLE, LENGTH
 from pincal.errors import Exit, IdentificationError
 from pincal.io.result_folder import output_folder
 
@@ -23,6 +23,16 @@ if TYPE_CHECKING:
     from pincal.measure.measurements import Measurements
     from pincal.notes import Note
     from pincal.robot.robot import Robot
+
+
+def _noise_angle_option() -> Any:
+    """Return the option of the noise of new orientations."""
+    return option(
+        "Standard deviation of one orientation component of the new measurements.",
+        type=ANGLE,
+        words="that of the calibration; estimated from the rows if it had no orientations",
+    )
+
 
 _VALIDATE_EXAMPLES = """
 Examples:
@@ -60,6 +70,7 @@ class ValidateArguments:
     )
     station: str | None = station_option(words="the nearest, or a new placement if the rows indicate one")
     max_error: float | None = max_error_option()
+    noise_angle: float | None = _noise_angle_option()
     table: TableArguments = group("Tables")
     motion: MotionOptions = group("Motion")
     general: GeneralOptions = group("General")
@@ -83,7 +94,10 @@ def validate(arguments: ValidateArguments) -> Exit:
     tables = load_tables(robot, arguments.data, options=arguments.table.options, motion=arguments.motion)
     for table in tables.values():
         check_table(robot, table, minimum=1)
-    found = [validate_rows(models, table, name=name, refit=chosen is None) for name, table in tables.items()]
+    found = [
+        validate_rows(models, table, name=name, refit=chosen is None, sigma_orientation=arguments.noise_angle)
+        for name, table in tables.items()
+    ]
     result, notes = _result(found)
     if arguments.general.as_json:
         print_json(result)
@@ -219,6 +233,7 @@ class DiagnoseArguments(_NewRows):
         type=LENGTH,
         words="that of the calibration",
     )
+    noise_angle: float | None = _noise_angle_option()
 
 
 @verb(DiagnoseArguments, examples=_DIAGNOSE_EXAMPLES, exits=(Exit.UNDECIDED, Exit.CHANGED))
@@ -237,7 +252,13 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
     calibrated = load_stations(arguments.model)
     table = arguments.read(calibrated.robot_model().model.chain.robot)
     with output_folder(arguments.out) as draft:
-        found = diagnose(calibrated, table, alpha=arguments.alpha, sigma=arguments.noise)
+        found = diagnose(
+            calibrated,
+            table,
+            alpha=arguments.alpha,
+            sigma=arguments.noise,
+            sigma_orientation=arguments.noise_angle,
+        )
         write_diagnosis(draft, found, provenance(arguments.files))
     if arguments.general.as_json:
         print_json(found.report)
@@ -273,6 +294,7 @@ class UpdateArguments(_NewRows):
         type=LENGTH,
         words="as declared for the calibration, else estimated",
     )
+    noise_angle: float | None = _noise_angle_option()
     anew: tuple[str, ...] = option(
         "Re-estimate this effect of the model, named as by diagnose; no test for changes is made.",
         (),
@@ -295,7 +317,13 @@ def update_verb(arguments: UpdateArguments) -> Exit:
     table = arguments.read(stations.robot_model().model.chain.robot)
     calibrated = stations.robot_model(table.kind)
     with output_folder(arguments.out) as draft:
-        found = update(calibrated, table, sigma=arguments.noise, anew=arguments.anew)
+        found = update(
+            calibrated,
+            table,
+            sigma=arguments.noise,
+            sigma_orientation=arguments.noise_angle,
+            anew=arguments.anew,
+        )
         replace(found, provenance=provenance(arguments.files)).save(draft / "model.json")
     error = error_summary(found.readings(table), found.values)
     if arguments.general.as_json:

@@ -41,6 +41,7 @@ from pincal.measure.stops import StopRows
 from pincal.model.conditions import recorded_variable
 from pincal.model.effect import Curve
 from pincal.notes import Note, Severity, doubts_first
+from pincal.units import format_readable
 from pincal.validate.accuracy import error_summary, pose_error_sizes
 
 # Probability of a false alarm.
@@ -165,6 +166,7 @@ def diagnose(
     nearest = min(shifts, key=lambda shift: np.inf if shift.instrument is None else shift.instrument)
     notes: list[Note | str] = [*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, placed, measurements)]
     notes += _averaged(whole, all_rows)
+    notes += _estimated(placed)
     if len(measurements) < len(whole.table):
         notes.append(
             f"changes were searched for in {len(measurements)} of the {all_rows} rows, sampled from the whole table"
@@ -229,6 +231,18 @@ def doubts_about(verdict: ChangeVerdict, placed: Placed) -> tuple[Note, ...]:
     explained = len(verdict.steps) == 1 and not verdict.is_unexplained
     wanted = (CaveatKind.MANY_OUTLIERS,) if explained else (CaveatKind.MANY_OUTLIERS, CaveatKind.STEP)
     return tuple(one.note for one in found if one.kind in wanted)
+
+
+def _estimated(placed: Placed) -> Iterator[str]:
+    """Yield a note on noise of readings that the calibration had none of, such as orientations after positions."""
+    blocks = zip(placed.station.sensor.blocks, placed.noise.is_known.tolist(), placed.model.sigma.tolist(), strict=True)
+    for block, is_known, sigma in blocks:
+        if not is_known:
+            option = "; --noise-angle declares it" if block.unit == "rad" else ""
+            yield (
+                f"the calibration had no {block.name}: its noise, {format_readable(sigma, block.unit, '.3g')}, is estimated "
+                f"from these rows, so that a change that shows in it alone may be taken for noise{option}"
+            )
 
 
 def _averaged(stops: StopRows, n: int) -> Iterator[str]:
