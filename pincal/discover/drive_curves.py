@@ -28,7 +28,7 @@ from pincal.identify.equations import Linearised
 from pincal.identify.fit import Ending, ModelFit, carried
 from pincal.identify.quadratic import ROUNDING, Factor, Form
 from pincal.model.catalogue.transmission import most_pieces
-from pincal.model.conditions import distinct_values
+from pincal.model.conditions import distinct_values, moves
 from pincal.model.effect import Curve, Effect, Resolvable
 from pincal.robot.robot import Robot
 
@@ -188,8 +188,8 @@ class CurveSquares:
 
 def notes_on_repeats(robot: Robot, q: np.ndarray) -> Iterator[str]:
     """Yield notes on joints with few distinct positions, q of shape (N, n)."""
-    for joint, kind, x in zip(robot.joint_names, robot.joint_types, q.T, strict=True):
-        values = distinct_values(x)
+    for joint, kind, x, does in zip(robot.joint_names, robot.joint_types, q.T, moves(q), strict=True):
+        values = distinct_values(x) if does else 1
         if 1 < values < CURVES.enough and values == most_pieces(x):
             step = 2.0 * float(np.ptp(x)) / (values - 1)
             wave = f"{step:.3g} m" if kind == "prismatic" else f"{np.degrees(step):.3g} deg"

@@ -273,7 +273,9 @@ def likely_maps(fit: ModelFit, joints: Sequence[str]) -> list[Effect]:
     drives = [int(chain.drives[situation.index(joint)]) for joint in joints]
     along, lever = seen_along(fit, np.array(drives))
     columns = {joint: situation.positions(joint) for joint in situation.joints}
-    splines = {name: spline_basis(q, q.min(), q.max(), FEWEST_SPLINES) for name, q in columns.items() if np.ptp(q)}
+    splines = {
+        name: spline_basis(q, q.min(), q.max(), FEWEST_SPLINES) for name, q in columns.items() if name in situation.moving
+    }
     found: list[tuple[float, Sequence[Effect]]] = []
     for joint, b, v in zip(joints, along, lever, strict=True):
         for effect in maps_of(situation, joint):

@@ -188,7 +188,8 @@ def _motions(fit: ModelFit) -> list[MovedPlace]:
     names, conditions = fit.model.chain.robot.measured_joints, fit.station.conditions
     slow = [v for v in ("payload", "temperature", "time") if varies(conditions.column(v))]
     curves = {v: _curves(_variable(fit, None, v), WHERE.slow_pieces) for v in slow}
-    everywhere = curves | {name: _curves(_variable(fit, None, name), WHERE.pieces) for name in names}
+    moving = [name for name in names if name in PoseSet(fit.model.chain, conditions).moving]
+    everywhere = curves | {name: _curves(_variable(fit, None, name), WHERE.pieces) for name in moving}
     every = [
         MovedPlace(joint, acts_on, variable, basis)
         for joint in names
@@ -206,8 +207,9 @@ def _of_own_drive(fit: ModelFit, joint: str) -> Iterator[tuple[str, np.ndarray]]
     """Yield further variables of a drive, with curves: fine waves of its gear, direction of approach, last move, load."""
     conditions = fit.station.conditions
     q = _variable(fit, None, joint)
-    for size in WHERE.own_pieces:
-        if np.ptp(q) and size <= most_pieces(q):
+    does = joint in PoseSet(fit.model.chain, conditions).moving
+    for size in WHERE.own_pieces if does else ():
+        if size <= most_pieces(q):
             yield joint, _curves(q, size)
     for name, column in (("approach", conditions.approach), ("move", conditions.move)):
         if column is not None and varies(x := _variable(fit, joint, name)):

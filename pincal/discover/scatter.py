@@ -31,6 +31,7 @@ from pincal.identify.fit_levers import levers
 from pincal.identify.station import Station
 from pincal.io.discovery_file import ScatteringJoint
 from pincal.measure.poses import same_joints
+from pincal.model.conditions import moves
 
 _ROW_ORDER = "the order of the rows"
 
@@ -190,7 +191,8 @@ def related(joints: dict[str, np.ndarray], errors: np.ndarray, share: np.ndarray
     """
     rng = np.random.default_rng(0)
     drawn = np.column_stack([errors, *(rng.permutation(errors) for _ in range(NOISE.draws))])
-    moving = {name: (q - q.min()) / np.ptp(q) for name, q in joints.items() if np.ptp(q)}
+    does = dict(zip(joints, moves(np.column_stack(list(joints.values()))), strict=True))
+    moving = {name: (q - q.min()) / np.ptp(q) for name, q in joints.items() if does[name]}
     sets = [names for n in range(1, NOISE.most_joints + 1) for names in combinations(moving, n)]
     if len(moving) > NOISE.most_joints:
         sets.append(tuple(moving))

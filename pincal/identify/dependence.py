@@ -29,6 +29,7 @@ from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit, posterior_of
 from pincal.identify.station import Station
 from pincal.identify.whitening import Serial, turned_into
+from pincal.model.conditions import spread_of_moving
 
 # Bands of lags [rows] whose products of residuals are summed: fast noise shows in the first, drifts in the last.
 _BANDS = ((1, 1), (2, 5), (6, 20))
@@ -247,7 +248,7 @@ class _FittedStation:
         """
         n, residuals, q = len(rows), self.residuals(turns)[:, rows], self.station.conditions.q[rows]
         z = residuals - residuals.mean(axis=1, keepdims=True)
-        q = q / np.maximum(q.std(axis=0), 1e-12)
+        q = spread_of_moving(q)
         by_order = np.mean([np.mean(np.sum(z[:, :-lag] * z[:, lag:], axis=0)) for lag in range(1, _NEAR + 1)])
         # Pairs far apart in the order: their products and distances.
         first, second = np.triu_indices(n, max(n // 4, _BANDS[-1][1]))

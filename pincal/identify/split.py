@@ -24,7 +24,7 @@ from pincal.identify.solve import Course, solve
 from pincal.measure.admit import scorable
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import pose_groups
-from pincal.model.conditions import TURN
+from pincal.model.conditions import TURN, spread_of_moving
 from pincal.robot.robot import Robot
 from pincal.spread import spread
 
@@ -256,13 +256,18 @@ def _refit(fit: ModelFit, problem: Problem) -> Solution:
 
 
 def joint_regions(q: np.ndarray, most: int, seed: int = 0) -> np.ndarray:
-    """Return the number of each row's region of joint space, shape (N,), at most ``most`` regions, for q of shape (N, n)."""
+    """Return the number of each row's region of joint space, shape (N,), at most ``most`` regions, for q of shape (N, n).
+
+    Regions differ in the joints that move: what an encoder reads of one that rests is not a place.
+    """
     from scipy.cluster.vq import kmeans2
 
-    folded = _at_one_turn(q)
-    spread = np.maximum(folded.std(axis=0), 1e-9)
-    n = min(most, len(np.unique(distinct_poses(q))))
-    labels = kmeans2(folded / spread, n, minit="++", rng=np.random.default_rng(seed))[1]
+    # About their mean, or distances drown in the rounding of squares of positions.
+    moving = spread_of_moving(_at_one_turn(q))
+    if not moving.size:
+        return np.zeros(len(q), int)
+    n = min(most, len(np.unique(distinct_poses(moving))))
+    labels = kmeans2(moving, n, minit="++", rng=np.random.default_rng(seed))[1]
     return np.unique(labels, return_inverse=True)[1].ravel()
 
 

@@ -24,6 +24,9 @@ TURN = 2.0 * np.pi
 MOMENT = "moment"
 # Positions closer than this fraction of their range count as equal, so that encoder readings on a grid remain a grid.
 _CLOSE = 1e-3
+# A joint whose positions range over less than this, and less than this fraction of the range of the joint that moves most,
+# stands still: an encoder reads a resting joint to about 1e-5 rad, and drives settle to 9e-5 (Slamani 2012) [rad, m].
+_STILL, _STILL_BESIDE = 1e-4, 1e-3
 # A moment below this fraction of the largest on the arm is there only because the base is not quite level.
 UNFELT = 1e-3
 
@@ -145,6 +148,30 @@ def _one_column(
 def varies(column: np.ndarray | None) -> bool:
     """Return whether a column is present and its rows are not all equal."""
     return column is not None and bool(np.any(column != column[:1]))
+
+
+def moves(q: np.ndarray) -> np.ndarray:
+    """Return which joints move, shape (n,), at positions of shape (N, n) [rad or m].
+
+    Positions of a joint that stands still differ by what its encoder reads, which is not where the arm is.
+
+    Example:
+        >>> moves(np.array([[0.0, 0.5], [1.0, 0.5], [2.0, 0.5 + 2e-5]])).tolist()
+        [True, False]
+    """
+    if not len(q):
+        return np.zeros(q.shape[1], bool)
+    ranges = np.ptp(q, axis=0)
+    return np.asarray(ranges > max(_STILL, _STILL_BESIDE * float(ranges.max(initial=0.0))))
+
+
+def spread_of_moving(q: np.ndarray) -> np.ndarray:
+    """Return the positions of the joints that move about their means and in units of their spread, shape (N, moving)."""
+    moving = q[:, moves(q)]
+    if not moving.size:
+        return moving
+    centred = moving - moving.mean(axis=0)
+    return np.asarray(centred / np.sqrt(np.mean(centred**2, axis=0)))
 
 
 def distinct_values(x: np.ndarray) -> int:
@@ -282,6 +309,12 @@ class PoseSet:
     def positions(self, joint: str) -> np.ndarray:
         """Return the positions of a joint, shape (N,) [rad or m]."""
         return np.asarray(self.conditions.q[:, self.index(joint)])
+
+    @cached_property
+    def moving(self) -> tuple[str, ...]:
+        """Names of the joints that move in these poses."""
+        does = moves(self.conditions.q)
+        return tuple(joint for joint in self.joints if does[self.index(joint)])
 
     def moment(self, joint: str) -> np.ndarray:
         """Return the moment about the axis of a joint on the nominal arm, shape (N,) [N m]."""

@@ -21,6 +21,7 @@ from pincal.robot.robot import Robot
 
 # A basis that varies by less than this fraction of its size is constant.
 _CONSTANT = 1e-9
+_CONSTANT_AT = "{} does not move in any pose, so the effect is constant"
 # Why a recorded variable contains no information on a joint, if not because its column is missing or constant.
 _UNTOLD = {
     "move": "<joint> does not move, or its direction of approach does not follow from the previous row: see column "
@@ -119,6 +120,9 @@ def _standing_still(effect: Effect, situation: PoseSet) -> str:
     at = effect.locus
     if at.joint is None and at.follows is None:
         return ""  # A constant of the whole arm does not depend on the joint positions.
+    if at.follows in situation.joints and at.follows not in situation.moving:
+        # What an encoder reads of a resting joint is no position on which an error could depend.
+        return _CONSTANT_AT.format(at.follows)
     bases = [t.basis for t in effect.terms(situation.chain, situation.conditions, None) if t.basis is not None]
     bases = [basis for basis in bases if basis.any()]
     if any(np.ptp(basis) > _CONSTANT * np.abs(basis).max() for basis in bases):
@@ -126,7 +130,7 @@ def _standing_still(effect: Effect, situation: PoseSet) -> str:
     if not bases:
         return "it has no effect in these poses or on this arm"
     source = at.joint if at.follows in RECORDABLE else at.follows or at.joint
-    return f"{source} does not move in any pose, so the effect is constant"
+    return _CONSTANT_AT.format(source)
 
 
 def effect_parts(text: str) -> tuple[str, list[tuple[str, str]]]:

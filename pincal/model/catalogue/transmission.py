@@ -109,10 +109,11 @@ class TransmissionError(DriveEffect, Curve):
         for joint in situation.joints:
             q = situation.positions(joint)
             # A joint that does not move is reported as such; its curve only needs some range.
-            moving = q if np.ptp(q) else np.array([q[0] - 1.0, q[0] + 1.0])
-            most = most_pieces(moving if np.ptp(q) else np.arange(len(q)))
+            does = joint in situation.moving
+            moving = q if does else np.array([q[0] - 1.0, q[0] + 1.0])
+            most = most_pieces(q if does else np.arange(len(q)))
             curves = tuple(cls.over(joint, moving, size) for size in _SIZES if size <= most)
-            values = distinct_values(q)
+            values = distinct_values(q) if does else 1
             is_few = 1 < values < min(_SIZES[0], len(q) // POSES_PER_PIECE)
             few = f"{joint} takes {values} distinct positions, and the coarsest curve that is tried has {_SIZES[0]} pieces"
             yield Candidate(cls.over(joint, moving, _SIZE), variants=curves, obstacle=few if is_few else "")

@@ -12,7 +12,7 @@ from pincal.errors import BadInputError
 from pincal.model.basis import FEWEST_SPLINES, spline_basis
 from pincal.model.catalogue.transmission import POSES_PER_PIECE
 from pincal.model.chain import Chain
-from pincal.model.conditions import Conditions, PoseSet, distinct_values, recorded_variable
+from pincal.model.conditions import Conditions, PoseSet, distinct_values, moves, recorded_variable
 from pincal.model.effect import Family, Locus, Resolvable, Term
 from pincal.model.effect_bases import joint_index, tilt_terms, waves
 from pincal.parameters import Parameter
@@ -152,8 +152,8 @@ def nameless_candidates(chain: Chain, conditions: Conditions, joints: Sequence[s
     A smooth curve of the joint's own position is the catalogue's transmission error, and waves of order 1 and 2 are in the
     catalogue, too. Waves and products need fewer parameters than a curve.
     """
-    names = chain.robot.joint_names
-    columns = {name: conditions.q[:, i] for i, name in enumerate(names)}
+    names, does = chain.robot.joint_names, moves(conditions.q)
+    columns = {name: conditions.q[:, i] for i, name in enumerate(names) if does[i]}
     columns |= {n: c for n, c in (("time", conditions.time), ("temperature", conditions.temperature)) if c is not None}
     for joint in joints:
         own_move = {} if conditions.move is None else {"move": conditions.move[:, names.index(joint)]}
@@ -170,10 +170,12 @@ def nameless_candidates(chain: Chain, conditions: Conditions, joints: Sequence[s
 
 def maps_of(situation: PoseSet, joint: str) -> Iterator[Unnamed]:
     """Yield the coarsest map of a joint's position and each other joint's."""
+    if joint not in situation.moving:
+        return
     own = situation.positions(joint)
-    for other in situation.joints:
+    for other in situation.moving:
         x = situation.positions(other)
-        if other == joint or min(np.ptp(own), np.ptp(x)) <= _CONSTANT:
+        if other == joint:
             continue
         (lower, upper), (first, last) = ((float(at.min()), float(at.max())) for at in (x, own))
         yield Unnamed(joint, "drive", other, "map", lower, upper, FEWEST_SPLINES, own_lower=first, own_upper=last)
