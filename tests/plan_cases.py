@@ -33,10 +33,10 @@ from pincal.simulate.planning import reach
 SIGMA, ARRIVAL = 15e-6, 10e-6
 # Noise of a marker that a camera sees [m, rad], of a point by a stereo camera [m], and of a point in an image [px].
 _MARKER, _MARKER_TURN, _STEREO, _PIXEL = 3e-3, 10e-3, 50e-6, 0.05
-# A change between passes, in standard deviations of the difference of the means of two passes, and one nobody overlooks.
+# A shift, in standard deviations of the difference between the means before and after it, and one nobody overlooks [m].
 _SIGMAS, _CLEAR_SHIFT = 5.0, 1e-3
-# A joint is remastered by between so much [rad]; the smaller moves the tool by about the noise of a stop.
-_REMASTERED = (32e-6, 1e-3)
+# A joint is remastered by at most so much [rad], and at least by what moves the tool by so many such deviations.
+_REMASTERED, _BARELY = 1e-3, 7.0
 # Least distance of the tool from the axis of that joint, in the root of the mean square [m].
 _LEVER = 0.15
 _WRONG, _WRONG_SHARE = 3e-3, 0.04
@@ -184,6 +184,8 @@ _ARMS = {
 }
 SIX_AXES = ("kuka", "heavy", "light", *FRESH_ARMS)
 _LIGHT_SIX = ("light", "turned light")
+# Arms whose errors are hardly larger than the noise of a marker.
+_OF_MARKERS = ("light", "turned light", "skew light")
 
 
 @dataclass(frozen=True)
@@ -499,11 +501,6 @@ class Stops:
     approach: np.ndarray | None
     shift: np.ndarray
 
-    @property
-    def per_pass(self) -> float:
-        """Mean number of stops of a pass."""
-        return len(self.turn) / (self.turn.max() + 1)
-
 
 @dataclass(frozen=True)
 class Trouble:
@@ -516,6 +513,7 @@ class Trouble:
         changes: whether something is other from some stop on.
         first: the first stop at which something is other than before; -1 where it is so throughout, or nowhere.
         size: how large it is, in its unit.
+        sigmas: how far it moves the target, in standard deviations of the difference between the means before and after.
         wrong: part of the rows that are wrong.
     """
 
@@ -525,6 +523,7 @@ class Trouble:
     changes: bool = False
     first: int = -1
     size: float = 0.0
+    sigmas: float = 0.0
     wrong: float = 0.0
 
 
@@ -548,15 +547,20 @@ def _scatter(scene: Scene, stops: Stops, arrival: float) -> float:
     return float(np.hypot(scene.sigma["position"], np.sqrt(np.mean(moved**2))))
 
 
+def _of_means(scene: Scene, stops: Stops, arrival: float, after: np.ndarray) -> float:
+    """Return the standard deviation of the difference between the means of stops before and after a change [m]."""
+    both = 1.0 / np.count_nonzero(after) + 1.0 / np.count_nonzero(~after)
+    return _scatter(scene, stops, arrival) * float(np.sqrt(both))
+
+
 def _shifted(scene: Scene, stops: Stops, arrival: float, rng: np.random.Generator, *, size: float | None = None) -> Trouble:
     """The instrument is moved between two passes, by a length or just so that it can be seen."""
     after, first = _in_pass(stops, rng)
-    if size is None:
-        passes = stops.turn[first], stops.turn.max() + 1 - stops.turn[first]
-        size = _SIGMAS * _scatter(scene, stops, arrival) * np.sqrt(sum(1.0 / (stops.per_pass * n) for n in passes))
+    unit = _of_means(scene, stops, arrival, after)
+    size = _SIGMAS * unit if size is None else size
     away = rng.standard_normal(3)
     shift = np.outer(after, size * away / np.linalg.norm(away))
-    return Trouble(replace(stops, shift=shift), changes=True, first=first, size=size)
+    return Trouble(replace(stops, shift=shift), changes=True, first=first, size=size, sigmas=size / unit)
 
 
 def _remastered(scene: Scene, stops: Stops, arrival: float, rng: np.random.Generator) -> Trouble:
@@ -566,15 +570,19 @@ def _remastered(scene: Scene, stops: Stops, arrival: float, rng: np.random.Gener
     else:
         first = int(rng.uniform(0.35, 0.65) * len(stops.q))
         after = np.arange(len(stops.q)) >= first
-    size = float(np.exp(rng.uniform(*np.log(_REMASTERED))))
     for joint in rng.permutation(len(scene.nominal.names)):
-        step = size * np.eye(len(scene.nominal.names))[joint]
-        moved = _target_at(scene, stops.q + step, stops.payload) - _target_at(scene, stops.q, stops.payload)
-        if np.sqrt(np.mean(np.sum(moved**2, axis=1))) > _LEVER * size:
+        turned = _REMASTERED * np.eye(len(scene.nominal.names))[joint]
+        moved = _target_at(scene, stops.q + turned, stops.payload) - _target_at(scene, stops.q, stops.payload)
+        most = float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+        if most > _LEVER * _REMASTERED:
             break
+    unit = _of_means(scene, stops, arrival, after)
+    part = float(np.exp(rng.uniform(np.log(min(_BARELY * unit / most, 1.0)), 0.0)))
     name = scene.nominal.names[joint]
     truth = (("remastered", name, None), ("joint_offset", name, None))
-    return Trouble(replace(stops, offset=np.outer(after, step)), (), truth, changes=True, first=first, size=size)
+    changed = replace(stops, offset=np.outer(after, part * turned))
+    sizes = {"size": part * _REMASTERED, "sigmas": part * most / unit}
+    return Trouble(changed, truth=truth, changes=True, first=first, **sizes)
 
 
 def _unrecorded_load(scene: Scene, stops: Stops, arrival: float, rng: np.random.Generator) -> Trouble:
@@ -686,8 +694,8 @@ PLANS = {
     "seven_joints": Plan((100, 150), arms=("seven",)),
     "five_joints": Plan((100, 150), arms=("five",)),
     "scara": Plan((80, 120), arms=("scara",)),
-    "markers14": Plan((14, 14), sensor=_marker, arms=SIX_AXES, verbs=_ONLY_CALIBRATE, is_marker=True),
-    "markers30": Plan((30, 30), sensor=_marker, arms=SIX_AXES, verbs=_ONLY_CALIBRATE, is_marker=True),
+    "markers14": Plan((14, 14), sensor=_marker, arms=_OF_MARKERS, verbs=_ONLY_CALIBRATE, is_marker=True),
+    "markers30": Plan((30, 30), sensor=_marker, arms=_OF_MARKERS, verbs=_ONLY_CALIBRATE, is_marker=True),
 }
 PLAN_KINDS = tuple(PLANS)
 
@@ -739,7 +747,10 @@ class PlanCase:
         return np.random.default_rng([self.seed, crc32(self.kind.encode()), purpose])
 
     def fresh(self, q: np.ndarray, rng: np.random.Generator) -> Fresh:
-        """Return poses never measured, as a table of what each is, and the truth there."""
+        """Return poses never measured, as a table of what each is, and the truth there.
+
+        What is read is a single reading; the mean is of as many readings and visits as a pose of the table has.
+        """
         scene, load = self.scene, np.full(len(q), self.scene.load)
         machine = scene.machine.with_effects(*self.trouble.effects)
         hall, targets = scene.frames
@@ -753,9 +764,12 @@ class PlanCase:
         clean = read(q, np.zeros(q.shape))
         arrived = read(q + self.arrival * rng.standard_normal(q.shape), rng.choice([-1.0, 1.0], q.shape))
         noise = scene.sigma.get("position", 0.0) * rng.standard_normal(clean.shape)
+        visits = (self.stop[-1] + 1) / len(np.unique(self.rows.q, axis=0))
+        of_visits, of_readings = np.sqrt(visits), np.sqrt(visits * self.plan.readings)
+        mean = clean + (arrived - clean) / of_visits + noise / of_readings
         payload = {"payload": load} if scene.load else {}
         table = measurements_from_arrays(scene.nominal.names, q, position=clean, target=names, **payload)
-        return Fresh(table, clean, arrived, arrived + noise)
+        return Fresh(table, clean, arrived, arrived + noise, mean)
 
     def measured_again(self) -> Measurements:
         """Return a table of the same robot, unchanged, with the sensor elsewhere: as many readings of each of few stops."""
@@ -775,12 +789,21 @@ class PlanCase:
 
 
 class Fresh(NamedTuple):
-    """Poses never measured: their table, and where the target is where drives arrive exactly, where they do, and is read."""
+    """Poses never measured: their table, and where the target is.
+
+    Attributes:
+        table: the poses.
+        clean: where drives arrive exactly [m], shape (N, 3).
+        arrived: as they do arrive.
+        read: as it is read once.
+        mean: in the mean of what a pose of a plan has.
+    """
 
     table: Measurements
     clean: np.ndarray
     arrived: np.ndarray
     read: np.ndarray
+    mean: np.ndarray
 
 
 def draw_plan_case(
