@@ -14,11 +14,14 @@ from pincal import CalibratedModel, Options
 from pincal.calibration.placing import place_station
 from pincal.calibration.validation import validate_rows
 from pincal.cli import main
+from pincal.design.detection import lineup_over
+from pincal.design.reach import SensorSetup
 from pincal.diagnosis.change_search import NamedChange
 from pincal.diagnosis.robot_diagnosis import changes_since
 from pincal.errors import MeasurementError
 from pincal.identify.stop_scatter import SharedNoise
 from pincal.measure.stops import by_stop
+from pincal.model.conditions import Conditions
 from pincal.model.effects import GEOMETRIC
 
 # Plans of a calibration and of a check that have to agree on an unchanged robot.
@@ -95,6 +98,16 @@ def test_repeatability_is_kept_with_the_model(tmp_path: Path) -> None:
     placed = place_station(cycles, robot.measured(MeasuringPlan(30), rng))
     assert placed.model.sigma[0] == pytest.approx(once.sigma[0], rel=0.35)
     assert placed.model.sigma[0] == pytest.approx(cycles.sigma[0], rel=0.2)
+
+
+def test_a_health_check_is_designed_for_single_stops() -> None:
+    """After a calibration from ten cycles its promises are those of single visits, not of means of ten."""
+    robot, rng = drawn(2, 4e-5)
+    cycles = robot.calibrated(MeasuringPlan(50, visits=10), rng)
+    q = robot.robot.random_configurations(60, rng)
+    lineup = lineup_over(cycles, SensorSetup(sensor="position", tool=(0.05, 0.0, 0.2)), Conditions.at(q))
+
+    assert lineup.robot.sigma[0] > 2.0 * cycles.sigma[0]
 
 
 def test_rows_that_share_an_arrival_count_as_one_stop() -> None:
