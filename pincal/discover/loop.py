@@ -42,6 +42,8 @@ from pincal.validate.midway import change_in
 log = logging.getLogger(__name__)
 # Places where effects of loads resemble a bearing that is compliant in another moment frame.
 _LIKE_A_BEARING = ("base", "link")
+# Variables that change with the session, and most where it was interrupted.
+_OF_SESSION = ("time", "temperature")
 
 
 def discover_effects(
@@ -96,35 +98,61 @@ def discover_effects(
     return found.fitted_again(reweighted_by_order(found.final))
 
 
-def withdraw_names_at_change(found: History, is_shifted: Callable[[ModelFit], bool]) -> History:
+IsShifted = Callable[[ModelFit], bool]
+"""Tells from single visits of poses whether something changed between them, which the means of poses do not show."""
+
+
+def withdraw_names_at_change(found: History, is_shifted: IsShifted) -> History:
     """Withdraw all names if something changed midway in a table, which can be mistaken for effects of the robot.
 
-    A model that describes neither half leaves residuals that some name always fits partly. Elasticity is kept.
-    ``is_shifted`` tells from single visits of poses whether something changed between them, which means do not show.
+    A model that describes neither half leaves residuals that some name always fits partly. Elasticity is kept. An effect
+    of a variable that changes most between two rows, as time does between two sessions, describes both halves; it is
+    withdrawn if a step there explains the rows as well.
     """
-
-    def is_changed(fit: ModelFit) -> bool:
-        return _is_changed_midway(fit) or is_shifted(fit)
-
     names = [step for step in found.steps if not step.is_elastic]
-    if not names or not is_changed(found.final):
+    if not names:
         return found
+    if not _is_changed_midway(found.final) and not is_shifted(found.final):
+        return _withdraw_steps_in_time(found, names, is_shifted)
+    return _without(found, names, is_shifted)
+
+
+def _withdraw_steps_in_time(found: History, names: Sequence[SearchStep], is_shifted: IsShifted) -> History:
+    """Withdraw all names if a step midway explains what those do that follow a variable of the session.
+
+    The others are kept if the step is not seen without them.
+    """
+    for variable in _OF_SESSION:
+        following = [step for step in names if step.effect.locus.follows == variable]
+        if not following:
+            continue
+        gone = {effect.identity for step in following for effect in step.effects}
+        kept = [effect for effect in found.final.options.effects if effect.identity not in gone]
+        if _is_changed_midway(refit(found.final, kept, start={}), variable):
+            withdrawn = _without(found, names, is_shifted)
+            return _without(found, following, is_shifted) if withdrawn is found else withdrawn
+    return found
+
+
+def _without(found: History, names: Sequence[SearchStep], is_shifted: IsShifted) -> History:
+    """Return the history in which names were withdrawn at the end; as it is if no change is seen without them."""
     effects = tuple(effect for step in names for effect in step.effects)
     gone = {effect.identity for effect in effects}
     fit = refit(found.final, [e for e in found.final.options.effects if e.identity not in gone], start={})
-    if not is_changed(fit):
+    if not _is_changed_midway(fit) and not is_shifted(fit):
         return found
     log.info("withdrawn because of a change during the session: %s", listed(effects))
-    steps = tuple(step for step in found.steps if step.is_elastic)
+    steps = tuple(step for step in found.steps if step not in names)
     return found.changed(fit, steps, (), effects)
 
 
-def _is_changed_midway(fit: ModelFit) -> bool:
-    """Return whether something changed between two rows of a station."""
-    return any(
-        change_in(station, fit.values[places], fit.solution.free[places], _order(station))
-        for station, places, _ in fit.stations
-    )
+def _is_changed_midway(fit: ModelFit, variable: str | None = None) -> bool:
+    """Return whether something changed between two rows of a station, rather than in proportion to a variable if given."""
+    for station, places, _ in fit.stations:
+        along = None if variable is None else station.conditions.column(variable)
+        if change_in(station, fit.values[places], fit.solution.free[places], _order(station), along=along):
+            return True
+    return False
 
 
 def _order(station: Station) -> np.ndarray:

@@ -11,6 +11,9 @@ is its gain. Errors of consecutive rows are correlated: a model has the same err
 drift. So C is that of white noise plus a process whose correlation decays along the rows, estimated by maximum likelihood
 together with the step. A step is accepted only if it, with its C, is far more likely than the most likely C without any: a
 drift or a random walk is no step.
+
+A variable that changes most between two rows, as time does overnight, is itself nearly a step there: an effect that follows
+it is no better explanation than a step unless it explains more (``along``).
 """
 
 from __future__ import annotations
@@ -145,7 +148,9 @@ class _Best:
         return np.where(np.arange(len(self.field.directions))[:, None, None] >= self.row, self.field.directions, 0.0)
 
 
-def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.ndarray) -> StepChange | None:
+def change_in(
+    station: Station, values: np.ndarray, free: np.ndarray, lines: np.ndarray, *, along: np.ndarray | None = None
+) -> StepChange | None:
     """Return where, in the order of the rows, something changed, and what; None if nothing did.
 
     Args:
@@ -153,6 +158,8 @@ def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.
         values: shape (P,), of its parameters.
         free: shape (P,), which of them were fitted.
         lines: shape (N,), line of each row, or its position in the order.
+        along: shape (N,), a variable such as the time: if a motion in proportion to it is far more likely than the step,
+            nothing changed at once.
     """
     order = np.argsort(lines, kind="stable")
     if not station.sensor.reads_pose or len(order) < 4 * _EACH:
@@ -167,7 +174,11 @@ def change_in(station: Station, values: np.ndarray, free: np.ndarray, lines: np.
     steps, noise, likelihood = _judged(rows)
     best = max(steps, key=_excess)
     if min(_excess(best), likelihood - _limit(best)) < 0.0 or best.gain < max(
-        _drift(rows, field, noise) for field in (best.field, rows.growth)
+        _drift(rows, field, _curves_along_rows(rows), noise) for field in (best.field, rows.growth)
+    ):
+        return None
+    if along is not None and best.gain + _DISTINGUISHED < max(
+        _drift(rows, field, _centred(along[order[few]])[:, None], noise) for field in (best.field, rows.growth)
     ):
         return None
     after = _robust_step(rows, best)[best.row :]
@@ -359,10 +370,20 @@ def _cause(rows: _Rows, step: _Best) -> StepCause:
     return StepCause(step.field.name, float(abs(np.sum(moved * lever[:, :, 0]) / np.sum(lever**2))), step.field.unit)
 
 
-def _drift(rows: _Rows, field: MotionField, precision: np.ndarray) -> float:
-    """Return the gain of a motion along a field that varies smoothly along the rows."""
+def _curves_along_rows(rows: _Rows) -> np.ndarray:
+    """Return functions that vary smoothly along the rows, shape (n, k)."""
+    return np.asarray(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(rows.off)), _DRIFT)[:, 1:])
+
+
+def _centred(x: np.ndarray) -> np.ndarray:
+    """Return a variable, shape (n,), about its mean and at most 1 away from it."""
+    about = x - x.mean()
+    return np.asarray(about / max(float(np.abs(about).max()), 1e-300))
+
+
+def _drift(rows: _Rows, field: MotionField, curves: np.ndarray, precision: np.ndarray) -> float:
+    """Return the gain of a motion along a field that follows some functions of the rows, shape (n, k)."""
     n = len(rows.off)
-    curves = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), _DRIFT)[:, 1:]
     drift = (field.directions[:, :, :, None] * curves[:, None, None, :]).reshape(n, 3, -1)
     X = np.concatenate([rows.fitted, drift / np.maximum(np.abs(drift).max(axis=(0, 1)), 1e-300)], axis=2)
     off, squares = _clipped(rows.off), []
