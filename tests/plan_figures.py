@@ -277,11 +277,13 @@ def required(cases: Sequence[dict[str, Any]], false_names: Callable[[dict[str, A
         if whole is None:
             continue
         yield figure.title
-        yield f"  {'all':22} {_marked(whole)}"
-        for kind in dict.fromkeys(case["kind"] for case in own):
-            part = figure.line([case for case in own if case["kind"] == kind])
+        yield f"  {'all':30} {_marked(whole)}"
+        has_verbs = len({case["verb"] for case in own}) > 1
+        for kind, verb in dict.fromkeys((case["kind"], case["verb"]) for case in own):
+            part = figure.line([case for case in own if (case["kind"], case["verb"]) == (kind, verb)])
+            title = f"{kind} {verb}" if has_verbs else kind
             if part is not None:
-                yield f"  {kind:22} {_marked(part)}"
+                yield f"  {title:30} {_marked(part)}"
 
 
 def _marked(line: tuple[str, bool | None]) -> str:

@@ -135,11 +135,11 @@ def test_figures_are_met_or_missed() -> None:
     good = {**plain, **covered, "kind": "once"}
     bad = {**good, "kind": "cycles2", "coverage_plan": 0.6}
     refused = {**bad, "verdict": "not adequate"}
-    lines = "\n".join(required([good, bad, refused], lambda case: []))
+    lines = [" ".join(line.split()) for line in required([good, bad, refused], lambda case: [])]
 
-    assert "once                   met   0.950 (1 table)" in lines
-    assert "cycles2                MISS  0.600 (1 table)" in lines
-    assert "all                    MISS  0.775" in lines
+    assert any(line.startswith("once met 0.950 (1 table)") for line in lines)
+    assert any(line.startswith("cycles2 MISS 0.600 (1 table)") for line in lines)
+    assert any(line.startswith("all MISS 0.775") for line in lines)
 
 
 @pytest.mark.long
