@@ -116,7 +116,7 @@ def test_visits_that_alternate_between_two_sides_are_named_with_their_joint() ->
 
 @pytest.mark.parametrize("seed", range(12))
 def test_sound_visits_raise_no_doubt(seed: int) -> None:
-    """Whatever the cycles, drives, targets, dwell and order; the study beside this file counts 220 tables."""
+    """Whatever the cycles, drives, targets, dwell and order."""
     table, _ = drawn(np.random.default_rng(100 + seed)).table(100 + seed)
 
     assert seen(table) == []

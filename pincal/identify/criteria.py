@@ -185,9 +185,9 @@ class VisitNumbers:
         "by which one of two readings has to agree better with the model for the other to be wrong", "odds of 1000 to 1")
     too_many: float = number(0.25, "ratio", _SHIFTED,
         "of wrong to all readings, from which on they are not exceptions", "as for rows of a robot that may have changed")
-    chance: float = number(0.001, "probability", _SOUND_VISITS,
+    chance: float = number(0.0005, "probability", _SOUND_VISITS,
         "that a table of sound visits shows a step, a steady or another drift, or a dependence on the number of the visit, "
-        "each", "with these four tests, one sound table in 250 at most")
+        "each", "with these four tests, one sound table in 500 at most")
     as_likely: float = number(2.0 * log(1000.0), _GAIN, _SHIFTED,
         "within which another cause explains a change between visits as well", "odds of 1000 to 1")
     arrival: float = number(1.5e-4, "rad or m", _SCATTER,
