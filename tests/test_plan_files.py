@@ -224,9 +224,7 @@ def test_positions_validate_a_model_of_poses(shared_cases: Path, pincal: Callabl
     assert "mm" in run.printed
 
 
-def test_poses_of_an_unchanged_robot_agree_with_a_model_of_positions(
-    shared_cases: Path, pincal: Callable[..., Run]
-) -> None:
+def test_poses_of_an_unchanged_robot_agree_with_a_model_of_positions(shared_cases: Path, pincal: Callable[..., Run]) -> None:
     """C2: the noise of orientations, which the model does not know, is no change of the robot."""
     folder = shared_cases / "tables" / "C2_diagnose_poses_with_position_model"
     model = pincal("calibrate", "ur5", folder / "positions.csv", "--noise", "0.05mm")

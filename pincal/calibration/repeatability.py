@@ -26,6 +26,7 @@ class Repeatability(Record, frozen=True, kw_only=True):
         stops: number of stops behind each row that was fitted.
         shared: factor by which noise that readings of a stop share, its arrival, increases the variances of the parameters.
         drives: fraction of the variance of a row that follows the levers of the drives.
+        of_single: whether the noise of the model is that of a single reading in a single stop; else of such a row.
     """
 
     within_stop: Annotated[Numbers, ArrayShape("blocks")]
@@ -36,6 +37,7 @@ class Repeatability(Record, frozen=True, kw_only=True):
     stops: float
     shared: float
     drives: float
+    of_single: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -65,4 +67,5 @@ class Repeatability(Record, frozen=True, kw_only=True):
             stops=self.stops,
             shared=self.shared,
             drives=self.drives,
+            of_single=self.of_single,
         )

@@ -83,14 +83,14 @@ def noise_of_rows(
     best = here.known_with(own)
     before = own.known_with(best)
     # Scatter of a calibration's rows can't exceed their noise.
-    square = of_calibration**2
+    square = before.row_variance(of_calibration)
     shown = np.minimum(before.of_row(own.readings, own.stops), square)
     is_shown = shown > 0.0
     degrees = _degrees(known, blocks)
     doubt = np.sqrt(2.0 / degrees) * square + np.sqrt(2.0 / np.maximum(before.within_degrees, STOPS.fewest)) * shown
     lacking = np.where(is_shown, np.clip(square - shown + STOPS.sure * doubt, 0.0, square), 0.0)
     of_stop = best.of_row(here.readings)
-    variance = np.where(is_shown, lacking + of_stop, square)
+    variance = np.where(is_shown, lacking + of_stop, of_calibration**2)
     has_visits = best.between_degrees > 0.0
     of_pose = np.where(has_visits & is_shown, lacking / np.maximum(variance, 1e-300), 0.0)
     # Noise of readings does not follow the levers.
@@ -109,7 +109,9 @@ def noise_of_rows(
         at_least = np.where(is_known, np.maximum(sigma, size), size)
         sigma = np.where(is_length, at_least, sigma)
         is_known = is_known | is_length
-    of_one_stop = replace(best, readings=here.readings, stops=1.0, shared=own.shared, drives=float(of_drives[0]))
+    of_one_stop = replace(
+        best, readings=here.readings, stops=1.0, shared=own.shared, drives=float(of_drives[0]), of_single=False
+    )
     return RowNoise(sigma, is_known, of_pose, of_drives, of_one_stop)
 
 
@@ -148,6 +150,7 @@ def _calibrated_scatter(known: StationModel, kind: str, blocks: Sequence[Block])
         stops=found.stops,
         shared=found.shared,
         drives=found.drives,
+        of_single=found.of_single,
     )
 
 

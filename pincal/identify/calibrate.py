@@ -148,8 +148,10 @@ def _scatter(fit: ModelFit, readings: Sequence[Measurements]) -> dict[str, StopS
             # Rows of a stop are weighted by what they share.
             shared = 1.0
         of_table = replace(of_table, shared=max(shared / fit.solution.widened, 1.0), drives=drives)
-        if weighs_visits(station, plan) or fit.options.at(station.name).sigma is not None:
-            # The noise is that of a single reading, and rows are weighted by their number.
+        if weighs_visits(station, plan):
+            of_table = replace(of_table, of_single=True)
+        elif fit.options.at(station.name).sigma is not None:
+            # Declared noise is that of a single reading, and rows are weighted by their number.
             of_table = replace(of_table, readings=1.0, stops=1.0)
         found[station.name] = of_table
     return found

@@ -45,6 +45,8 @@ class StopScatter:
         shared: factor by which noise that readings of a stop share increases the variances of a fit that takes them to be
             independent; 1 if none is known.
         drives: fraction of the variance of the rows that follows the levers of the drives; 0 if unknown.
+        of_single: whether the noise of a fit to these rows is that of a single reading in a single stop, by which they are
+            weighted; else that of their means.
     """
 
     within: np.ndarray
@@ -55,6 +57,7 @@ class StopScatter:
     stops: float = 1.0
     shared: float = 1.0
     drives: float = 0.0
+    of_single: bool = False
 
     @classmethod
     def none(cls, blocks: int) -> StopScatter:
@@ -68,6 +71,13 @@ class StopScatter:
         between = self.between[(slice(None), *size)]
         within = self.within[(slice(None), *size)]
         return np.asarray(between / stops + within / (np.asarray(readings) * stops))
+
+    def row_variance(self, noise: np.ndarray) -> np.ndarray:
+        """Return the variance of the rows that were fitted, shape (blocks,), for the noise of the fit, shape (blocks,)."""
+        if not self.of_single:
+            return noise**2
+        of_row = self.of_row(self.readings, self.stops)
+        return np.asarray(np.maximum(noise**2 - self.of_row(1.0), 0.0) + of_row)
 
     def known_with(self, other: StopScatter) -> StopScatter:
         """Return the variances of this table where it shows them, else those of another one."""
