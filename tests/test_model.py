@@ -495,7 +495,7 @@ def summed_moments(chain: Chain, x: np.ndarray, mass: float, centre: np.ndarray)
     """Return the moments of one row of coordinates as sums of (c - o) x m g, shape (n, 3) (paper, Eq. (3)).
 
     "before" and "paper" express them in the frame before q, "after" in the one after q and the drive's own wind-up; the
-    paper takes them about the frame's origin, the others about the bearing.
+    paper takes them about the frame's origin, the others about the bearing, and those of a carriage about where it is.
     """
     robot, links = chain.robot, {-1: np.eye(4)}
     origins, axes, places = [], [], []
@@ -505,14 +505,16 @@ def summed_moments(chain: Chain, x: np.ndarray, mass: float, centre: np.ndarray)
         T = T @ np.block([[np.eye(3), np.array([[at.get("x", 0.0)], [at.get("y", 0.0)], [0.0]])], [np.eye(4)[3:]]])
         T = T @ turn("x", at["s_x"]) @ turn("y", at["s_y"])
         before, origin = T[:3, :3], T[:3, 3]
-        bend = shift(0.0, at["h"]) @ turn("y", at["gamma_y"]) @ turn("x", at["gamma_x"]) @ shift(0.0, -at["h"])
+        # A carriage bears where it is, at a fixed distance from the end of d.
+        height = at["d"] - at["h"] if robot.joint_types[i] == "prismatic" else at["h"]
+        bend = shift(0.0, height) @ turn("y", at["gamma_y"]) @ turn("x", at["gamma_x"]) @ shift(0.0, -height)
         if chain.moment_frame == "before":
             T = T @ turn("z", at["gamma_z"]) @ bend @ turn("z", at["theta"])
         else:
             T = T @ turn("z", at["theta"] + at["gamma_z"])
         after = T[:3, :3]
         axes.append(after if chain.moment_frame == "after" else before)
-        origins.append(origin + (0.0 if chain.moment_frame == "paper" else at["h"]) * axes[-1][:, 2])
+        origins.append(origin + height * axes[-1][:, 2])
         T = T if chain.moment_frame == "before" else T @ bend
         T = T @ shift(at["a"], at["d"]) @ turn("x", at["alpha"])
         places.append(T[:3, :3] @ robot.centres[i] + T[:3, 3])

@@ -165,14 +165,18 @@ def _joints(model: Model, values: np.ndarray, springs: _Springs, *, i: int) -> I
     if before:
         axes = axes @ rotation("z", -rigid[chain.joint(i, "theta")])[:3, :3]
     axes = axes @ springs.axes[i]
-    bearing = _numbers(turning[:3, 3] + rigid[chain.joint(i, "h")] * turning[:3, 2])
+    height = rigid[chain.joint(i, "h")]
+    if kind == "slide":
+        # Springs of a carriage are on it, at this place when the joint is at 0.
+        height = rigid[chain.joint(i, "d")] - height
+    bearing = _numbers(turning[:3, 3] + height * turning[:3, 2])
     elastic = [
         _spring(f"{robot.joint_names[i]}_spring_{'xyz'[c]}", bearing, axes[:, c], 1.0 / springs.compliances[i, c])
         for c in (2, 1, 0)
         if springs.compliances[i, c] > 0.0
     ]
-    # A carriage slides after its springs in every convention, see pincal.model.chain.
-    yield from (*elastic, own) if before or kind == "slide" else (own, *elastic)
+    # A carriage deflects after it has moved in every convention, see pincal.model.chain.
+    yield from (*elastic, own) if before and kind == "hinge" else (own, *elastic)
 
 
 def _spring(name: str, foot: str, axis: np.ndarray, stiffness: float) -> dict[str, str]:

@@ -11,7 +11,7 @@ import numpy as np
 
 # Imported for its classes, which it registers.
 import pincal.model.catalogue  # noqa: F401
-from pincal.errors import nearest_first
+from pincal.errors import nearest_first, warn
 from pincal.io.arrays import ArrayShape, Numbers, Record, Rotation, Rotations, Vector, array_of, unpacked
 from pincal.io.robot_entry import PathEntry, RobotEntry
 from pincal.io.strict_json import MISSING, MOST_BYTES, Fault, Hook, explained, what_is
@@ -34,6 +34,10 @@ class ChainEntry(Record, frozen=True, kw_only=True):
     """Data of a chain in addition to its robot, see :class:`pincal.model.chain.Chain`.
 
     Older files have no ``bearing_heights``: their bearings are at the origins of the joint frames.
+
+    Attributes:
+        on_carriages: whether prismatic joints bear and deflect on their carriages, and not where their travel starts, as
+            in older files.
     """
 
     moment_frame: MomentFrame
@@ -43,11 +47,12 @@ class ChainEntry(Record, frozen=True, kw_only=True):
     tool_rotations: Rotations
     bearing_heights: Annotated[Numbers, ArrayShape("joints")] | None = None
     ends: PathEntry | None = None
+    on_carriages: bool = False
 
     @classmethod
     def of_chain(cls, chain: Chain) -> ChainEntry:
         """Return the entry of a chain."""
-        return cls.like(chain, ends=PathEntry.of_path(chain.ends))
+        return cls.like(chain, ends=PathEntry.of_path(chain.ends), on_carriages=True)
 
 
 class ModelEntry(Record, frozen=True, kw_only=True):
@@ -83,6 +88,13 @@ def model_of(robot: Robot, chain: ChainEntry, effects: tuple[Effect, ...], *, eq
         Fault: below ``key``, if an effect has a joint or symbol that the robot lacks.
     """
     given, n = msgspec.structs.asdict(chain), robot.n_joints
+    is_of_carriages = given.pop("on_carriages")
+    slides = [name for name, kind in zip(robot.joint_names, robot.joint_types, strict=True) if kind == "prismatic"]
+    if slides and not is_of_carriages and any(effect.uses_moments for effect in effects):
+        warn(
+            f"{robot.name}: an earlier version took the moments on {', '.join(slides)} about the start of the travel, and "
+            "this one takes them about the carriage: deflections by the load differ; calibrate again from the same table"
+        )
     given["ends"] = None if chain.ends is None else chain.ends.path(n, f"{key}.chain.ends")
     if chain.bearing_heights is None:
         given["bearing_heights"] = np.zeros(n)

@@ -12,7 +12,15 @@ From the instrument's frame to the target, if the path between them is a serial 
 
 which with the bearing at the frame's origin (h = 0) is exactly the paper's DH,s,e, between a base frame and a tool frame.
 The two reference rotations (bars) absorb any orientation of instrument and tool, so that the six angles next to them stay
-small and away from singularities. The joint position of a prismatic joint is added to d instead of theta.
+small and away from singularities. The joint position of a prismatic joint is added to d instead of theta. It bears on its
+carriage, which moves with it:
+
+.. math::
+
+    A_i = R(x; s_x) R(y; s_y) R(z; \theta) Tr(z; d - h) R(z; \gamma_z) R(y; \gamma_y) R(x; \gamma_x) Tr(z; h) Tr(x; a)
+          R(x; \alpha)
+
+with h the constant distance from the carriage's bearings to the end of d.
 
 A path between any two links of a tree runs up from the first to their common ancestor and down to the other. On the way up
 the transforms are inverted and in reverse order; the coordinates are the same. The first joint of a branch, carried by a
@@ -26,7 +34,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,6 +54,17 @@ _JOINT_SYMBOLS = ("s_x", "s_y", "theta", "gamma_z", "h", "gamma_y", "gamma_x", "
 MOUNT_SYMBOLS = ("x", "y")
 # A compliance fixed to the previous link acts before the joint turns.
 _JOINT_SYMBOLS_BEFORE = ("s_x", "s_y", "h", "gamma_z", "gamma_y", "gamma_x", "theta", "d", "a", "alpha")
+# A carriage deflects where it is, after its motion d. The rotation theta is constant and about the direction of motion, so
+# its place among these is a matter of axes only: those before it with "paper" and "before", after it with "after".
+_SLIDE_SYMBOLS: dict[MomentFrame, tuple[str, ...]] = {
+    "paper": ("s_x", "s_y", "d", "theta", "gamma_z", "gamma_y", "gamma_x", "h", "a", "alpha"),
+    "before": ("s_x", "s_y", "d", "gamma_z", "gamma_y", "gamma_x", "h", "theta", "a", "alpha"),
+    "after": ("s_x", "s_y", "theta", "d", "gamma_z", "gamma_y", "gamma_x", "h", "a", "alpha"),
+}
+# Places in a joint's block: of the coordinates whose axes are y and z of the frame of its moment, which
+# is about the origin of the later one, and of the last coordinate that turns or moves this frame.
+_MOMENT_AT: dict[MomentFrame, tuple[int, int, int]] = {"paper": (1, 2, 1), "before": (1, 3, 2), "after": (5, 3, 4)}
+_SLIDE_MOMENT_AT: dict[MomentFrame, tuple[int, int, int]] = {"paper": (1, 3, 2), "before": (1, 3, 2), "after": (5, 4, 4)}
 _KIND = {
     "s_x": 0, "s_y": 1, "theta": 2, "gamma_z": 2, "h": 5, "gamma_y": 1, "gamma_x": 0, "d": 5, "a": 3, "alpha": 0,
     "rx": 0, "ry": 1, "rz": 2, "x": 3, "y": 4, "z": 5,
@@ -65,14 +84,16 @@ class Chain:
     Attributes:
         robot: the arm.
         moment_frame: the frame in which moments are taken and deflect the arm: "paper" takes them before q and
-            deflects after it, "before" and "after" do both there. A prismatic joint deflects before its motion in all three.
+            deflects after it, "before" and "after" do both there. The carriage of a prismatic joint bears and deflects where
+            it is; the three differ in the axes.
         gravity: shape (3,), in the robot's base frame [m/s^2].
         base_rotation: shape (3, 3), reference orientation of the robot's base in the instrument's frame; of several set-ups
             shape (S, 3, 3).
         targets: names of the tool frames.
         tool_rotations: shape (targets, 3, 3), reference orientations of the targets in the tip frame; of several set-ups one
             after the other.
-        bearing_heights: shape (n,), distance of each joint's bearing along its axis from the preceding frame [m].
+        bearing_heights: shape (n,), distance of each joint's bearing along its axis from the preceding frame [m]; that of a
+            carriage at joint position 0.
         ends: the links between which readings are taken; default: those of the robot's path.
         kept: results cached for this chain and the chains derived from it.
     """
@@ -145,15 +166,16 @@ class Chain:
     @property
     def symbols(self) -> tuple[str, ...]:
         """The symbol of each coordinate, e.g. "theta"."""
-        return _symbols(*self._shape)
+        return _symbols(self._shape)
 
     @cached_property
-    def _shape(self) -> tuple[MomentFrame, int, tuple[int, ...], int]:
-        return self.moment_frame, self.robot.n_joints, self.robot.frames.branches, len(self.pins)
+    def _shape(self) -> _Shape:
+        slides = tuple(kind == "prismatic" for kind in self.robot.joint_types)
+        return _Shape(self.moment_frame, slides, self.robot.frames.branches, len(self.pins))
 
     @property
     def _static(self) -> dict[str, Any]:
-        return _order(*self._shape)
+        return _order(self._shape)
 
     @cached_property
     def pins(self) -> tuple[Closure, ...]:
@@ -196,7 +218,8 @@ class Chain:
             for i, row in enumerate(self.robot.frames.parameters):
                 for symbol, column in _DH_COLUMN.items():
                     values[self.joint(i, symbol)] = row[column]
-                values[self.joint(i, "h")] = self.bearing_heights[i]
+                height = self.bearing_heights[i]
+                values[self.joint(i, "h")] = row[_DH_COLUMN["d"]] - height if self._shape.slides[i] else height
         return np.asarray(known[self.moment_frame])
 
     @cached_property
@@ -211,7 +234,7 @@ class Chain:
 
     def joint_coordinates(self, i: int) -> dict[str, int]:
         """Return the index of each coordinate of joint ``i`` (from 0) by its symbol."""
-        return _places(*self._shape)[i]
+        return _places(self._shape)[i]
 
     def pin(self, i: int, symbol: str) -> int:
         """Return the index of the coordinate "x" or "y" of pin ``i`` of :attr:`pins`."""
@@ -330,29 +353,52 @@ def _bearing_heights(robot: Robot, moment_frame: MomentFrame) -> np.ndarray:
     return np.where((moment_frame != "paper") & (np.abs(heights) > _AT_ORIGIN), heights, 0.0)
 
 
-@cache
-def _symbols(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...], n_pins: int) -> tuple[str, ...]:
-    joint = _JOINT_SYMBOLS_BEFORE if moment_frame == "before" else _JOINT_SYMBOLS
-    blocks = (MOUNT_SYMBOLS + joint if i in branches else joint for i in range(n_joints))
-    return FRAME_SYMBOLS + tuple(symbol for block in blocks for symbol in block) + n_pins * MOUNT_SYMBOLS + FRAME_SYMBOLS
+class _Shape(NamedTuple):
+    """What the order of a chain's coordinates depends on.
+
+    Attributes:
+        moment_frame: of the chain.
+        slides: whether each joint is prismatic.
+        branches: the joints that begin a branch.
+        n_pins: number of pins with a position of their own.
+    """
+
+    moment_frame: MomentFrame
+    slides: tuple[bool, ...]
+    branches: tuple[int, ...]
+    n_pins: int
 
 
 @cache
-def _places(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...], n_pins: int) -> list[dict[str, int]]:
+def _symbols(shape: _Shape) -> tuple[str, ...]:
+    turning = _JOINT_SYMBOLS_BEFORE if shape.moment_frame == "before" else _JOINT_SYMBOLS
+    sliding = _SLIDE_SYMBOLS[shape.moment_frame]
+    symbols = FRAME_SYMBOLS
+    for i, slides in enumerate(shape.slides):
+        symbols += MOUNT_SYMBOLS if i in shape.branches else ()
+        symbols += sliding if slides else turning
+    return symbols + shape.n_pins * MOUNT_SYMBOLS + FRAME_SYMBOLS
+
+
+@cache
+def _places(shape: _Shape) -> list[dict[str, int]]:
     """Return the index of each coordinate of each joint by its symbol."""
-    symbols = _symbols(moment_frame, n_joints, branches, n_pins)
-    starts = _order(moment_frame, n_joints, branches, n_pins)["starts"].tolist()
+    symbols = _symbols(shape)
+    starts = _order(shape)["starts"].tolist()
     return [{symbols[k]: k for k in range(a, b)} for a, b in pairwise(starts)]
 
 
 @cache
-def _order(moment_frame: MomentFrame, n_joints: int, branches: tuple[int, ...], n_pins: int) -> dict[str, Any]:
+def _order(shape: _Shape) -> dict[str, Any]:
     """Return the part of a layout that depends on the order of the coordinates alone, shared by all chains."""
-    symbols = _symbols(moment_frame, n_joints, branches, n_pins)
-    starts = FRAME + BLOCK * np.arange(n_joints + 1) + MOUNT * np.searchsorted(sorted(branches), np.arange(n_joints + 1))
+    symbols = _symbols(shape)
+    joints = np.arange(len(shape.slides) + 1)
+    starts = FRAME + BLOCK * joints + MOUNT * np.searchsorted(sorted(shape.branches), joints)
     less = np.full(len(symbols), -1)
     less[[k for k, symbol in enumerate(symbols) if symbol == "d"]] = [k for k, symbol in enumerate(symbols) if symbol == "h"]
-    y, z, cut = {"paper": (1, 2, 1), "before": (1, 3, 2), "after": (5, 3, 4)}[moment_frame]
+    turning, sliding = _MOMENT_AT[shape.moment_frame], _SLIDE_MOMENT_AT[shape.moment_frame]
+    at = [sliding if slides else turning for slides in shape.slides]
+    y, z, cut = np.array(at, int).reshape(-1, 3).T
     # A joint's own coordinates are the last of its block.
     own = starts[1:] - BLOCK
     return {

@@ -261,11 +261,13 @@ def inertial_moments(chain: Chain, conditions: Conditions) -> np.ndarray | float
     if conditions.inertial is None:
         return 0.0
     force, moment = conditions.inertial[..., :3], conditions.inertial[..., 3:]
-    # About a point at height h: M - h z x F.
-    x, y = moment[..., 0] + chain.bearing_heights * force[..., 1], moment[..., 1] - chain.bearing_heights * force[..., 0]
+    slides = np.array([kind == "prismatic" for kind in chain.robot.joint_types])
+    # About a point at height h, to which a carriage has moved: M - h z x F.
+    height = chain.bearing_heights + np.where(slides, conditions.q, 0.0)
+    x, y = moment[..., 0] + height * force[..., 1], moment[..., 1] - height * force[..., 0]
     if chain.moment_frame != "after":
         theta = chain.nominal[[chain.joint(i, "theta") for i in range(chain.robot.n_joints)]]
-        angle = theta + np.where([kind == "prismatic" for kind in chain.robot.joint_types], 0.0, conditions.q)
+        angle = theta + np.where(slides, 0.0, conditions.q)
         sine, cosine = np.sin(angle), np.cos(angle)
         x, y = cosine * x - sine * y, sine * x + cosine * y
     return np.stack([x, y, moment[..., 2]], axis=2).reshape(len(x), -1)

@@ -31,7 +31,7 @@ class Layout(NamedTuple):
 
     Attributes:
         kind: shape (K,), 0, 1, 2 for rotations about x, y, z and 3, 4, 5 for translations along them.
-        less: shape (K,), an earlier coordinate whose translation coordinate k takes back, -1 for none.
+        less: shape (K,), another coordinate whose translation coordinate k takes back, -1 for none.
         starts: shape (n + 1,), the first coordinate of each joint, and the first one after the last joint.
         parents: shape (n,), the joint that carries each joint, an earlier one, -1 for the base.
         tree: the walk over the joints' coordinates, each joint's after the link that carries it.

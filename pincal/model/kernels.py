@@ -91,11 +91,11 @@ def _add_scaled(a, v, out):
 
 @njit(**INNER)
 def _take_back(less, k, of_coordinates):
-    """Subtract coordinate k from the coordinate that it takes back, in an array over all coordinates."""
-    earlier = less[k]
-    if earlier >= 0:
+    """Subtract coordinate k from the one that it takes back, in an array over all coordinates in which both are set."""
+    other = less[k]
+    if other >= 0:
         for i in range(of_coordinates.shape[1]):
-            of_coordinates[earlier, i] -= of_coordinates[k, i]
+            of_coordinates[other, i] -= of_coordinates[k, i]
 
 
 @njit(**INNER)
@@ -154,7 +154,6 @@ def _through_moments(layout, acting, bears, asked, arms, loads, motions):
                     for i in range(LANES):
                         along = behind[r, 0, i] * W[k, 0, i] + behind[r, 1, i] * W[k, 1, i]
                         V[r, k, i] = M[j, i] * (along + behind[r, 2, i] * W[k, 2, i])
-                    _take_back(layout.less, k, V[r])
             if bears[j] and k == layout.moment_cut[j]:
                 for l in range(3 * j, 3 * j + 3):
                     _turned_gravity(layout.gravity, A[l], u)
@@ -163,6 +162,10 @@ def _through_moments(layout, acting, bears, asked, arms, loads, motions):
                             for i in range(LANES):
                                 behind[r, q, i] += a[r, l, i] * u[q, i]
                                 ahead[r, q, i] -= a[r, l, i] * H[l, q, i]
+        for k in range(layout.starts[j], layout.starts[j + 1]):
+            if asked[k]:
+                for r in range(rows):
+                    _take_back(layout.less, k, V[r])
 
 
 @njit(**PART)
@@ -209,8 +212,6 @@ def _kinematic_columns(layout, arms, J):
                 copy_lanes(W[k, r], J[r, k])
             for r in range(3, rows):
                 fill(J[r, k], 0.0)
-            for r in range(3):
-                _take_back(layout.less, k, J[r])
             continue
         for i in range(LANES):
             dx, dy, dz = p[0, i] - O[k, 0, i], p[1, i] - O[k, 1, i], p[2, i] - O[k, 2, i]
@@ -219,6 +220,9 @@ def _kinematic_columns(layout, arms, J):
             J[2, k, i] = W[k, 0, i] * dy - W[k, 1, i] * dx
         for r in range(3, rows):
             copy_lanes(W[k, r - 3], J[r, k])
+    for k in layout.path.coordinate:
+        for r in range(3):
+            _take_back(layout.less, k, J[r])
 
 
 @njit(**PART)

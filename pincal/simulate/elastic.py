@@ -69,7 +69,9 @@ class BearingElasticity(DeformingEffect, SizedByLoad):
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         joint = arm.index(self.joint)
         moment = (loads.after if self.moment_frame == "after" else loads.before)[:, joint, :2]
-        twist = deformation.before if self.moment_frame == "before" else deformation.after
+        # A carriage tilts where it is; the axes before and after its motion are parallel.
+        is_before = self.moment_frame == "before" and not arm.prismatic[joint]
+        twist = deformation.before if is_before else deformation.after
         twist[:, joint, 3:5] += moment * np.array([self.size, self.size if self.size_y is None else self.size_y])
 
 

@@ -83,9 +83,9 @@ class BearingPlace(Effect):
         return Locus(self.joint, "place", cause=BearingElasticity.name)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Height h of the bearing on the axis, from the frame before [m]; its typical error is a link's size."""
+        """Place h of the bearing on the axis [m], see :mod:`pincal.model.chain`; its typical error is a link's size."""
         robot, i = chain.robot, joint_index(chain, self.joint)
-        nominal, size = float(chain.bearing_heights[i]), robot.reach / robot.n_joints
+        nominal, size = float(chain.nominal[chain.joint(i, "h")]), robot.reach / robot.n_joints
         return (Parameter(f"{self.joint}.h", "m", self.name, nominal, size),)
 
     def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
