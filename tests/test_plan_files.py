@@ -173,7 +173,7 @@ def test_ten_cycles_leave_poses_to_fit_and_to_hold_out(plan: Path, pincal: Calla
 def test_wrong_readings_are_named_and_no_others(plan: Path, pincal: Callable[..., Run]) -> None:
     """Seven readings are millimetres off; other visits of their poses are sound, and the headline is that of sound rows.
 
-    The folder lists line 31, too: it is within 50 um of what the model of the other poses predicts, 91 and 151 are 5.8 mm off.
+    The folder lists line 31, too: it is within 50 um of what the other poses predict, while 91 and 151 are 5.8 mm off.
     """
     run = pincal("calibrate", plan / "robot.urdf", plan / "data.csv")
 
