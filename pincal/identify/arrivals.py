@@ -10,7 +10,8 @@ a part of low rank beside a diagonal one, so that weights cost a time linear in 
 and covariances that use V count a stop as one observation of the robot, however many targets were read in it.
 
 The variances are those of maximum likelihood of the residuals of a fit, corrected for the parameters that it has used up.
-They include errors that the model lacks, as far as the drives could cause them.
+They include errors that the model lacks, as far as drives that do not repeat could cause them: no more, or what a search
+is for would pass as noise.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from pincal.identify.beliefs import declared_noise
-from pincal.identify.criteria import CRITERIA
+from pincal.identify.criteria import CRITERIA, VISITS
 from pincal.identify.drive_levers import drive_levers
 from pincal.identify.fit import ModelFit
 from pincal.identify.noise import Noise
@@ -203,8 +204,12 @@ def _likeliest(parts: Sequence[_Stops], n_blocks: int) -> tuple[np.ndarray, np.n
                 slope[n + block] -= left / noise[block]
         return total, slope
 
-    limits = [(np.log(low), np.log(high)) for low, high in [_BOUNDS] * (n + n_blocks)]
-    found = minimize(misfit, np.zeros(n + n_blocks), jac=True, method="L-BFGS-B", bounds=limits)
+    # More than drives scatter by is an error of the model, which is for an effect to explain.
+    most = 2.0 * np.log(np.clip(VISITS.arrival * scale, _BOUNDS[0] ** 0.5, _BOUNDS[1] ** 0.5))
+    low, high = np.log(_BOUNDS)
+    limits = [(low, float(limit)) for limit in most] + [(low, high)] * n_blocks
+    start = np.minimum(np.zeros(n + n_blocks), [limit for _, limit in limits])
+    found = minimize(misfit, start, jac=True, method="L-BFGS-B", bounds=limits)
     variances = np.where(np.isfinite(scale), np.exp(found.x[:n]) / scale**2, 0.0)
     # What moves readings by less than a hundredth of their noise is none.
     variances[np.exp(found.x[:n]) < 1e-4] = 0.0
