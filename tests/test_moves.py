@@ -202,7 +202,7 @@ def test_each_station_has_its_repeatability(robot: Robot) -> None:
 
     assert result.iso9283 is None and result.lack_of_fit is None and "lack_of_fit" not in once
     for record in (monday, tuesday):
-        assert record["iso9283"]["poses"] == {"train": 6} and record["lack_of_fit"]["p_value"] > 1e-3
+        assert record["iso9283"]["poses"] == {"test": 6} and record["lack_of_fit"]["p_value"] > 1e-3
         assert record["lack_of_fit"]["pure_error"]["sigma_m"] == pytest.approx(SIGMA, rel=0.3)
     assert not isinstance(result.stations, UnsetType)
     table = repeated_table(result.stations)

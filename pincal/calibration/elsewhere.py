@@ -24,6 +24,7 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.prior_scale import has_instrument
 from pincal.measure.measurements import Measurements
 from pincal.model.conditions import Conditions
+from pincal.recorded import RECORDED
 from pincal.robot.robot import Robot
 from pincal.validate.outcome import Elsewhere
 
@@ -91,7 +92,11 @@ def _random_conditions(model: CalibratedModel) -> Conditions:
     q = model.model.chain.robot.random_configurations(_DRAWN, rng)
     conditions = Conditions.at(q, payload_centre=model.payload_centre)
     lightest, heaviest = model.covered.payload.tolist()
-    return replace(conditions, payload=rng.uniform(lightest, heaviest, _DRAWN))
+    payload = rng.uniform(lightest, heaviest, _DRAWN)
+    # Drives arrive from either side; what else is recorded joint by joint is zero at rest.
+    of_joints = {name: np.zeros(q.shape) for name, variable in RECORDED.items() if variable.of_joints}
+    of_joints["approach"] = rng.choice([-1.0, 1.0], q.shape)
+    return replace(conditions, payload=payload, **of_joints)
 
 
 def _covariances(model: CalibratedModel, conditions: Conditions, *, placed: bool) -> np.ndarray:

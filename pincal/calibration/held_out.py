@@ -269,6 +269,20 @@ def errors_held_out(
     return {name: error_statistics(parts) for name, parts in sizes.items()}
 
 
+def nominal_errors(fit: ModelFit, rows: Sequence[StationRows], folds: Folds) -> dict[str, dict[str, float]]:
+    """Return the error statistics with only base and tool fitted, by each way of the folds; see :func:`errors_held_out`.
+
+    They are the same for a table whatever the noise of a fit to it is found to be.
+    """
+    return errors_held_out(_by_independent_rows(fit), fit.nominal, rows, folds)
+
+
+def _by_independent_rows(fit: ModelFit) -> ModelFit:
+    """Return a fit whose rows have independent noise of the same size in all directions."""
+    plain = (replace(station, whitening=None, serial=None, arrival=None) for station in fit.problem.stations)
+    return fit.over(plain)
+
+
 def headline_of(errors: Mapping[str, Mapping[str, float]]) -> str:
     """Return which of the errors of :func:`errors_held_out` is the headline: the way in which predictions are worse."""
     ways = [name for name in errors if name in get_args(Way)]
@@ -292,20 +306,30 @@ class Validated:
         """Return the errors by some folds; None if no reading can be predicted by others."""
         if folds is None or not len(folds):
             return None
-        solutions = {"nominal": fit.nominal, "calibrated": fit.solution}
-        found = cls(folds, {model: left_out_errors(fit, of, rows, folds) for model, of in solutions.items()})
+        by_model = {
+            "nominal": left_out_errors(_by_independent_rows(fit), fit.nominal, rows, folds),
+            "calibrated": left_out_errors(fit, fit.solution, rows, folds),
+        }
+        found = cls(folds, by_model)
         return found if found.errors("calibrated") else None
 
-    @cached_property
+    @property
     def headline(self) -> Way:
         """The way in which predictions of the calibrated model are worse."""
-        found = {way: statistics_of(parts) for way, parts in self.of_model["calibrated"].items()}
-        return cast(Way, headline_of({way: of for way, of in found.items() if of}))
+        return self.way_of("calibrated")
+
+    def way_of(self, model: str) -> Way:
+        """Return the way in which predictions of a model are worse."""
+        return cast(Way, headline_of(self.errors(model)))
 
     @property
     def lead(self) -> list[LeftOutErrors]:
         """The errors of the calibrated model in this way, station by station."""
-        return self.of_model["calibrated"][self.headline]
+        return self.leading("calibrated")
+
+    def leading(self, model: str) -> list[LeftOutErrors]:
+        """Return the errors of a model in the way in which its predictions are worse, station by station."""
+        return self.of_model[model][self.way_of(model)]
 
     def errors(self, model: str) -> dict[str, dict[str, float]]:
         """Return the statistics of a model, way by way."""
@@ -320,7 +344,7 @@ class Validated:
 
     def at_station(self, k: int, model: str) -> dict[str, float]:
         """Return the statistics of the headline at one station; empty where nothing counts."""
-        return statistics_of(self.of_model[model][self.headline][k : k + 1])
+        return statistics_of(self.leading(model)[k : k + 1])
 
 
 FitOthers = Callable[[Robot, dict[str, Measurements], Options], CalibratedFit]

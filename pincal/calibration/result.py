@@ -316,8 +316,8 @@ def _errors(fit: ModelFit, seen: Sequence[_Seen], validated: Validated | None) -
         sizes, shares = zip(*fitted, strict=True)
         unseen = errors_held_out(fit, solution, rows) if validated is None else validated.errors(model)
         found[model] = {"train": error_statistics(sizes, shares=shares)} | unseen
-    lead = headline_of(found["calibrated"])
     for of_model in found.values():
+        lead = headline_of(of_model)
         if lead in of_model:
             of_model["test"] = of_model[lead]
     return found
@@ -427,7 +427,7 @@ def _replicates(
     lack = lack_of_fit(visits, seen.values["calibrated"], solution.sigma[seen.blocks], spent=spent)
     if validated is None or len(validated.lead[k].counted) != len(train):
         return iso9283(found, seen.values), lack
-    unseen = {model: of_way[validated.headline][k].residuals for model, of_way in validated.of_model.items()}
+    unseen = {model: validated.leading(model)[k].residuals for model in validated.of_model}
     known = np.all([np.isfinite(of).all(axis=0) for of in unseen.values()], axis=0)
     predicted = replace(found[0], part="test", counted=counted & known)
     return iso9283([predicted], seen.values, residuals=unseen), lack

@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import to_builtins
 from scipy.special import fdtri, ncfdtr
 
+from pincal.calibration.held_out import WAYS, StationRows, headline_of, nominal_errors
 from pincal.discover.drive_curves import notes_on_repeats
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import situation_of
@@ -19,6 +20,7 @@ from pincal.discover.score_tests import score_test_given_nuisances
 from pincal.identify.calibrate import Tables, expected_fit, refit, tables_of
 from pincal.identify.explain import Reason, Status, explain
 from pincal.identify.fit import ModelFit
+from pincal.identify.folds import Folds
 from pincal.identify.options import Options
 from pincal.measure.admit import admit, unobservable_notes
 from pincal.model.catalogue import candidates, untestable
@@ -92,7 +94,7 @@ class DataReport:
         kind: what was measured.
         rows: number of rows.
         joints: coverage of each joint.
-        nominal: errors with only base and tool fitted.
+        nominal: errors with only base and tool fitted, each pose predicted by a fit without it, as a calibration has them.
         noise: standard deviation on which expectations are based [m], and its origin.
         rank: number of directions that the poses determine better than the priors do.
         released: number of parameters that a fit would release.
@@ -140,12 +142,15 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     notes += notes_on_repeats(robot, fit.problem.conditions.q)
     posterior = fit.solution.posterior
     lead = leading_block(fit)
-    nominal = (pose_error_sizes(station, fit.nominal.values[places]) for station, places, _ in fit.stations)
+    rows = [StationRows.of(name, table) for name, table in tables.items()]
+    rows = [replace(part, name=at.name) for part, at in zip(rows, fit.problem.stations, strict=True)]
+    nominal = nominal_errors(fit, rows, Folds.of(fit.problem, WAYS["both"]))
+    fitted = error_statistics(pose_error_sizes(at, fit.nominal.values[places]) for at, places, _ in fit.stations)
     return DataReport(
         kind=" and ".join(dict.fromkeys(table.kind for table in tables.values())),
         rows=len(fit.problem),
         joints=tuple(_ranges(robot, fit.problem.conditions.q)),
-        nominal=error_statistics(nominal),
+        nominal=nominal.get(headline_of(nominal), fitted),
         noise={
             noise_key(fit.problem.blocks[lead].unit): float(fit.solution.sigma[lead]),
             "source": "declared" if fit.is_declared else "estimated from a preliminary fit",

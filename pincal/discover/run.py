@@ -40,7 +40,7 @@ from pincal.discover.policy import POLICY, TESTING, Policy
 from pincal.discover.shrink import PartialResidual, partial_residuals, stages_of
 from pincal.discover.steps import History, listed
 from pincal.errors import BadInputError, PincalError
-from pincal.identify.calibrate import Tables, reads_places, refit, tables_of
+from pincal.identify.calibrate import Tables, nominal_without_outliers, reads_places, refit, tables_of
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
@@ -189,6 +189,8 @@ def run_discovery(
     halves = begin_subsamples(trail, _regions(first), stability, executor=executor)
     # The following runs while workers search the halves.
     fit, traces = widened(trail), partial_residuals(trail)
+    # Rows that the first model could not describe may be sound.
+    fit = replace(fit, nominal=nominal_without_outliers(fit))
     validated = Validated.of(fit, first.stations, first.folds)
     gaps, held_out = stages_of(trail, first.stations, validated)
     origins = ", ".join(dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations))))

@@ -114,7 +114,7 @@ def _fit_to_means(
     some, problem = begin(robot, tables, options, executor)
     fit = with_bearings(_rescaled(_begun(some, executor)))
     _refuse_too_few(tables, fit)
-    fit = _by_all(replace(fit, nominal=_without_outliers(fit, executor)), problem, executor)
+    fit = _by_all(replace(fit, nominal=nominal_without_outliers(fit, executor)), problem, executor)
     fit = _in_best_frame(fit)
     if options.prior_scale is None and options.earlier is None and not observes_places(fit):
         fit = _cautious(fit)
@@ -248,7 +248,7 @@ def _by_all(fit: ModelFit, problem: Problem, executor: Executor | None) -> Model
         # The residuals of all rows under the fit to some show how noise is correlated, which saves one fit.
         whole = with_serial(whole, serial_noise(whole))
     found = with_bearings(_solved(whole, whole.solution, until=Tolerance.NEAR, executor=executor))
-    return replace(found, nominal=_without_outliers(found, executor), stages=(*fit.stages, *found.stages))
+    return replace(found, nominal=nominal_without_outliers(found, executor), stages=(*fit.stages, *found.stages))
 
 
 def _rescaled(fit: ModelFit) -> ModelFit:
@@ -266,11 +266,11 @@ def _rescaled(fit: ModelFit) -> ModelFit:
     return fit
 
 
-def _without_outliers(fit: ModelFit, executor: Executor | None) -> Solution:
+def nominal_without_outliers(fit: ModelFit, executor: Executor | None = None) -> Solution:
     """Return the fit of base and tool to the rows that the full fit did not reject, so that "before" is judged fairly."""
     nominal, weights = fit.nominal, fit.solution.weights
     sound = weights > 0.0
-    if sound.all():
+    if np.array_equal(sound, nominal.weights > 0.0):
         return nominal
     course = Course("none", executor=executor)
     again = solve(fit.problem.select(sound), nominal.values, nominal.free, fit.priors, fit.noise, course)
@@ -289,7 +289,8 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
     tables = {name: by_pose(table) for name, table in tables_of(measurements).items()}
     options = _completed(robot, options, tables)
     some, whole = begin(robot, tables, options, None)
-    fit = _in_best_frame(_by_all(_begun(some), whole, None))
+    fit = _begun(some)
+    fit = _in_best_frame(_by_all(replace(fit, nominal=nominal_without_outliers(fit, None)), whole, None))
     problem, nominal, fitted = fit.problem, fit.nominal, fit.solution
     free = released_of(problem, options) & excited_of(problem)
     found = Linearised(problem, nominal.values, free, fitted.weights, fit.priors.sizes).posterior(fitted.sigma)

@@ -115,7 +115,7 @@ def _fitted_and_held(calibration: Calibration, k: int) -> _Shown:
 def _left_out(calibration: Calibration, k: int, validated: Validated) -> _Shown:
     """Return the readings of the k-th station, each predicted by fits without its fold."""
     fit, rows = calibration.fit, calibration.stations[k]
-    before, after = (validated.of_model[model][validated.headline][k] for model in ("nominal", "calibrated"))
+    before, after = (validated.leading(model)[k] for model in ("nominal", "calibrated"))
     known = np.flatnonzero(np.isfinite(before.residuals).all(axis=0) & np.isfinite(after.residuals).all(axis=0))
     station = fit.problem.stations[k]
     table, outlier = rows.train, fit.solution.weights[fit.problem.rows[k]] == 0.0
