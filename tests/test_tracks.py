@@ -12,8 +12,10 @@ import pytest
 from pincal import ELASTIC, Calibration, Options, Robot, load_model, measurements_from_arrays, run_calibration
 from pincal import simulate as sim
 from pincal.errors import PincalWarning
+from pincal.model.catalogue.link_bending import LinkBending
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
 from pincal.model.conditions import Conditions, nominal_moments
+from pincal.model.model import Model
 from pincal.simulate.effect import HiddenEffect
 
 TRAVELS = (0.3, 3.0, 10.0)
@@ -144,3 +146,21 @@ def test_a_file_of_an_earlier_version_says_that_moments_differ(tmp_path: Path) -
 
     with pytest.warns(PincalWarning, match="about the start of the travel.*calibrate again"):
         load_model(path)
+
+
+def test_a_boom_bends_under_a_carriage_that_moves_on(rng: np.random.Generator) -> None:
+    """The link before a track bends by the moment about its end, wherever the carriage stands, as the machine's does."""
+    text = '<robot name="boom"><link name="floor"/>' + _link("boom", 5.0, "0.4 0 0") + _link("slider", 8.0, "0.1 0 0.05")
+    text += _joint("lift", "revolute", "floor", "boom", "0 0 1", "0 1 0", -1.5, 1.5) + _link("hand", 3.0, "0 0.1 0.1")
+    text += _joint("slide", "prismatic", "boom", "slider", "0.8 0 0.1", "1 0 0", 0.0, 2.0)
+    text += _joint("turn", "revolute", "slider", "hand", "0.2 0 0", "0 0 1", -3.0, 3.0)
+    text += '<link name="tool0"/>' + _joint("flange", "fixed", "hand", "tool0", "0.3 0 0", "0 0 1", 0.0, 0.0) + "</robot>"
+    machine, robot = sim.TrueMachine.from_urdf(text, tip="tool0"), Robot.from_urdf(text.encode())
+    q = rng.uniform(robot.lower, robot.upper, (20, 3))
+    bent = machine.with_effects(sim.LinkBending(joint="lift", size=1e-7)).tip(q) - machine.tip(q)
+    model = Model(Chain.of(robot, moment_frame="after"), (LinkBending("lift"),))
+    predicted = model.predict(np.array([1e-7]), Conditions.at(q)) - model.predict(np.zeros(1), Conditions.at(q))
+
+    size = np.abs(bent[:, :3]).max()
+    assert size > 1e-5
+    np.testing.assert_allclose(predicted, bent[:, :3], rtol=0.0, atol=2e-3 * size)

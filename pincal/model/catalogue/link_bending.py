@@ -114,8 +114,11 @@ def _loads_at_end(chain: Chain, conditions: Conditions, k: int) -> tuple[np.ndar
     force = mass[:, None] * _gravity_before(chain, conditions, k)
     own = nominal_moments(chain, conditions)[:, 3 * k : 3 * (k + 1)]
     moment = np.einsum("nab,nb->na", moment_axes(chain, conditions, k), own)
-    height = chain.height_on_axis(k) - chain.bearing_heights[k]
-    return force, moment - np.cross([0.0, 0.0, height], force)
+    # A carriage bears where it is, and the link ends where its track begins.
+    travelled = conditions.q[:, k] if robot.joint_types[k] == "prismatic" else np.zeros(len(conditions))
+    away = np.zeros((len(conditions), 3), travelled.dtype)
+    away[:, 2] = chain.height_on_axis(k) - chain.bearing_heights[k] - travelled
+    return force, moment - np.cross(away, force)
 
 
 def _gravity_before(chain: Chain, conditions: Conditions, k: int) -> np.ndarray:
