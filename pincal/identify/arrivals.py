@@ -52,7 +52,7 @@ class ArrivalNoise:
 
 def shares_stops(station: Station) -> bool:
     """Return whether several rows of a station are of one pose, as of several targets or points."""
-    return station.conditions.inertial is None and len(np.unique(_pose_of(station))) < len(station)
+    return station.conditions.inertial is None and len(np.unique(poses_of(station))) < len(station)
 
 
 def with_arrivals(fit: ModelFit) -> ModelFit:
@@ -107,7 +107,7 @@ def arrival_noise(fit: ModelFit, shared: Sequence[bool]) -> ArrivalNoise | None:
     return ArrivalNoise(drives, np.sqrt(of_blocks) * solution.estimated, gain)
 
 
-def _pose_of(station: Station) -> np.ndarray:
+def poses_of(station: Station) -> np.ndarray:
     """Return the number of the pose of each row, whatever was read there, shape (N,), from 0."""
     keys = np.column_stack([same_joints(station.conditions.q, SCATTER), np.round(station.conditions.payload, 3)])
     return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
@@ -122,7 +122,7 @@ def _shared_noise(alone: ModelFit, drives: np.ndarray, readings: np.ndarray) -> 
     moved = moved * counted
     square = 1.0 + np.sum(moved**2, axis=(0, 2)) / max(np.count_nonzero(counted), 1)
     of_blocks = np.sqrt([np.mean(square[rows]) for rows in station.block_rows])
-    return StopNoise.of(moved[drives > 0.0], _pose_of(station), np.repeat(of_blocks, station.block_sizes))
+    return StopNoise.of(moved[drives > 0.0], poses_of(station), np.repeat(of_blocks, station.block_sizes))
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class _Stops:
         scale = station.weights[sound] / np.repeat(alone.solution.estimated, station.block_sizes)[:, None]
         residuals = station.residuals(alone.values)[:, sound] * scale
         moved = drive_levers(station, alone.values)[:, :, sound] * scale
-        pose = np.unique(_pose_of(station)[sound], return_inverse=True)[1].ravel()
+        pose = np.unique(poses_of(station)[sound], return_inverse=True)[1].ravel()
         n_stops, n = int(pose.max(initial=-1)) + 1, len(moved)
         information = np.zeros((len(station.block_rows), n_stops, n, n))
         slope = np.zeros((len(station.block_rows), n_stops, n))

@@ -15,12 +15,14 @@ from typing import Literal
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.identify.arrivals import poses_of
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import ModelFit, Priors, Solution
 from pincal.identify.noise import Noise
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Course, solve
+from pincal.identify.whitening import StopNoise
 from pincal.measure.admit import scorable
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import pose_groups
@@ -169,7 +171,7 @@ def _held_out_residuals(robot: Robot, table: Measurements, options: Options, fol
 
 
 def bootstrap(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
-    """Refit rows resampled with replacement; the spread of the values needs no model of the noise.
+    """Refit poses resampled with replacement, with all their targets; the spread of the values needs no model of the noise.
 
     Args:
         fit: the calibration.
@@ -192,9 +194,28 @@ def _drawn(
 
 
 def _refit_drawn_rows(fit: ModelFit, seed: np.random.SeedSequence) -> np.ndarray:
-    n = len(fit.problem)
-    rows = np.random.default_rng(seed).integers(0, n, n)
-    return _refit(fit, fit.problem.select(rows)).values
+    problem = fit.problem
+    poses = np.concatenate([_apart(number, poses_of(station)) for number, station in enumerate(problem.stations)])
+    pose = np.unique(poses, axis=0, return_inverse=True)[1].ravel()
+    n = int(pose.max()) + 1
+    rows_of = np.split(np.argsort(pose, kind="stable"), np.cumsum(np.bincount(pose))[:-1])
+    drawn = np.random.default_rng(seed).integers(0, n, n)
+    rows = np.concatenate([rows_of[i] for i in drawn])
+    draw = np.repeat(np.arange(n), [len(rows_of[i]) for i in drawn])
+    stations = []
+    for station, span in zip(problem.select(rows).stations, problem.rows, strict=True):
+        if station.arrival is not None:
+            # A pose that was drawn twice is two stops.
+            own = draw[(rows >= span.start) & (rows < span.stop)]
+            arrival = StopNoise.of(station.arrival.levers, own, station.arrival.size)
+            station = replace(station, arrival=arrival)
+        stations.append(station)
+    return _refit(fit, replace(problem, stations=tuple(stations))).values
+
+
+def _apart(station: int, poses: np.ndarray) -> np.ndarray:
+    """Return the poses of a station's rows, shape (N,), with its number, shape (N, 2)."""
+    return np.column_stack([np.full(len(poses), station), poses])
 
 
 def bootstrap_stations(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
