@@ -16,7 +16,7 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.notes import Note, Severity
-from pincal.units import format_readable
+from pincal.units import format_readable, format_small
 from pincal.validate.accuracy import pose_error_sizes
 from pincal.validate.agreement import computed, implausible
 from pincal.validate.gathered import Gathering, bump_in, gathering_of, in_common
@@ -55,6 +55,11 @@ class CaveatKind(Enum):
     NOISE_EXCEEDED = (
         "the residuals are {ratio:.2f} times the declared noise (p {p_value:.1g}): the model is incomplete or the declared "
         "noise is too small; uncertainties are scaled up accordingly"
+    )
+    ARRIVALS = (
+        "the residuals are {ratio:.2f} times the declared noise of the instrument, as of drives that all stop to "
+        "{size} from pose to pose (one standard deviation): neighbouring poses have unrelated errors. No "
+        "calibration improves this; measure ten poses three times each, arriving anew, to judge the model by it"
     )
     NOISE_OVERSTATED = "the residuals are smaller than the declared noise allows: the declared noise is too large"
     NO_INSTRUMENT = (
@@ -167,6 +172,7 @@ UNUSABLE = frozenset({CaveatKind.IMPLAUSIBLE, CaveatKind.MANY_OUTLIERS, CaveatKi
 
 DOUBTS = frozenset(CaveatKind) - {
     CaveatKind.SPARE_READINGS,
+    CaveatKind.ARRIVALS,
     CaveatKind.NOISE_OVERSTATED,
     CaveatKind.NO_INSTRUMENT,
     CaveatKind.MASSES_FOUND,
@@ -258,11 +264,21 @@ def findings_on_moves(fit: ModelFit, moves: Sequence[Sequence[MovedParameter]]) 
             yield Caveat(CaveatKind.MOVED, {"what": " and ".join(some)}, station.name)
 
 
-def findings_on_fit(fit: ModelFit, p_value: float | None) -> list[Caveat]:
-    """Return the findings of the fit itself; ``p_value`` is of chi-square against the declared noise, None without any."""
+def findings_on_fit(fit: ModelFit, p_value: float | None, arrivals: float | None = None) -> list[Caveat]:
+    """Return the findings of the fit itself.
+
+    Args:
+        fit: the fit.
+        p_value: of chi-square against the declared noise; None without any.
+        arrivals: to what all drives stop, if that explains what exceeds the declared noise [rad].
+    """
     found = [] if fit.solution.converged else [Caveat(CaveatKind.NOT_CONVERGED, {"how": fit.solution.exit.value})]
     if p_value is not None and p_value < MISFIT:
-        found.append(Caveat(CaveatKind.NOISE_EXCEEDED, {"ratio": float(np.sqrt(fit.solution.cost)), "p_value": p_value}))
+        ratio = float(np.sqrt(fit.solution.cost))
+        if arrivals is None:
+            found.append(Caveat(CaveatKind.NOISE_EXCEEDED, {"ratio": ratio, "p_value": p_value}))
+        else:
+            found.append(Caveat(CaveatKind.ARRIVALS, {"ratio": ratio, "size": format_small(arrivals, "rad")}))
     if p_value is not None and p_value > 1.0 - MISFIT:
         found.append(Caveat(CaveatKind.NOISE_OVERSTATED))
     if fit.solution.of_blocks > 1.0:

@@ -82,6 +82,8 @@ class Result(Outcome):
     """Why the calibration is rejected though the fit converged; empty if it is not."""
     shift: str = ""
     """Where readings shift from some line on, as if of two set-ups; empty if they do not."""
+    arrivals: float | None = None
+    """To what all drives stop, if that explains what exceeds the declared noise of the instrument [rad]."""
 
     @property
     def doubts(self) -> tuple[Note, ...]:
@@ -92,13 +94,14 @@ class Result(Outcome):
     def noise_test(self) -> NoiseTest | None:
         """The residuals against a noise that is known without the model; None if there is none.
 
-        Where poses were repeated it is their scatter, which includes the robot's repeatability.
+        Where poses were repeated it is their scatter, which includes the robot's repeatability. A declared noise of the
+        instrument is none where the drives scatter more than it.
         """
         lacks = [self.lack_of_fit] if self.stations is UNSET else [record.get("lack_of_fit") for record in self.stations]
         known = [test for lack in lacks if lack is not None and (test := lack.noise_test) is not None]
         if known and len(known) == len(lacks):
             return min(known, key=lambda test: test.p_value)
-        if self.chi2_p_value is None:
+        if self.chi2_p_value is None or self.arrivals is not None:
             return None
         return NoiseTest("the declared noise of the instrument", self.chi2_reduced**0.5, self.chi2_p_value)
 
@@ -123,7 +126,9 @@ class Result(Outcome):
         """Return the contents of ``result.json``."""
         perhaps = ("iso9283", "lack_of_fit", "stations", "improvement", "clocks", "validation", "repeatability", "elsewhere")
         absent = {name for name in perhaps if getattr(self, name) in (None, UNSET)}
-        contents = {name: value for name, value in asdict(self).items() if name not in {*absent, "doubt", "shift"}}
+        contents = {
+            name: value for name, value in asdict(self).items() if name not in {*absent, "doubt", "shift", "arrivals"}
+        }
         contents |= {"parameters": [row.to_dict() for row in self.parameters], "warnings": to_builtins(self.warnings)}
         return contents | {"verdict": self.verdict_of().value}
 
@@ -150,11 +155,14 @@ def result_of(
     notes: Sequence[Note] = (),
     left_out: Sequence[LeftOut] = (),
     validated: Validated | None = None,
+    arrivals: float | None = None,
 ) -> Result:
     """Assemble the result of a calibration that took some seconds, with the rows of each station.
 
     Notes on robot and data are listed before others of their severity. Errors by cross-validation are
     ``validated``; if stations were predicted by models of the others, ``left_out``, these are the held-out errors.
+    ``arrivals`` is to what all drives stop, if a search has shown that this explains what exceeds the declared
+    noise [rad].
     """
     solution = fit.solution
     parameters = parameter_rows(fit)
@@ -178,7 +186,7 @@ def result_of(
     moves = moves_of(fit) if len(seen) > 1 else ()
     found = [
         *findings_on_plausibility(fit, [part.train for part in rows]),
-        *findings_on_fit(fit, p_value),
+        *findings_on_fit(fit, p_value, arrivals),
         *findings_on_scatter(fit),
         *findings_on_data(fit, read),
         *findings_without_instrument(fit, improved),
@@ -230,6 +238,7 @@ def result_of(
         warnings=doubts_first([*notes, *(n.note for n in found)]),
         degrees=read.degrees,
         doubt=next((str(n) for n in found if n.kind in UNUSABLE), ""),
+        arrivals=arrivals,
         shift=next((str(n) for n in found if n.kind is CaveatKind.STEP), ""),
         iso9283=iso,
         lack_of_fit=lack,

@@ -67,6 +67,7 @@ def findings_of(
     measured: ModelFit | None = None,
     held_out: Mapping[str, dict[Literal["before", "after"], Gap]] | None = None,
     approach_from: str | None = None,
+    arrivals: float | None = None,
 ) -> Findings:
     """Return the findings of a discovery.
 
@@ -78,6 +79,7 @@ def findings_of(
         measured: the last fit over the rows as measured, each reading of a pose a row; default: those of the fit.
         held_out: the errors at the start and in the end on rows held out in each way.
         approach_from: origin of the directions of approach, in words; None without any.
+        arrivals: from :func:`pincal.discover.scatter.arrivals_within`.
     """
     final = trail.final
     excess = find_excess(final, measured)
@@ -90,11 +92,12 @@ def findings_of(
         noise_floor_mm=floor,
         gap={"before": gaps[0].gap, "after": gaps[-1].gap},
         chain=gaps,
-        where=where_of(trail, excess, is_misfit=is_misfit),
+        where=where_of(trail, excess, is_misfit=is_misfit, arrivals=arrivals),
         effects=effects,
         scatter=() if scatter is None else (scatter,),
         not_testable=tuple(Untestable.of(effect, reason=reason) for effect, reason in _not_testable(trail)),
-        verdict=judge(None, incomplete=is_misfit or excess is not None),
+        # Whether residuals exceed a noise is judged with the result, which knows what replicates scatter.
+        verdict=judge(None, incomplete=excess is not None),
         unexplained_mm=unexplained,
         approach_from=approach_from,
         held_out=dict(held_out or {}),
@@ -201,11 +204,14 @@ def noise_floor(fit: ModelFit) -> np.ndarray:
     return np.array([estimated if declared is None else declared for declared, estimated in pairs])
 
 
-def where_of(trail: History, excess: Excess | None, *, is_misfit: bool) -> tuple[Disagreement, ...]:
+def where_of(
+    trail: History, excess: Excess | None, *, is_misfit: bool, arrivals: float | None = None
+) -> tuple[Disagreement, ...]:
     """Return where model and data disagree, with shares of the excess over the noise.
 
     The disagreement is located in the first fit with elasticity, if the arm is elastic, else in the first of all,
-    regardless of later names; last is the final excess along the lever of one joint, or a misfit that is nowhere located.
+    regardless of later names; last is the final excess along the lever of one joint, or of all, or a misfit
+    that is nowhere located.
     """
     robot = trail.final.problem.chain.robot
     fit, found = trail.first, list[Disagreement]()
@@ -222,6 +228,9 @@ def where_of(trail: History, excess: Excess | None, *, is_misfit: bool) -> tuple
     found += regions
     if excess:
         found.append(_left_along(trail.final, excess, sigma))
+    elif arrivals is not None:
+        statement = f"all drives stop alike to {format_small(arrivals, 'rad')} from pose to pose (one standard deviation)"
+        found.append(Disagreement(statement, 1.0, region="whole arm"))
     elif is_misfit and not places:
         statement = "the residuals depend on no joint position, load or recorded column"
         found.append(Disagreement(statement, 1.0, region="whole workspace"))

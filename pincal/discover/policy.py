@@ -326,6 +326,9 @@ class NoiseNumbers:
         "of the errors", "three of them exceed the limit by chance")
     visits: int = _number(1000, "visits", _SCATTER,
         "beyond which they are thinned", "for time")
+    turns: int = _number(3, "rounds", "test_common_scatter.py::test_a_joint_that_scatters_more_than_the_others_is_named",
+        "in which the scatter of one joint and that of all are estimated in turn",
+        "the likelihood then changes by less than 1")
     joints: float = _number(25.0, "2 log likelihood", "test_joint_noise.py::test_even_noise_is_left_as_it_is",
         "smallest gain by noise of the joints", "without any, 120 tables had up to 13, half of them up to 2")
     readings_each: float = _number(5.0, "readings per parameter", _JOINT_NOISE,

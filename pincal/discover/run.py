@@ -37,6 +37,7 @@ from pincal.discover.ending import note_on_joints, widened
 from pincal.discover.findings import bootstrap_last, findings_of
 from pincal.discover.loop import discover_effects, withdraw_names_at_change
 from pincal.discover.policy import POLICY, TESTING, Policy
+from pincal.discover.scatter import arrivals_within
 from pincal.discover.shrink import PartialResidual, partial_residuals, stages_of
 from pincal.discover.steps import History, listed
 from pincal.errors import BadInputError, PincalError
@@ -195,14 +196,30 @@ def run_discovery(
     gaps, held_out = stages_of(trail, first.stations, validated)
     origins = ", ".join(dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations))))
     measured = as_measured(trail.final, first.stations)
+    arrivals = arrivals_within(trail.final)
     findings = findings_of(
-        fit, trail, gaps=gaps, traces=traces, measured=measured, held_out=held_out, approach_from=origins or None
+        fit,
+        trail,
+        gaps=gaps,
+        traces=traces,
+        measured=measured,
+        held_out=held_out,
+        approach_from=origins or None,
+        arrivals=arrivals,
     )
     if stability:
         findings = with_subsamples(findings, halves(), bootstrap_last(trail))
     left_out = tuple(left_out)
     seconds = time.perf_counter() - begun
-    result = result_of(fit, first.stations, seconds=seconds, notes=notes, left_out=left_out, validated=validated)
+    result = result_of(
+        fit,
+        first.stations,
+        seconds=seconds,
+        notes=notes,
+        left_out=left_out,
+        validated=validated,
+        arrivals=arrivals,
+    )
     final = Calibration(first.robot, first.stations, CalibratedFit.of(fit), result, notes, validated)
     # The search decides whether the model is inadequate; whether it is adequate, the rule common to all commands.
     verdict = result.verdict_of(incomplete=findings.verdict is Verdict.NOT_ADEQUATE)

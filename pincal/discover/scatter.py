@@ -4,6 +4,13 @@ Residuals in excess of the noise along the lever of a joint are due either to it
 the pose. Repeated poses distinguish these; so do poses that are close in some joints, where a smooth function has nearly the
 same value and scatter has not.
 
+Drives that all stop to some tens of micro-radians leave an excess along every lever, the longest most.
+One joint is named only if it scatters more than the others: with L_v the levers of all joints at visit v,
+
+.. math:: V_v = \sigma^2 I + L_v^T \, \mathrm{diag}(s^2 + s_j^2) \, L_v
+
+has to be far more likely with s_j of one joint than with s alone.
+
 A score test assumes a single noise variance. Where a joint does not repeat, readings are noisier along its lever than across
 it, and the test understates the p-values of effects on this joint. The noise along an effect follows from the scores of
 single visits, :math:`s_v = W^T \sum_{n \in v} X'_n{}^T r_n` (X' the effect's columns with the model's tangent space
@@ -32,6 +39,7 @@ from pincal.identify.station import Station
 from pincal.io.discovery_file import ScatteringJoint
 from pincal.measure.poses import same_joints
 from pincal.model.conditions import moves
+from pincal.validate.misfit import MISFIT
 
 _ROW_ORDER = "the order of the rows"
 
@@ -91,18 +99,40 @@ class Excess:
 def find_excess(fit: ModelFit, measured: ModelFit | None = None) -> Excess | None:
     """Return the joint with the largest excess along its lever, if significant, and whether it is scatter.
 
-    It is scatter if replicates differ by it, in ``measured`` if the rows of the fit are means of poses. Without replicates
-    it is scatter if neighbours in the positions of some joints have unrelated errors although a smooth function of these
-    joints would have been detected, in a permutation test.
+    Scatter that all joints have alike is none of one. It is scatter if replicates differ by it, in
+    ``measured`` if the rows of the fit are means of poses. Without replicates it is scatter if neighbours
+    in the positions of some joints have unrelated errors although a smooth function of these joints
+    would have been detected, in a permutation test.
     """
     found = [(one.scatter(), one) for _, alone, _ in fit.in_places for one in _along_levers(alone)]
-    whole, best = max(found, key=lambda pair: pair[0].gain)
-    if whole.gain <= NOISE.scatter:
+    index = max(range(len(found)), key=lambda i: found[i][0].gain)
+    if found[index][0].gain <= NOISE.scatter:
         return None
+    excess = _excess_of(found, index, measured)
+    if not excess.shown_by:
+        return excess
+    is_again = excess.shown_by == "replicates"
+    # Where replicates show it, by the differences between them, which lack what follows the pose.
+    shown_in = measured if is_again and measured is not None else fit
+    more = _Arrivals.of(shown_in, between=is_again).beyond_others()
+    joint = max(more, key=lambda name: more[name])
+    if more[joint] <= NOISE.scatter:
+        return None
+    return excess if excess.joint == joint else _excess_of(found, _largest(found, joint), measured)
+
+
+def _largest(found: list[tuple[_Component, _AlongLever]], joint: str) -> int:
+    """Return the index of the largest scatter of a joint at any station."""
+    own = [i for i, (_, one) in enumerate(found) if one.joint == joint]
+    return max(own, key=lambda i: found[i][0].gain)
+
+
+def _excess_of(found: list[tuple[_Component, _AlongLever]], index: int, measured: ModelFit | None) -> Excess:
+    """Return the excess along one of the levers of all stations, and whether it is scatter."""
+    whole, best = found[index]
     conditions = best.station.conditions
     missing = "time" if conditions.temperature is not None else "temperature"
     missing = missing if conditions.approach is not None else f"approach_{best.joint}"
-    index = next(i for i, (_, one) in enumerate(found) if one is best)
     single = best if measured is None else [one for _, alone, _ in measured.in_places for one in _along_levers(alone)][index]
     again = single.differences()
     if again is not None and again.gain > chdtri(1, 2.0 * NOISE.chance):
@@ -110,6 +140,133 @@ def find_excess(fit: ModelFit, measured: ModelFit | None = None) -> Excess | Non
     follows, is_repeated = best.follows(whole), again is not None
     shown_by: Literal["neighbours", ""] = "neighbours" if follows == () and not is_repeated else ""
     return Excess(best.joint, whole.sigma, missing, shown_by, follows or (), is_repeated)
+
+
+def arrivals_within(fit: ModelFit) -> float | None:
+    """Return to how much all drives alike would have to stop to explain residuals beyond the declared noise [rad].
+
+    None if no noise is declared, if it explains the residuals, or if such scatter does not: one joint
+    scatters more than others, a larger noise of the instrument is likelier, errors of neighbours are
+    related, or something is left.
+    """
+    solution = fit.solution
+    if not fit.is_declared or chdtrc(solution.degrees, solution.chi2) >= MISFIT:
+        return None
+    arrivals = _Arrivals.of(fit)
+    alike, likelihood = arrivals.alike(sigma2=1.0)
+    noisier = arrivals.likelihood(np.zeros(arrivals.n_joints))[0]
+    if likelihood <= noisier or max(arrivals.beyond_others().values()) > NOISE.scatter:
+        return None
+    # The scatter that is likeliest makes as much of the squares as there are readings.
+    left = arrivals.likelihood(alike * arrivals.turns, sigma2=1.0)[2]
+    if chdtrc(arrivals.readings, left) < MISFIT:
+        return None
+    levers_of_all = (one for _, alone, _ in fit.in_places for one in _along_levers(alone))
+    whole, best = max(((one.scatter(), one) for one in levers_of_all), key=lambda pair: pair[0].gain)
+    return float(np.sqrt(alike)) if best.follows(whole) == () else None
+
+
+@dataclass(frozen=True)
+class _Arrivals:
+    """Sums over the readings of each of V visits, in units of the noise, from which the scatter of all n joints follows.
+
+    Attributes:
+        joints: names of the joints.
+        turns: shape (n,), which of them are revolute: these may scatter alike.
+        gram: shape (V, n, n), products of the levers.
+        along: shape (V, n), products of levers and residuals.
+        squares: sum of the squared residuals.
+        readings: their number.
+    """
+
+    joints: tuple[str, ...]
+    turns: np.ndarray
+    gram: np.ndarray
+    along: np.ndarray
+    squares: float
+    readings: int
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @classmethod
+    def of(cls, fit: ModelFit, *, between: bool = False) -> _Arrivals:
+        """Return the sums of a fit over visits, as many as the variances need, or over differences between replicates."""
+        gram, along, squares, readings = list[np.ndarray](), list[np.ndarray](), 0.0, 0
+        for _, alone, blocks in fit.in_places:
+            declared = alone.noise.declared[0]
+            sigma = fit.solution.estimated[blocks.start] if declared is None else declared
+            every = list(_along_levers(alone))
+            sets = [(one.lever, one.residuals, one.visit) for one in every]
+            if between:
+                sets = [of for one in every if (of := one.contrasts()) is not None]
+            if not sets:
+                continue
+            lever = np.stack([of[0] for of in sets]) / sigma
+            residuals, visit = sets[0][1] / sigma, sets[0][2]
+            count = int(visit.max()) + 1
+            some = np.unique(np.linspace(0, count - 1, min(count, NOISE.visits)).astype(int))
+            kept = np.isin(visit, some)
+            lever, residuals, visit = lever[:, :, kept], residuals[:, kept], visit[kept]
+            products = np.einsum("imr,jmr->rij", lever, lever)
+            sums = np.zeros((count, len(every), len(every)))
+            np.add.at(sums, visit, products)
+            b = np.zeros((count, len(every)))
+            np.add.at(b, visit, np.einsum("imr,mr->ri", lever, residuals))
+            gram.append(sums[some])
+            along.append(b[some])
+            squares += float(np.sum(residuals**2))
+            readings += residuals.size
+        robot = fit.problem.chain.robot
+        turns = np.array([kind != "prismatic" for kind in robot.joint_types])
+        return cls(robot.joint_names, turns, np.concatenate(gram), np.concatenate(along), squares, readings)
+
+    def likelihood(self, variances: np.ndarray, sigma2: float | None = None) -> tuple[float, float, float]:
+        """Return 2 log-likelihood, the noise's variance, and the squares weighted by all variances.
+
+        Args:
+            variances: shape (n,), of the joints, relative to the noise's.
+            sigma2: of the noise; default: the likeliest.
+        """
+        root = np.sqrt(variances)
+        inner = np.eye(self.n_joints) + root[:, None] * self.gram * root
+        b = root * self.along
+        explained = np.sum(b * np.linalg.solve(inner, b[:, :, None])[:, :, 0])
+        left = max(self.squares - float(explained), 1e-300)
+        variance = left / self.readings if sigma2 is None else sigma2
+        volume = float(np.sum(np.linalg.slogdet(inner)[1]))
+        return -self.readings * float(np.log(variance)) - volume - left / variance, variance, left / variance
+
+    def alike(self, sigma2: float | None = None) -> tuple[float, float]:
+        """Return the variance that all revolute joints have in common, relative to the noise's, and 2 log-likelihood."""
+        likelihoods = [self.likelihood(ratio * self.turns, sigma2)[0] for ratio in self._ratios]
+        best = int(np.argmax(likelihoods))
+        return float(self._ratios[best]), likelihoods[best]
+
+    @property
+    def _ratios(self) -> np.ndarray:
+        """Candidate variances of a joint."""
+        lever2 = np.mean(np.einsum("vii->vi", self.gram)[:, self.turns]) if self.turns.any() else 1.0
+        return np.asarray(np.concatenate([[0.0], np.logspace(*NOISE.ratios)]) / max(float(lever2), 1e-300))
+
+    def beyond_others(self) -> dict[str, float]:
+        """Return by how much 2 log-likelihood increases if one joint scatters more than all do alike, by its name."""
+        common, without = self.alike()
+        ratios, found = self._ratios, dict[str, float]()
+
+        def likelihood(at: float, extra: float, own: np.ndarray) -> float:
+            return self.likelihood(at * self.turns + extra * own)[0]
+
+        for j, name in enumerate(self.joints):
+            own, shared, gain = np.eye(self.n_joints)[j], common, 0.0
+            for _ in range(NOISE.turns):
+                more = ratios[np.argmax([likelihood(shared, extra, own) for extra in ratios])]
+                shared = ratios[np.argmax([likelihood(at, more, own) for at in ratios])]
+                gain = likelihood(shared, more, own) - without
+            found[name] = gain
+        return found
 
 
 @dataclass(frozen=True)
@@ -144,10 +301,15 @@ class _AlongLever:
         return _scatter_along(self.lever, self.residuals, self.visit)
 
     def differences(self) -> _Component | None:
-        """Return the scatter between replicates of a pose, None without replicates.
+        """Return the scatter between replicates of a pose, None without replicates."""
+        contrasts = self.contrasts()
+        return None if contrasts is None else _scatter_along(*contrasts)
 
-        From n - 1 orthonormal contrasts (Helmert) of n replicates, in which the pose's mean cancels; contrasts of different
-        targets in the same visits share the scatter.
+    def contrasts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Return lever and residuals of differences of replicates, and their visits, as :func:`_scatter_along` takes them.
+
+        None without replicates. They are n - 1 orthonormal contrasts (Helmert) of n replicates, in which the pose's mean
+        cancels; contrasts of different targets in the same visits share the scatter.
         """
         conditions = self.station.conditions
         pose, thing = _things(self.station)
@@ -165,7 +327,7 @@ class _AlongLever:
         if not visit:
             return None
         shared = np.unique(visit, axis=0, return_inverse=True)[1].ravel()
-        return _scatter_along(np.transpose(lever), np.transpose(residuals), shared)
+        return np.transpose(lever), np.transpose(residuals), shared
 
     def follows(self, whole: _Component) -> tuple[str, ...] | None:
         """Return on what the errors depend according to neighbours; empty if unrelated, None if too few are near."""

@@ -47,7 +47,7 @@ def judged(result: Result, discovery: Discovery | None = None) -> Judged:
     if result.doubt:
         return Judged(verdict, f"Do not use it: {result.doubt}.")
     if discovery is not None:
-        return verdict_of_search(discovery.findings)
+        return verdict_of_search(discovery.findings, is_of_arrivals=result.arrivals is not None)
     compared = result.noise_test
     if verdict is Verdict.NOT_ADEQUATE and compared is not None and compared.is_misfit:
         words = f"The residuals are {relative_to_noise(compared.ratio, compared.noise, is_misfit=True)}"
@@ -86,8 +86,8 @@ def relative_to_noise(ratio: float, noise: str, *, is_misfit: bool) -> str:
     return shown if is_misfit else f"{shown}, which may be chance"
 
 
-def verdict_of_search(found: Findings) -> Judged:
-    """Return whether a search has explained the data, and if not, why."""
+def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judged:
+    """Return whether a search has explained the data, and if not, why; perhaps because of how drives stop."""
     n, left, doubts = len(found.effects), found.unexplained_mm, doubts_of(found.warnings)
     added = f"{n} effects were found and added" if n > 1 else "One effect was found and added" if n else "Nothing was added"
     beyond = f"{left:.3f} mm rms beyond the noise" if left >= _SHOWN_MM else ""
@@ -99,6 +99,11 @@ def verdict_of_search(found: Findings) -> Judged:
             "nothing more is detected, but the noise was estimated from the residuals, so they cannot show whether the "
             "model is complete: declare the noise (--noise), or measure some poses again"
         )
+        if is_of_arrivals:
+            why = (
+                "what exceeds the declared noise of the instrument is as of drives that all stop unevenly, and hides "
+                "smaller errors of the model: measure ten poses three times each"
+            )
         why = "there are too few poses to judge whether that is all; see the doubt stated first" if doubts else why
         return Judged(found.verdict, f"{added}; {why}.")
     wrong = [f"{scatter.joint} scatters from reading to reading" for scatter in found.scatter]
