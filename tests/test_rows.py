@@ -85,7 +85,7 @@ def test_means_of_poses_weigh_as_the_declared_noise_says(kuka: Robot) -> None:
 
 
 def test_drives_that_arrive_anew_are_the_pose_s_not_the_reading_s(kuka: Robot) -> None:
-    """Three readings that agree to 2 um where drives arrive to 20 urad: residuals exceed these, and that is said."""
+    """Three readings that agree to 2 um where drives arrive to 20 urad: neither shows whether the model is complete."""
     rng = np.random.default_rng(3)
     q = kuka.random_configurations(80, rng)
     arrived = q + 20e-6 * rng.standard_normal(q.shape)
@@ -96,8 +96,8 @@ def test_drives_that_arrive_anew_are_the_pose_s_not_the_reading_s(kuka: Robot) -
 
     assert found.result.rows["train"] == 240
     assert len(found.fit.problem) == 80
-    assert found.result.lack_of_fit is not None and found.result.lack_of_fit.is_significant
-    assert found.result.to_dict()["verdict"] == "not adequate"
+    assert found.result.lack_of_fit is None
+    assert found.result.to_dict()["verdict"] == "not judged"
 
 
 def test_opposite_quaternions_are_one_orientation(kuka: Robot) -> None:

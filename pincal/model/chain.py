@@ -373,7 +373,7 @@ class _Shape(NamedTuple):
 def _symbols(shape: _Shape) -> tuple[str, ...]:
     turning = _JOINT_SYMBOLS_BEFORE if shape.moment_frame == "before" else _JOINT_SYMBOLS
     sliding = _SLIDE_SYMBOLS[shape.moment_frame]
-    symbols = FRAME_SYMBOLS
+    symbols: tuple[str, ...] = FRAME_SYMBOLS
     for i, slides in enumerate(shape.slides):
         symbols += MOUNT_SYMBOLS if i in shape.branches else ()
         symbols += sliding if slides else turning
