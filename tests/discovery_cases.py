@@ -21,11 +21,12 @@ from pincal import GEOMETRIC, Options, Robot, calibrate, measurements_from_array
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.elastic import instead_of, significant_compliances
-from pincal.discover.levers import MassError, compliances_of
+from pincal.discover.levers import compliances_of
 from pincal.discover.loop import discover_effects, fit_cost
 from pincal.discover.steps import History
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import ModelFit
+from pincal.identify.mass_error import MassError
 from pincal.identify.split import hold_out, row_groups
 from pincal.measure.approach import moves_by_order, sides_of
 from pincal.measure.measurements import Measurements

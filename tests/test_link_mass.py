@@ -22,10 +22,10 @@ from pincal import (
     run_calibration,
 )
 from pincal.builtin import kuka_urdf_path
-from pincal.discover.levers import MassError
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import refit
 from pincal.identify.choices import along_gauge, found_moments, weight_of
+from pincal.identify.mass_error import MassError
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.model.catalogue.masses import LinkMass, with_masses
 from pincal.model.chain import Chain

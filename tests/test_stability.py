@@ -14,11 +14,12 @@ from stability_study import by_class, study
 from pincal.calibration.calibrated_robot import Fit as CalibratedFit
 from pincal.discover.ending import of_bearings, of_candidates, of_masses
 from pincal.discover.findings import chance_of_best, findings_of
-from pincal.discover.levers import MassError, missing_features
+from pincal.discover.levers import missing_features
 from pincal.discover.run import Discovery, Subsamples, _subsamples, begin_subsamples, run_discovery
 from pincal.discover.score_tests import ScoreTests, score_test, score_test_given_nuisances
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import refit
+from pincal.identify.mass_error import MassError, variance_of_masses
 from pincal.identify.split import row_groups
 from pincal.io.discovery_file import Findings, Repeated, Stability
 from pincal.model.catalogue.bearing_features import bearing_features
@@ -191,16 +192,23 @@ def test_bearings_may_give_way_in_directions_that_no_data_called_for(found: Disc
 
 
 def test_masses_add_what_the_data_leave_of_their_priors(found: Discovery) -> None:
-    """By the formula, with masses tested as any other effect."""
+    """By the formula, with masses tested as any other effect; tests widen the priors of geometry, fits do not."""
     fit = found.trail.final
     masses = MassError.of(*fit.arm)
     assert masses is not None
-    _, S, b = score_test(fit, [masses]).within([0])
-    C = np.linalg.inv(S + np.diag([parameter.size**-2.0 for parameter in masses.parameters(fit.problem.chain)]))
-    expected = (C @ b) @ S @ (C @ b) + np.sum(S * C)
+    D = np.array([parameter.size for parameter in masses.parameters(fit.problem.chain)])
 
-    assert expected > 0.0
-    assert of_masses(fit, score_test_given_nuisances(fit, missing_features(fit))) == pytest.approx(expected, rel=1e-6)
+    def expected(tests: ScoreTests) -> float:
+        _, S, b = tests.within([0])
+        C = np.linalg.inv(S + np.diag(D**-2.0))
+        return float((C @ b) @ S @ (C @ b) + np.sum(S * C))
+
+    searched = of_masses(fit, score_test_given_nuisances(fit, missing_features(fit)))
+    at_its_noise = replace(fit, solution=replace(fit.solution, sigma=fit.solution.estimated))
+
+    assert searched == pytest.approx(expected(score_test(fit, [masses])), rel=1e-6)
+    assert variance_of_masses(at_its_noise) == pytest.approx(expected(score_test(fit, [masses], wider=1.0)), rel=1e-6)
+    assert variance_of_masses(at_its_noise) > 0.0
 
 
 def test_fewer_than_no_halves_are_refused(case: Case) -> None:

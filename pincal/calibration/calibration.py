@@ -29,6 +29,7 @@ from pincal.calibration.screened import screened
 from pincal.errors import BadInputError, warn
 from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.folds import Folds
+from pincal.identify.mass_error import with_masses_unsure
 from pincal.identify.options import Options
 from pincal.measure.admit import admit, noted, unobservable_notes
 from pincal.measure.measurements import Measurements
@@ -114,6 +115,8 @@ def run_calibration(
 ) -> Calibration:
     """Check tables, calibrate on all rows, and state errors by cross-validation: each pose predicted by a fit without it.
 
+    The covariance includes that masses in a URDF are a few per cent off, which :func:`pincal.calibrate` takes as exact.
+
     Args:
         robot: the arm.
         measurements: one table or several, as :func:`pincal.calibrate` takes them.
@@ -135,6 +138,7 @@ def run_calibration(
     begun = time.perf_counter()
     fitted = fit_admitted(robot, measurements, options, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout)
     log.info("assessing the fit")
+    fitted = replace(fitted, fit=with_masses_unsure(fitted.fit))
     left_out: Iterable[LeftOut] = ()
     if split == "station":
         left_out = leave_out_stations(fitted.robot, fitted.admitted, fitted.options, executor=executor)

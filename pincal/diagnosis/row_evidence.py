@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.discover.levers import MassError
+from pincal.identify.mass_error import MassError
 from pincal.identify.normal import belief_rows
 from pincal.identify.quadratic import ROUNDING, SEEN, Quadratic, root_of_inverse
 from pincal.identify.station import Station

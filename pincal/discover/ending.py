@@ -29,7 +29,7 @@ from pincal.discover.candidate_tests import Search, over_rows_of, sampled
 from pincal.discover.decisions import each_heading_once, is_near
 from pincal.discover.drive_curves import smoothed
 from pincal.discover.first_order import ScoreTests
-from pincal.discover.levers import MassError, missing_features, situation_of
+from pincal.discover.levers import missing_features, situation_of
 from pincal.discover.policy import NOISE, WAVES
 from pincal.discover.score_tests import score_test_given_nuisances
 from pincal.discover.steps import History, SearchState, SearchStep, listed
@@ -39,6 +39,7 @@ from pincal.identify.choices import deviance
 from pincal.identify.dependence import with_blocks
 from pincal.identify.fit import Ending, ModelFit, without
 from pincal.identify.fit_levers import levers
+from pincal.identify.mass_error import MassError
 from pincal.measure.extrinsics import sample_rows
 from pincal.model.catalogue.ripple import resolution_of
 from pincal.model.effect import Curve, Effect, Harmonic

@@ -13,108 +13,23 @@ product of two small matrices. The result is tested like any other candidate, co
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import chdtri
 
-from pincal.discover.policy import TESTING, WAVES
+from pincal.discover.policy import WAVES
 from pincal.identify.fit import ModelFit
 from pincal.identify.fit_levers import with_motions
-from pincal.model import kernels
 from pincal.model.basis import FEWEST_SPLINES, spline_basis
 from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.catalogue.candidates import elasticity
 from pincal.model.catalogue.ripple import resolution_of
 from pincal.model.catalogue.unnamed import maps_of
-from pincal.model.chain import Chain
-from pincal.model.conditions import MOMENT, Conditions, PoseSet
-from pincal.model.effect import Candidate, Effect, Family, Harmonic, Locus, Term
+from pincal.model.conditions import PoseSet
+from pincal.model.effect import Candidate, Effect, Harmonic
 from pincal.model.effects import Compliance
-from pincal.model.kernel_inputs import Payload, Values
-from pincal.model.loops import borne_moments
 from pincal.model.model import Model
-from pincal.parameters import Parameter
-
-
-@dataclass(frozen=True)
-class MassError(Effect):
-    """Errors of mass and first moment of each link, which act through the present compliances.
-
-    The static moments are linear in mass and first moment of mass, so one evaluation per parameter gives the basis:
-    gamma_l += k_l d n_l / d parameter. They are computed with the nominal geometry, which is accurate enough and serves all
-    fits of one table.
-
-    Attributes:
-        compliances: compliant coordinates, each with its moment and its k [rad/(N m)].
-        links: the joints of the links whose masses are from the URDF; other masses are parameters of the model.
-    """
-
-    compliances: tuple[tuple[int, int, float], ...]
-    links: tuple[int, ...]
-    name: ClassVar[str] = "mass_error"
-    meaning: ClassVar[str] = "masses and centres of mass of the links differ from the URDF"
-    family: ClassVar[Family] = Family.LOAD
-
-    @classmethod
-    def of(cls, model: Model, values: np.ndarray) -> MassError | None:
-        """Return the effect for a model's compliances; None for a rigid model, or if all masses are its parameters."""
-        chain, found = model.chain, {body.joint for body in model.bodies}
-        links = tuple(i for i in range(chain.robot.n_joints) if i not in found)
-        n, bent = chain.robot.n_joints, []
-        for span, effect in zip(model.spans, model.effects, strict=True):
-            if effect.family is Family.ELASTICITY:
-                terms = effect.terms(chain, Conditions.at(np.zeros((1, n))), np.ones((1, 3 * n)))
-                own = values[span]
-                bent += [(t.coordinate, t.moment, float(own[t.parameter])) for t in terms if t.moment is not None]
-        compliances = tuple(entry for entry in bent if entry[2])
-        return cls(compliances, links) if compliances and links else None
-
-    @property
-    def locus(self) -> Locus:
-        """All elastic rotations of the arm."""
-        return Locus(acts_on="gamma", follows=MOMENT)
-
-    def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Relative error of mass, and of the first moment along x, y, z in units of mass times link size."""
-        return tuple(
-            Parameter(f"{joint}.{symbol}", "1", self.name, 0.0, TESTING.mass if symbol == "mass" else TESTING.centre)
-            for joint in (chain.robot.joint_names[i] for i in self.links)
-            for symbol in ("mass", "mc_x", "mc_y", "mc_z")
-        )
-
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        """Add each compliance times the change of its moment."""
-        known, terms = chain.kept.about("moments of links", chain, conditions, most=2), list[Term]()
-        for p, i in enumerate(self.links):
-            if i not in known:
-                known[i] = tuple(_moments_of_link(chain, conditions, i))
-            for c, change in enumerate(known[i]):
-                terms += [Term(4 * p + c, at, k * change[m]) for at, m, k in self.compliances if m // 3 <= i]
-        return tuple(terms)
-
-
-def _moments_of_link(chain: Chain, conditions: Conditions, i: int) -> Iterator[np.ndarray]:
-    """Yield the static moments, shape (3 n, N), of one unit of each parameter of link i alone, on the nominal arm."""
-    robot, drives = chain.robot, chain.drives
-    slot = np.full(len(chain.nominal), -1)
-    slot[drives] = np.arange(len(drives))
-    values = Values(chain.nominal.copy(), slot, np.ascontiguousarray((conditions.q + chain.nominal[drives]).T))
-    masses, centres = np.zeros_like(robot.masses), np.zeros_like(robot.centres)
-    masses[i] = robot.masses[i]
-    no_load = Payload(np.zeros(len(conditions)), np.zeros(3))
-
-    def moments_at(centre: np.ndarray) -> np.ndarray:
-        centres[i] = centre
-        layout = chain.layout._replace(masses=masses, centres=centres)
-        return borne_moments(chain, values, kernels.static_moments(layout, values, no_load))
-
-    straight = moments_at(np.zeros(3))
-    size = max(float(np.linalg.norm(robot.centres[i])), 0.2 * float(np.hypot(*robot.frames.parameters[i, 3:5])), 0.02)
-    along = [moments_at(size * axis) - straight for axis in np.eye(3)]
-    yield straight + sum(part * of for part, of in zip(robot.centres[i] / size, along, strict=True))
-    yield from along
 
 
 def compliances_of(model: Model, values: np.ndarray) -> np.ndarray:

@@ -15,12 +15,12 @@ from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
 from pincal.discover.first_order import ScoreTests
-from pincal.discover.levers import MassError
 from pincal.discover.policy import WHERE
 from pincal.discover.products import Information
 from pincal.discover.score_tests import Tangent
 from pincal.identify.fit import ModelFit
 from pincal.identify.fit_levers import levers
+from pincal.identify.mass_error import MassError
 from pincal.identify.quadratic import Form
 from pincal.io.discovery_file import Disagreement
 from pincal.model.basis import spline_basis

@@ -156,10 +156,6 @@ class ScoreNumbers:
     held: float = _number(1e6, "ratio", _TWO_SOFT,
         "prior information of held parameters, in units of that of the data",
         "a thousandth of their standard deviation: negligible")
-    mass: float = _number(0.05, "ratio", "test_stability.py::test_masses_add_what_the_data_leave_of_their_priors",
-        "relative uncertainty of the mass of a link in a URDF", "chosen: a few per cent, as for the masses of real arms")
-    centre: float = _number(0.05, "ratio", "test_stability.py::test_masses_add_what_the_data_leave_of_their_priors",
-        "uncertainty of a first moment of mass in a URDF, in units of mass times link size", "as well as the mass")
     mass_beliefs: tuple[tuple[float, float], ...] = _number(((0.4, 0.0), (2.0, 2.0 * log(30.0))), "ratio, " + _CRITERION,
         "test_selection.py::test_priors_in_doubt_are_the_likeliest_ones_with_a_candidate_and_without",
         "alternative factors for these, and their costs: 2 %, or, with odds of 30 to 1 against it, 10 %; the data "

@@ -10,12 +10,13 @@ from typing import NamedTuple
 import numpy as np
 
 from pincal.discover.first_order import ScoreTests
-from pincal.discover.levers import MassError, missing_features
+from pincal.discover.levers import missing_features
 from pincal.discover.policy import TESTING
 from pincal.discover.products import Information, RowPart
 from pincal.identify.beliefs import priors_of
 from pincal.identify.fit import ModelFit
 from pincal.identify.jacobian import Jacobian, block, span
+from pincal.identify.mass_error import MassError
 from pincal.identify.normal import believed
 from pincal.identify.problem import Problem, extended
 from pincal.identify.quadratic import Form

@@ -50,6 +50,10 @@ class Criteria:
     bearing: float = number(10.0, _GAIN, "test_bearings.py::test_of_bearings_and_names_what_explains_more_enters_first",
         "that a bearing feature has to gain to be accepted",
         "odds of 150 to 1; one of a sound arm's twelve features enters in one fit out of fifty")
+    mass: float = number(0.05, "ratio", "test_stability.py::test_masses_add_what_the_data_leave_of_their_priors",
+        "relative uncertainty of the mass of a link in a URDF", "chosen: a few per cent, as for the masses of real arms")
+    centre: float = number(0.05, "ratio", "test_stability.py::test_masses_add_what_the_data_leave_of_their_priors",
+        "uncertainty of a first moment of mass in a URDF, in units of mass times link size", "as well as the mass")
     moment_frame: float = number(10.0, _GAIN, "test_calibrate.py::test_the_papers_convention_is_taken_among_equals",
         "by which another moment convention has to be more likely", "the same odds")
     wider_prior: float = number(3.84, _GAIN, _PRIORS,

@@ -26,7 +26,7 @@ from scipy.optimize import OptimizeResult, minimize
 from scipy.special import expit
 
 from pincal.identify.criteria import CRITERIA
-from pincal.identify.fit import ModelFit, posterior_of
+from pincal.identify.fit import AnyFit, ModelFit, posterior_of
 from pincal.identify.station import Station
 from pincal.identify.whitening import Serial, turned_into
 from pincal.model.conditions import spread_of_moving
@@ -330,7 +330,7 @@ def _least(misfit: Callable[[np.ndarray], float], start: np.ndarray) -> Optimize
     return minimize(misfit, start, method="Nelder-Mead", bounds=limits[: len(start)], options=options)
 
 
-def with_blocks(fit: ModelFit, beyond: float = 1.0) -> ModelFit:
+def with_blocks(fit: AnyFit, beyond: float = 1.0) -> AnyFit:
     """Return a fit with a covariance as wide as blocks of consecutive rows require, times a given factor.
 
     The largest factor of all stations counts; of many stations some are tested, evenly spread.

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -116,6 +116,9 @@ class FitStage:
     name: str
     iterations: int
     rms: float
+
+
+AnyFit = TypeVar("AnyFit", bound="ModelFit")
 
 
 @dataclass(frozen=True)
