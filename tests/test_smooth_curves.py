@@ -51,6 +51,11 @@ def quadratic(B: np.ndarray, y: np.ndarray, sigma: float, *, size: float) -> Cur
     )
 
 
+def test_a_curve_at_no_positions_has_no_values() -> None:
+    """A table without rows is predicted as one with rows."""
+    assert spline_basis(np.zeros(0), 0.0, 2.0, 5).shape == (5, 0)
+
+
 def test_roughness_is_the_integral_of_squared_second_derivatives() -> None:
     """Of a cubic, which splines are exactly: integral of (2 a + 6 b x)^2; of a straight line nothing."""
     lower, upper, x = -0.5, 1.5, np.linspace(-0.5, 1.5, 200)

@@ -26,8 +26,11 @@ def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.nda
 
     if are_symbols(x):
         return np.array([[cubic(curve, at) for at in x] for curve in _splines(lower, upper, size)], object)
-    knots = _knots(lower, upper, size)
-    thin, dense = BSpline.design_matrix(np.clip(x, lower, upper), knots, _DEGREE), np.zeros((size, len(x)))
+    dense = np.zeros((size, len(x)))
+    if not len(x):
+        # SciPy has no design matrix of no positions.
+        return dense
+    thin = BSpline.design_matrix(np.clip(x, lower, upper), _knots(lower, upper, size), _DEGREE)
     dense[thin.indices, np.repeat(np.arange(len(x)), np.diff(thin.indptr))] = thin.data
     return dense
 
