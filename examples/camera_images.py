@@ -175,8 +175,8 @@ def identify(robot: pincal.Robot, folder: Path, *, truth: dict[str, float]) -> p
     setup = pincal.Setup(points=read_points(folder / "points.csv"))
     table = pincal.read_measurements(folder / "measurements.csv", robot.joint_names, joint_types=robot.joint_types)
     calibration = pincal.run_calibration(robot, table, pincal.Options(setup=setup))
-    result, held_out = calibration.result, len(np.unique(calibration.test.q, axis=0))
-    print(f"noise of a corner         {result.noise['sigma_px']:.4f} px, estimated; {held_out} images held out")
+    result, images = calibration.result, len(np.unique(calibration.train.q, axis=0))
+    print(f"noise of a corner         {result.noise['sigma_px']:.4f} px, estimated from {images} images")
     for row in result.parameters:
         if (name := row.name.removeprefix("camera.")) in CAMERA:
             print(f"{row.name:25s} {row.value:.6g} +- {row.sigma:.2g}" + (f", truth {truth[name]:g}" if truth else ""))
