@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from pincal.calibration.calibration import Calibration, run_calibration
 from pincal.calibration.elsewhere import elsewhere_of, expected_lengths
 from pincal.cli import main
 from pincal.measure.table import write_table
+from pincal.model.catalogue.drives import Backlash
 from pincal.report.html import report_page
 from pincal.report.subject import Subject
 from pincal.report.words import elsewhere_words, is_worse_elsewhere
@@ -115,6 +117,19 @@ def test_a_task_that_was_measured_is_expected_to_be_as_good_as_measured(robot):
 
     assert at_task.poses == len(task)
     assert at_task.mean_mm < 0.5 * found.result.elsewhere.mean_mm
+
+
+def test_a_task_needs_no_more_than_joints(robot):
+    """Of several targets the first one is taken, and columns that the model needs are those of measured poses."""
+    table, _ = measured(robot, spread(robot, 0), 0)
+    n = len(table)
+    approach = np.where(np.random.default_rng(0).random((n, robot.n_joints)) < 0.5, -1.0, 1.0)
+    named = replace(table, target=np.where(np.arange(n) % 2, "left", "right"), approach=approach)
+    found = run_calibration(robot, named, Options(effects=(*GEOMETRIC, Backlash("joint_2"))))
+    task = measurements_from_arrays(robot.joint_names, spread(robot, 3))
+
+    at_task = elsewhere_of(found.fit, task)
+    assert at_task.mean_mm == pytest.approx(found.result.elsewhere.mean_mm, rel=0.5)
 
 
 def run(arguments: list[str]) -> None:

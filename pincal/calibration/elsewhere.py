@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.improvement import unplaced
 from pincal.identify.fit import ModelFit
 from pincal.identify.prior_scale import has_instrument
+from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.model.conditions import Conditions
 from pincal.recorded import RECORDED
@@ -44,11 +45,11 @@ _SPARSE = 0.5
 def elsewhere_of(fit: ModelFit, task: Measurements | None = None) -> Elsewhere | None:
     """Return the expected position error at random poses within the joint limits, or at those of a task.
 
-    Loads are those of the measured poses, spread evenly between the smallest and the largest; a task has its own.
+    Loads and all else that is recorded are those of measured poses at random; a task has its own as far as it names them.
 
     Args:
         fit: a calibration.
-        task: joint positions that matter; default: random ones.
+        task: joint positions that matter, of the first target unless they name another; default: random ones.
 
     Returns:
         The expected error; None if no instrument observed any position.
@@ -58,7 +59,12 @@ def elsewhere_of(fit: ModelFit, task: Measurements | None = None) -> Elsewhere |
         return None
     at = stations[0]
     model = CalibratedModel.of(fit, station=at.name)
-    conditions = _random_conditions(model) if task is None else model.conditions(task)
+    if task is None:
+        conditions = random_conditions(at)
+    else:
+        targets = model.model.chain.targets
+        named = replace(task, target=np.where(np.isin(task.target, targets), task.target, targets[0]))
+        conditions = _recorded_as(at.conditions, model.conditions(named), np.random.default_rng(_SEED))
     expected = 1e3 * expected_lengths(_covariances(model, conditions, placed=at.position is not None))
     robot, measured = fit.problem.chain.robot, np.vstack([station.conditions.q for station in stations])
     return Elsewhere(
@@ -86,17 +92,21 @@ def expected_lengths(covariances: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(8.0 / np.pi) * np.sqrt(np.maximum(squares, 0.0)).mean(axis=1))
 
 
-def _random_conditions(model: CalibratedModel) -> Conditions:
-    """Return random poses within the joint limits, of the first target, with loads as in the calibration."""
-    rng = np.random.default_rng(_SEED)
-    q = model.model.chain.robot.random_configurations(_DRAWN, rng)
-    conditions = Conditions.at(q, payload_centre=model.payload_centre)
-    lightest, heaviest = model.covered.payload.tolist()
-    payload = rng.uniform(lightest, heaviest, _DRAWN)
-    # Drives arrive from either side; what else is recorded joint by joint is zero at rest.
-    of_joints = {name: np.zeros(q.shape) for name, variable in RECORDED.items() if variable.of_joints}
-    of_joints["approach"] = rng.choice([-1.0, 1.0], q.shape)
-    return replace(conditions, payload=payload, **of_joints)
+def random_conditions(station: Station) -> Conditions:
+    """Return random poses within the joint limits, of the first target, in the conditions of measured poses."""
+    rng, measured = np.random.default_rng(_SEED), station.conditions
+    q = station.model.chain.robot.random_configurations(_DRAWN, rng)
+    conditions = Conditions.at(q, payload_centre=measured.payload_centre)
+    payload = measured.payload[rng.integers(len(measured), size=_DRAWN)]
+    return _recorded_as(measured, replace(conditions, payload=payload), rng)
+
+
+def _recorded_as(measured: Conditions, conditions: Conditions, rng: np.random.Generator) -> Conditions:
+    """Return conditions with what they lack, such as directions of approach, taken from measured poses at random."""
+    rows = rng.integers(len(measured), size=len(conditions))
+    lacking = [name for name in (*RECORDED, "sighted") if getattr(conditions, name) is None]
+    columns: dict[str, Any] = {name: of[rows] for name in lacking if (of := getattr(measured, name)) is not None}
+    return replace(conditions, **columns)
 
 
 def _covariances(model: CalibratedModel, conditions: Conditions, *, placed: bool) -> np.ndarray:
