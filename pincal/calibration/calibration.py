@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pincal.calibration.benefit import without_harm
 from pincal.calibration.calibrated_robot import Fit, calibrate
 from pincal.calibration.held_out import (
     WAYS,
@@ -214,6 +215,7 @@ def fit_admitted(
         corrected += found.notes
         log.info("repeating, as %s", "; ".join(found.notes))
         fit = calibrate(robot, trained, options)
+    fit = without_harm(fit)
     corrected += unknown_zeros(fit)
     for text in corrected:
         warn(text)

@@ -50,6 +50,11 @@ class CaveatKind(Enum):
         "{poses} training poses give {readings} readings for {parameters} parameters: the result relies on "
         "the prior; measure more poses"
     )
+    NOT_IMPROVED = (
+        "these readings are too few or too noisy to improve the robot safely: within the joint limits its URDF is expected "
+        "to be off by {nominal:.2g} mm rms, the geometry that they suggest by {calibrated:.2g} mm. It stays as in its URDF; "
+        "only instrument and target are calibrated. Measure more poses, or with less noise"
+    )
     CONTRADICTED = "{what}"
     NOT_CONVERGED = "the fit did not converge ({how}); check the noise, and look for rows that do not belong to this robot"
     NOISE_EXCEEDED = (

@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import UNSET, UnsetType, to_builtins
 from scipy.special import chdtrc
 
+from pincal.calibration.benefit import findings_on_benefit
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.caveats import (
     DOUBTS,
@@ -45,6 +46,7 @@ from pincal.calibration.station_information import spent_at
 from pincal.calibration.unmodelled import instruments_error
 from pincal.calibration.visit_findings import by_visit, findings_on_visits, joined_with_means
 from pincal.identify.beliefs import declared_noise
+from pincal.identify.explain import Cause
 from pincal.identify.fit import ModelFit
 from pincal.identify.prior_scale import has_instrument
 from pincal.identify.station import Station
@@ -89,6 +91,11 @@ class Result(Outcome):
     def doubts(self) -> tuple[Note, ...]:
         """The warnings that keep the verdict from being "adequate"."""
         return doubts_of(self.warnings)
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether the robot stays as in its URDF because the readings do not improve it."""
+        return any(row.reason.cause is Cause.NOT_IMPROVED for row in self.parameters)
 
     @property
     def noise_test(self) -> NoiseTest | None:
@@ -186,6 +193,7 @@ def result_of(
     moves = moves_of(fit) if len(seen) > 1 else ()
     found = [
         *findings_on_plausibility(fit, [part.train for part in rows]),
+        *findings_on_benefit(fit),
         *findings_on_fit(fit, p_value, arrivals),
         *findings_on_scatter(fit),
         *findings_on_data(fit, read),

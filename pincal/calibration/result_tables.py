@@ -106,13 +106,14 @@ def parameter_rows(fit: ModelFit) -> tuple[ParameterRow, ...]:
             unit=parameter.unit,
             nominal=parameter.nominal,
             value=float(value),
-            sigma=None if finding.status == "fixed" else float(sigma),
+            # What stays nominal for want of better readings is uncertain all the same.
+            sigma=None if finding.status == "fixed" and not is_free else float(sigma),
             status=finding.status,
             reason=finding.reason,
             effect=parameter.effect,
         )
-        for parameter, value, sigma, finding in zip(
-            fit.problem.parameters, values, fit.estimate.sigma, explain(fit), strict=True
+        for parameter, value, sigma, is_free, finding in zip(
+            fit.problem.parameters, values, fit.estimate.sigma, fit.solution.free, explain(fit), strict=True
         )
     )
 

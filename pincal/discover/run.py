@@ -189,7 +189,9 @@ def run_discovery(
     trail, notes = search(first)
     halves = begin_subsamples(trail, _regions(first), stability, executor=executor)
     # The following runs while workers search the halves.
-    fit, traces = widened(trail), partial_residuals(trail)
+    # Without any effect a robot that the readings do not improve stays as in its URDF.
+    fit = first.fit if first.fit.is_kept and not trail.steps else widened(trail)
+    traces = partial_residuals(trail)
     # Rows that the first model could not describe may be sound.
     fit = replace(fit, nominal=nominal_without_outliers(fit))
     validated = Validated.of(fit, first.stations, first.folds)

@@ -47,6 +47,7 @@ class Cause(Enum):
     NONE = ""
     GIVEN = "given by the user"
     NOT_NEEDED = "fixed at zero: most lenses need no higher terms"
+    NOT_IMPROVED = "as in the robot description, since these readings do not improve it"
     AT_BOUND = "stopped at its bound of {size}"
     ABSORBS = "±{size} if the parameters it absorbs are held at their estimates"
     NO_MOMENT = "no static moment about this axis in any pose (axis {axis} parallel to gravity, or no mass beyond it)"
@@ -202,6 +203,8 @@ def _of_frame(parameter: Parameter, known: float, variance: float) -> tuple[Stat
 
 def _of_inner(fit: ModelFit, nominals: list[_Nominal], i: int, ratio: float) -> tuple[Status, Reason]:
     parameter, size = fit.problem.parameters[i], float(fit.priors.sizes[i])
+    if fit.is_kept and fit.options.kept is not None and parameter.name in fit.options.kept.names:
+        return Status.FIXED, Reason(Cause.NOT_IMPROVED)
     if fit.solution.at_bound[i]:
         return Status.AT_BOUND, Reason(Cause.AT_BOUND, size=float(fit.priors.bounds[i]), unit=parameter.unit)
     if not fit.solution.free[i]:

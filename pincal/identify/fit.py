@@ -260,6 +260,14 @@ class ModelFit:
         """Whether the noise of all stations was declared."""
         return all(self.noise.declared[blocks.start] is not None for _, _, blocks in self.stations)
 
+    @cached_property
+    def is_kept(self) -> bool:
+        """Whether the robot is as in its URDF because the readings do not improve it; a further fit may have changed it."""
+        if self.options.kept is None:
+            return False
+        at = [k for k, parameter in enumerate(self.problem.parameters) if parameter.name in self.options.kept.names]
+        return bool(np.array_equal(self.values[at], self.nominal.values[at]))
+
     def readings(self, measurements: Measurements, *, station: str = "") -> Station:
         """Return the calibrated model of a station, by name if there are several, over other measurements."""
         options = self.options.at(station)

@@ -41,6 +41,20 @@ class PriorScale(NamedTuple):
     bearings: float = 1.0
 
 
+class Kept(NamedTuple):
+    """What a calibration left as in the robot description.
+
+    Attributes:
+        names: of the robot's parameters.
+        nominal_mm: expected rms position error of the robot as described [mm].
+        calibrated_mm: the same with the parameters that the readings suggest [mm].
+    """
+
+    names: tuple[str, ...]
+    nominal_mm: float
+    calibrated_mm: float
+
+
 @dataclass(frozen=True)
 class StationOptions:
     """Options of one station, by the names of :class:`Options`; None for the common ones."""
@@ -86,6 +100,7 @@ class Options:
         zeros: joints with unknown zeros, by names or patterns such as ``"*"``.
         prior_scale: factors on the priors of a robot's lengths, angles, drive compliances and other compliances, except
             those in ``priors``; default: 1, or where no instrument determines positions as large as the readings allow.
+        kept: what a calibration left nominal because its readings do not improve the robot.
         serial: whether to test for noise that is correlated along the rows, and weight rows accordingly.
     """
 
@@ -108,6 +123,7 @@ class Options:
     priors: Mapping[str, float | str] = field(default_factory=dict)
     zeros: tuple[str, ...] = ()
     prior_scale: PriorScale | None = None
+    kept: Kept | None = None
     serial: bool = True
 
     def __post_init__(self) -> None:

@@ -48,6 +48,9 @@ def judged(result: Result, discovery: Discovery | None = None) -> Judged:
         return Judged(verdict, f"Do not use it: {result.doubt}.")
     if discovery is not None:
         return verdict_of_search(discovery.findings, is_of_arrivals=result.arrivals is not None)
+    if result.is_kept:
+        words = "The readings can't improve the robot, which stays as in its URDF; instrument and target are calibrated."
+        return Judged(verdict, words)
     compared = result.noise_test
     if verdict is Verdict.NOT_ADEQUATE and compared is not None and compared.is_misfit:
         words = f"The residuals are {relative_to_noise(compared.ratio, compared.noise, is_misfit=True)}"
@@ -129,6 +132,8 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
         steps.append("Make the rows before and after the shift two stations (column station), and calibrate again.")
     if result.doubt:
         return [f"First find out what is wrong: {result.doubt}."]
+    if result.is_kept:
+        steps.append("Measure more poses, or with less noise: pincal design predicts how many poses reach an accuracy.")
     if is_few := not is_informative(result.degrees):
         steps.append("Measure more poses: these are too few to distinguish a good model from a bad one.")
     if discovery is not None:
@@ -137,7 +142,7 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
         steps.append(
             "Measure six to ten poses with an instrument, or in sockets, and calibrate with both: an IMU gives no lengths."
         )
-    elif not is_few and judgement is not Verdict.ADEQUATE and result.converged:
+    elif not (is_few or result.is_kept) and judgement is not Verdict.ADEQUATE and result.converged:
         steps.append("Run pincal discover on the same data: it identifies the effects that the model lacks.")
     if lines := result.outliers:
         steps.append(f"Inspect the rejected outliers, line {few(lines, _LISTED)}: a loose target, or a slipping joint?")
@@ -147,18 +152,20 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
             f"No instrument measured the robot: {worst.link} is known to {worst.after_mm:.2g} mm at worst ({worst.region}). "
             "If that is not enough, measure a few poses with one as well."
         )
-    error = result.error["calibrated"]
+    error, no_better = result.error["calibrated"], False
     if "test" not in error:
         steps.append("Hold rows out (--test-fraction) or measure more (--holdout): otherwise the accuracy is not validated.")
     else:
         # Both kinds of held-out rows together.
         rms = f"rms_{leading_unit(error['test'])}"
         ways = [error[way][rms] for way in error if way not in ("train", "test")] or [error["test"][rms]]
-        if np.sqrt(np.mean(np.square(ways))) > _OVERFITTED * error["train"][rms]:
+        if error["test"][rms] > result.error["nominal"]["test"][rms]:
+            steps.append("Held-out poses are predicted no better than by the URDF: measure more poses, or with less noise.")
+        elif np.sqrt(np.mean(np.square(ways))) > _OVERFITTED * error["train"][rms]:
             steps.append("Held-out errors exceed fitted ones: measure more poses, spread over the whole range of use.")
     if narrow := ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in narrow_joints(calibration)):
         steps.append(f"These joints moved through little of their range: {narrow}. Outside it the model is not validated.")
-    if judgement is not Verdict.NOT_ADEQUATE or not steps:
+    if (judgement is not Verdict.NOT_ADEQUATE and not no_better) or not steps:
         steps.append(
             "Use it: model.json predicts poses (pincal predict), calibrated.urdf transfers the geometry to other programs, "
             "and pincal validate checks the model against new measurements in a few months."
@@ -237,6 +244,12 @@ _ADVICE = (
         "Too little signal in these poses",
         "The effect of these parameters is small compared with the noise. Measure with the heaviest payload, with the arm "
         "stretched out, and with this joint through its whole range; four times as many poses halve the uncertainty.",
+    ),
+    Advice(
+        (Cause.NOT_IMPROVED,),
+        "Not improved by these readings",
+        "The robot is expected to be closer to its description than these readings can tell, so that their noise would make "
+        "it worse. Measure more poses, or with less noise.",
     ),
     Advice(
         (Cause.AT_BOUND,),

@@ -1,0 +1,229 @@
+r"""Whether a calibration makes a robot better than its URDF, expected before anyone measures it again.
+
+Priors of millimetres and milliradians hold for any robot. Many are better than that, and then readings of a few poses with
+much noise put the noise into the geometry: the calibrated robot fits them, and is worse than its URDF elsewhere. How far
+this robot is from its URDF shows in the readings as well. Let s scale all its priors, from zero to one. With the information
+H of the readings and their gradient b at the nominal robot, the evidence of s is (MacKay 1992, Bayesian Interpolation,
+Neural Computation 4, section 4)
+
+.. math:: 2 \log E(s) = b^T A^{-1} b - \log\det A - \log\det P, \quad A = H + P^{-1}, \quad P \propto s^2 ,
+
+and given s the deviations are distributed about :math:`m = A^{-1} b` with covariance :math:`C = A^{-1}`. A robot that is
+said to deviate by x is then off by
+
+.. math:: (x - m)^T W (x - m) + \mathrm{tr}(W C)
+
+in the mean square over random poses, whose Jacobians make W, instrument and target placed as well as possible. The average
+over s, weighted by the evidence, is the expected error of the calibrated robot for its x, and of the URDF for x = 0. Where
+the noise is unknown, it is the most likely one for each s. Noise alone sometimes looks like a robot that deviates, so that
+the decision is made by an average in which the URDF is given odds beforehand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.calibrated_robot import Fit
+from pincal.calibration.caveats import Caveat, CaveatKind
+from pincal.calibration.elsewhere import random_conditions
+from pincal.calibration.improvement import unplaced
+from pincal.identify.beliefs import deviations
+from pincal.identify.criteria import CRITERIA
+from pincal.identify.equations import Linearised
+from pincal.identify.fit import ModelFit
+from pincal.identify.options import Kept, PriorScale
+from pincal.identify.prior_scale import observes_places
+from pincal.identify.quadratic import Factor
+
+# Factors on the priors that are compared: the URDF as it is (for the arithmetic, a thousandth), then up to the usual priors.
+_SCALES = (1e-3, *np.geomspace(0.01, 1.0, 17))
+# Standard deviation of parameters without a prior [m or rad].
+_ANYWHERE = 10.0
+
+
+class Benefit(NamedTuple):
+    """Expected rms position errors within the joint limits, with instrument and target placed: of the URDF, and calibrated.
+
+    Attributes:
+        nominal_mm: with the robot as in its URDF [mm].
+        calibrated_mm: with the robot as calibrated [mm].
+        scale: factor on the usual priors by which the robot deviates from its URDF, rms over its evidence.
+        spread: factor on the usual priors with which the URDF is as uncertain as ``nominal_mm``.
+        is_worth_it: whether also those who expect the URDF to be right expect the calibrated robot to be better.
+    """
+
+    nominal_mm: float
+    calibrated_mm: float
+    scale: float
+    spread: float
+    is_worth_it: bool
+
+
+def without_harm(fit: Fit) -> Fit:
+    """Return a fit that is expected to be better than the URDF: itself, or one with the robot as in its URDF."""
+    found = benefit_of(fit)
+    return fit if found is None or found.is_worth_it else at_nominal(fit, found)
+
+
+def findings_on_benefit(fit: ModelFit) -> Iterator[Caveat]:
+    """Yield that the robot stays as in its URDF because the readings do not improve it."""
+    if fit.is_kept:
+        assert fit.options.kept is not None
+        figures = {"nominal": fit.options.kept.nominal_mm, "calibrated": fit.options.kept.calibrated_mm}
+        yield Caveat(CaveatKind.NOT_IMPROVED, figures)
+
+
+def benefit_of(fit: ModelFit) -> Benefit | None:
+    """Return what a calibration is expected to improve; None where this is not judged.
+
+    It is not where an earlier fit or the user says how far the robot deviates, where nothing of the robot is fitted, and
+    where no instrument observes positions, as priors are then estimated anyway.
+    """
+    options, problem = fit.options, fit.problem
+    is_judged = options.earlier is None and options.prior_scale is None and observes_places(fit)
+    scaled = _deviating(fit) & fit.solution.free
+    if not is_judged or not scaled.any():
+        return None
+    shared = fit.solution.free & problem.is_shared
+    evidence = _Evidence.of(fit, shared, scaled)
+    found = [evidence.at(scale) for scale in _SCALES]
+    evidences = np.array([given.log_evidence for given in found])
+    W = _weight(fit, shared)
+    x = (fit.values - fit.nominal.values)[shared]
+    losses = np.array([[given.loss(W, 0.0 * x), given.loss(W, x)] for given in found])
+    weights = _weights(evidences)
+    mean_squares = weights @ losses
+    nominal, calibrated = 1e3 * np.sqrt(mean_squares)
+    scale = float(np.sqrt(weights @ np.square(_SCALES)))
+    # Deviations that are left at zero though readings move their means are off by these means as well.
+    wide_enough = (at for at, given in zip(_SCALES, found, strict=True) if given.uncertainty(W) >= mean_squares[0])
+    # To leave a robot as it is costs a gain; to make it worse costs trust.
+    sceptical = np.log(CRITERIA.as_described * (len(_SCALES) - 1))
+    doubted = _weights(evidences + sceptical * (np.array(_SCALES) == _SCALES[0])) @ losses
+    is_worth_it = bool(np.sqrt(doubted[1]) < CRITERIA.worth_it * np.sqrt(doubted[0]))
+    return Benefit(float(nominal), float(calibrated), scale, next(wide_enough, _SCALES[-1]), is_worth_it)
+
+
+def _weights(logarithms: np.ndarray) -> np.ndarray:
+    """Return weights of sum 1 from their logarithms but for a constant, shape (n,)."""
+    weights = np.exp(logarithms - logarithms.max())
+    return np.asarray(weights / weights.sum())
+
+
+def at_nominal(fit: Fit, benefit: Benefit) -> Fit:
+    """Return a fit of base, target and instrument alone, in which the robot's parameters are nominal, and uncertain.
+
+    Further fits with its options have priors as wide as the robot deviates.
+    """
+    scale, spread = benefit.scale, benefit.spread
+    problem, free, nominal = fit.problem, fit.solution.free, fit.nominal
+    deviating = _deviating(fit)
+    sizes = np.where(deviating, spread * fit.priors.sizes, fit.priors.sizes)
+    at = Linearised(problem, nominal.values, free, nominal.weights, sizes)
+    solution = replace(nominal, posterior=at.posterior(nominal.sigma), free=free, at_bound=np.zeros(len(free), bool))
+    names = tuple(p.name for p, is_kept in zip(problem.parameters, deviating & free, strict=True) if is_kept)
+    kept = Kept(names, benefit.nominal_mm, benefit.calibrated_mm)
+    options = replace(fit.options, prior_scale=PriorScale(scale, scale, scale, scale), kept=kept)
+    return replace(fit, solution=solution, priors=replace(fit.priors, sizes=sizes), options=options)
+
+
+def _deviating(fit: ModelFit) -> np.ndarray:
+    """Return the robot's parameters whose usual priors are in force, shape (P,)."""
+    problem = fit.problem
+    robots = set(fit.names_of(effect for effect in problem.effects if effect.scope == "robot"))
+    is_robots = np.array([parameter.name in robots for parameter in problem.parameters], bool)
+    return np.asarray(np.any(deviations(problem, fit.options), axis=0) & is_robots & problem.is_shared)
+
+
+class _Given(NamedTuple):
+    """The deviations given a scale of the priors: its log evidence, their mean, shape (F,), and covariance, shape (F, F)."""
+
+    log_evidence: float
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    def loss(self, W: np.ndarray, x: np.ndarray) -> float:
+        """Return the expected mean square error of a robot with deviations ``x``, shape (F,)."""
+        away = x - self.mean
+        return float(away @ W @ away) + self.uncertainty(W)
+
+    def uncertainty(self, W: np.ndarray) -> float:
+        """Return the mean square error of the most probable robot."""
+        return float(np.sum(W * self.covariance))
+
+
+class _Evidence(NamedTuple):
+    """What the readings say of F parameters at the nominal robot.
+
+    Attributes:
+        H: shape (F, F), information in units of the noise.
+        b: shape (F,), gradient.
+        sizes: shape (F,), standard deviations of the usual priors.
+        scaled: shape (F,), which of them are scaled.
+        squares: sum of squared residuals in units of the noise.
+        readings: their number, beyond the placements; 0 if the noise is known.
+    """
+
+    H: np.ndarray
+    b: np.ndarray
+    sizes: np.ndarray
+    scaled: np.ndarray
+    squares: float
+    readings: float
+
+    @classmethod
+    def of(cls, fit: ModelFit, shared: np.ndarray, scaled: np.ndarray) -> _Evidence:
+        solution = fit.solution
+        at = Linearised(fit.problem, fit.nominal.values, solution.free, solution.weights, fit.priors.sizes)
+        # A fit of many parameters to few readings may leave next to nothing of one kind of them.
+        sigma = solution.sigma if fit.is_declared else fit.nominal.sigma
+        posterior = at.posterior(sigma)
+        sizes = np.minimum(fit.priors.sizes[shared], _ANYWHERE)
+        readings = 0.0
+        if not fit.is_declared:
+            readings = float(fit.problem.readings(solution.weights).sum()) - fit.nominal.effective
+        return cls(posterior.form.H, posterior.form.g, sizes, scaled[shared], _squares(fit, sigma), readings)
+
+    def at(self, scale: float) -> _Given:
+        """Return the deviations with priors scaled."""
+        # Of an unknown noise the ratio of prior to noise is given, and the noise follows.
+        sizes = self.sizes * np.where(self.scaled, scale, 1.0)
+        factor = Factor.of(self.H + np.diag(sizes**-2.0))
+        half = factor.half(self.b)
+        gain = float(half @ half)
+        determinants = factor.log_det + 2.0 * float(np.log(sizes).sum())
+        covariance = factor.solve(np.eye(len(sizes)))
+        if not self.readings:
+            return _Given(0.5 * (gain - determinants), factor.back(half), covariance)
+        variance = max(self.squares - gain, 1e-300) / self.readings
+        log_evidence = -0.5 * (self.readings * np.log(variance) + determinants)
+        return _Given(log_evidence, factor.back(half), variance * covariance)
+
+
+def _squares(fit: ModelFit, sigma: np.ndarray) -> float:
+    """Return the sum of squared residuals at the nominal robot, in units of a noise, shape (blocks,)."""
+    found = 0.0
+    for (station, places, blocks), rows in zip(fit.stations, fit.problem.rows, strict=True):
+        scale = station.weights / np.repeat(sigma[blocks], station.block_sizes)[:, None]
+        residuals = station.whitened(station.residuals(fit.nominal.values[places])) * scale
+        found += float(np.sum(residuals**2 * fit.solution.weights[rows]))
+    return found
+
+
+def _weight(fit: ModelFit, shared: np.ndarray) -> np.ndarray:
+    """Return the matrix of the mean square position error over random poses, shape (F, F) [m^2]."""
+    at = next(station for station in fit.problem.stations if station.sensor.reads_place)
+    model = CalibratedModel.of(fit, station=at.name)
+    poses, J = model.model.linearise(model.model_values, model.of_its_day(random_conditions(at)))
+    along = unplaced(J[:, :3], poses)
+    places = {name: k for k, name in enumerate(model.model.names)}
+    names = [p.name for p, is_shared in zip(fit.problem.parameters, shared, strict=True) if is_shared]
+    columns = np.zeros((*along.shape[:2], len(names)))
+    known = [k for k, name in enumerate(names) if name in places]
+    columns[:, :, known] = along[:, :, [places[names[k]] for k in known]]
+    return np.asarray(np.einsum("nip,niq->pq", columns, columns, optimize=True) / len(columns))
