@@ -253,7 +253,7 @@ class Fit(identified.ModelFit, Calibrated):
         rank = self.solution.posterior.identifiable_rank
         return (
             f"{super().summary()}\n{len(self.problem)} rows, {state} after {self.iterations} iterations; "
-            f"identifiable rank {rank} of {int(self.solution.free.sum())}; noise {'; '.join(self._noise())}"
+            f"{rank} combinations of {int(self.solution.free.sum())} parameters determined; noise {'; '.join(self._noise())}"
         )
 
     def _noise(self) -> Iterator[str]:

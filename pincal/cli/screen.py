@@ -99,7 +99,7 @@ def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command:
         least = min(shares, key=lambda name: shares[name])
         _line(out, "covered", f"each joint's range by at least {100 * shares[least]:.0f} % ({least})")
     statuses = [parameter.status for parameter in found.parameters]
-    _line(out, "rank", rank_words(statuses, rank=found.rank, condition=found.condition, why="why: --verbose"))
+    _line(out, "poses", rank_words(statuses, rank=found.rank, why="why: --verbose").removeprefix("these poses "))
     print_first_notes(found.warnings, out)
     _line(out, "next", command)
     _line(out, "more", "--verbose: coverage, expected uncertainty of each parameter, smallest detectable effects")

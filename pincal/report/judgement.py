@@ -218,8 +218,10 @@ _ADVICE = (
     Advice(
         (Cause.PARALLEL_AXES, Cause.COMBINATION, Cause.ALIASED, Cause.HIDDEN),
         "Parameters with the same effect",
-        "In every pose these parameters have the same effect as others; only the combination moves the target, and the "
-        "combination is calibrated. No measurement of this kind can separate them, and none is needed.",
+        "In all of these poses these parameters have the same effect as others; only the combination moves the target, and "
+        "the combination is calibrated. Predictions at such poses need no more. Where axes are parallel, no poses separate "
+        "them; otherwise poses that differ more from each other may, which matters only if the robot is used there: the "
+        "summary states the error to expect elsewhere.",
     ),
     Advice(
         (Cause.MASS,),

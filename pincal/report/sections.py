@@ -177,8 +177,9 @@ def setup(subject: Subject) -> Section:
         ("model", merged((rich("<b>{}</b> ({})", name, effect_meaning(name)) for name in effects), "; ")),
         (
             "fit",
-            f"{result.iterations} iterations, {result.seconds:.2f} s in all; identifiable rank {result.rank}, "
-            f"condition number {result.condition:.2g}; reduced chi-square {result.chi2_reduced:.3f}{p_value}",
+            f"{result.iterations} iterations, {result.seconds:.2f} s in all; {result.rank} combinations of "
+            f"parameters determined, condition number {result.condition:.2g}; "
+            f"reduced chi-square {result.chi2_reduced:.3f}{p_value}",
         ),
         ("3D view", view),
     )
@@ -377,7 +378,7 @@ def parameters(subject: Subject) -> Section:
         "the link; s_x and s_y tilt the axis; x, y, z and rx, ry, rz are position and rotation of base and tool. k is a "
         "<b>compliance</b>, the rotation of a joint or bearing per unit of moment. Sigma is the standard deviation. Status: "
         "<b>identified</b>: determined by the data; <b>prior</b>: dominated by prior knowledge; <b>unidentifiable</b>: "
-        "these poses cannot determine it by itself, whatever the noise; predictions do not depend on it."
+        "these poses cannot determine it by itself, whatever the noise; predictions at poses like these do not depend on it."
     )
     blocks: list[PageBlock] = [paragraph(intro), figures("correction", correction_drawings(result.parameters))]
     blocks += [parameter_table(result.parameters), heading("Strong correlations")]

@@ -12,12 +12,12 @@ from pincal.model.effect_registry import meaning_of
 from pincal.units import readable_unit
 from pincal.validate.outcome import Elsewhere
 
-# Words for the numbers of parameters that the data do not identify.
+# Words for the numbers of parameters that the data do not identify by themselves, and for what this means.
 _NOT_IDENTIFIED = {
-    Status.UNIDENTIFIABLE: "unidentifiable",
-    Status.PRIOR: "determined by priors",
-    Status.AT_BOUND: "at a bound",
-    Status.FIXED: "fixed",
+    Status.UNIDENTIFIABLE: "not by themselves (predictions at such poses need no more)",
+    Status.PRIOR: "hardly (they stay near nominal)",
+    Status.AT_BOUND: "stopped at a bound",
+    Status.FIXED: "held",
 }
 # Ratio of the error that the model expects elsewhere to that at poses like the measured ones, above which more poses are
 # advised. The latter includes the noise of the instrument; a judgement.
@@ -50,8 +50,10 @@ TERMS = (
     ("noise", "standard deviation of the instrument's readings; no model can be better than this."),
     ("sigma", "standard deviation: in 95 of 100 cases the true value lies within two of them."),
     (
-        "identifiable rank",
-        "number of independent combinations of parameters that the data determine better than the priors do.",
+        "combinations determined",
+        "number of independent combinations of parameters that the data determine better than the priors do (rank). A "
+        "parameter that is only determined together with others is no fault: at poses like the measured ones all that "
+        "predictions need is determined, and the expected error elsewhere shows whether other poses need more.",
     ),
     ("prior", "knowledge of a parameter before any measurement: a standard deviation about its nominal value."),
     ("compliance", "rotation of a joint or bearing per unit of moment, in rad per N m: the inverse of stiffness."),
@@ -214,21 +216,29 @@ def elsewhere_words(found: Elsewhere, error: Mapping[str, float]) -> str:
     return f"{words}, {where}; pincal design plans poses for it"
 
 
-def rank_words(statuses: Iterable[Status], *, rank: int, condition: float, why: str = "") -> str:
-    """Return how many of all parameters the data identify, the statuses of the others, rank and condition number.
+def rank_words(statuses: Iterable[Status], *, rank: int, condition: float | None = None, why: str = "") -> str:
+    """Return what poses determine of the parameters, and what it means that they do not determine the others.
 
     Args:
         statuses: of every parameter; the numbers in the sentence add up to the number of parameters.
-        rank: number of independent combinations that are identified.
-        condition: condition number of these.
+        rank: number of independent combinations that are determined.
+        condition: condition number of these; None to leave it out.
         why: where the reasons are given, in words.
 
     Example:
-        >>> rank_words([Status.IDENTIFIED] * 2 + [Status.UNIDENTIFIABLE] * 3 + [Status.FIXED], rank=3, condition=52.0)[:68]
-        '2 of 6 parameters identified individually, 3 unidentifiable, 1 fixed'
+        >>> statuses = [Status.IDENTIFIED] * 2 + [Status.UNIDENTIFIABLE] * 3 + [Status.FIXED]
+        >>> rank_words(statuses, rank=3, condition=52.0)[:87]
+        'these poses determine 3 combinations of the 6 parameters: 2 of them individually, 3 not'
+        >>> rank_words([Status.IDENTIFIED] * 2, rank=2)
+        'these poses determine all 2 parameters individually'
     """
     counts = Counter(statuses)
+    total, individually = counts.total(), counts[Status.IDENTIFIED]
     others = [f"{counts[status]} {words}" for status, words in _NOT_IDENTIFIED.items() if counts[status]]
-    words = ", ".join([f"{counts[Status.IDENTIFIED]} of {counts.total()} parameters identified individually", *others])
-    why = f" ({why})" if why and others else ""
-    return f"{words}{why}; identifiable rank {rank}, condition number {condition:.2g}"
+    if not others:
+        words = f"these poses determine all {total} parameters individually"
+    else:
+        parts = ", ".join([f"{individually} of them individually", *others])
+        words = f"these poses determine {rank} combinations of the {total} parameters: {parts}"
+    words += f"; condition number {condition:.2g}" if condition is not None else ""
+    return f"{words} ({why})" if why and others else words
