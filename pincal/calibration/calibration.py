@@ -139,7 +139,7 @@ def run_calibration(
     begun = time.perf_counter()
     fitted = fit_admitted(robot, measurements, options, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout)
     log.info("assessing the fit")
-    fitted = replace(fitted, fit=with_masses_unsure(fitted.fit))
+    fitted = replace(fitted, fit=with_masses_unsure(without_harm(fitted.fit)))
     left_out: Iterable[LeftOut] = ()
     if split == "station":
         left_out = leave_out_stations(fitted.robot, fitted.admitted, fitted.options, executor=executor)
@@ -215,7 +215,6 @@ def fit_admitted(
         corrected += found.notes
         log.info("repeating, as %s", "; ".join(found.notes))
         fit = calibrate(robot, trained, options)
-    fit = without_harm(fit)
     corrected += unknown_zeros(fit)
     for text in corrected:
         warn(text)

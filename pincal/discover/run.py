@@ -24,6 +24,7 @@ import numpy as np
 from msgspec import to_builtins
 from msgspec.structs import replace as changed
 
+from pincal.calibration.benefit import without_harm
 from pincal.calibration.calibrated_robot import Fit as CalibratedFit
 from pincal.calibration.calibration import Calibration, FittedTables, fit_admitted
 from pincal.calibration.held_out import LeftOut, Validated, as_measured, leave_out_stations
@@ -190,7 +191,8 @@ def run_discovery(
     halves = begin_subsamples(trail, _regions(first), stability, executor=executor)
     # The following runs while workers search the halves.
     # Without any effect a robot that the readings do not improve stays as in its URDF.
-    fit = first.fit if first.fit.is_kept and not trail.steps else widened(trail)
+    harmless = first.fit if trail.steps else without_harm(first.fit)
+    fit = harmless if harmless.is_kept else widened(trail)
     traces = partial_residuals(trail)
     # Rows that the first model could not describe may be sound.
     fit = replace(fit, nominal=nominal_without_outliers(fit))
