@@ -144,3 +144,10 @@ def _position_sigma(fit: ModelFit, rows: Measurements) -> np.ndarray:
     C = fit.estimate.dense_covariance()
     ((_, _, J),) = station.linearise(fit.values, np.ones(len(fit.values), bool))
     return np.sqrt(np.einsum("pmn,pq,qmn->nm", J, C, J))
+
+
+def test_no_columns_are_whitened_to_none() -> None:
+    """A station all of whose parameters are known has residuals, and no derivatives."""
+    shared = StopNoise.of(np.ones((2, 3, 6)), np.array([0, 0, 0, 1, 1, 1]))
+
+    assert shared.whitened(np.zeros((0, 3, 6))).shape == (0, 3, 6)

@@ -212,10 +212,10 @@ class StopNoise:
         places = np.broadcast_to(np.arange(m * n).reshape(1, m, n), (r, m, n)).ravel()
         L = coo_array((self.levers.ravel(), (rows, places)), shape=(len(present) * r, m * n)).tocsr()
         flat = columns.reshape(len(columns), m * n)
-        sums = (L @ flat.T).reshape(len(present), r, -1)
+        sums = (L @ flat.T).reshape(len(present), r, len(columns))
         U = vectors[present]
         M = (U * factor[present][:, None, :]) @ U.transpose(0, 2, 1)
-        back = L.T @ (M @ sums).reshape(len(present) * r, -1)
+        back = L.T @ (M @ sums).reshape(len(present) * r, len(columns))
         return np.asarray((flat + back.T).reshape(columns.shape))
 
 
