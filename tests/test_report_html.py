@@ -91,6 +91,13 @@ def test_the_page_needs_nothing_from_elsewhere(page: str) -> None:
     assert {ref[1:] for ref in parsed.references if ref.startswith("#")} <= own
 
 
+def test_rows_that_are_cross_validated_are_counted_once(kuka: Robot, no_figures: None) -> None:
+    """The head of the page has the number of poses, and no other number of rows where each pose has one."""
+    crossed = kuka_run(kuka, 60, test_fraction=0.0)
+
+    assert "6 joints, 60 measured poses\n" in Page(page_of(crossed).replace("</p>", "\n</p>")).text
+
+
 def test_the_nutshell_has_the_held_out_numbers(page: str, run: Calibration) -> None:
     """Mean before and after on held-out poses, the noise, and what to do next stand at the top."""
     top = Page(page[: page.index('id="subject"')]).text

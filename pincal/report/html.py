@@ -144,7 +144,9 @@ def report_page(subject: Subject, *, layout: tuple[Callable[[Subject], Section |
     """Return ``report.html``: accuracy, where the errors are, what was missing, the parameters, and the provenance."""
     log.info("drawing the report")
     calibration, result = subject.calibration, subject.result
-    poses, rows = calibration.n_poses(), result.rows["train"] + result.rows["test"]
+    poses = calibration.n_poses()
+    # By cross-validation the rows that are predicted are those that were fitted.
+    rows = result.rows["train"] + (result.rows["test"] if calibration.validated is None else 0)
     lead = f"{calibration.robot.n_joints} joints, {poses} measured poses" + (f" ({rows} rows)" if poses < rows else "")
     lead += ", with a search for missing effects" if subject.discovery else ""
     made = [section for make in layout if (section := make(subject)) is not None]
