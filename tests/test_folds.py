@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pincal import Calibration, Options, Robot, run_calibration
+from pincal import Calibration, Options, Robot, read_measurements, run_calibration
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
+from pincal.cli import main
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import ModelFit
 from pincal.identify.folds import Folds, left_out_residuals
@@ -60,6 +62,21 @@ def test_rows_are_predicted_as_by_a_fit_of_the_others(fit: ModelFit, way: str) -
         again = solve(fit.problem.select(rest), fit.values, fit.solution.free, fit.priors, fit.noise, Course("none"))
         held = fit.problem.stations[0].select(np.flatnonzero(~rest))
         np.testing.assert_allclose(found[:, ~rest], held.residuals(again.values), atol=0.02 * NOISE)
+
+
+def test_folds_of_parallel_axes_are_fitted_to_their_end(tmp_path: Path) -> None:
+    """Base and tool of a planar arm move along its axes together; the errors are those of fits of the other rows."""
+    planar = Robot.from_urdf("double_pendulum_continuous")
+    with pytest.raises(SystemExit, match="0"):
+        main(["simulate", planar.source, "--poses=300", "--no-floor", "--noise=0.05mm", f"--out={tmp_path / 'table.csv'}"])
+    table = read_measurements(tmp_path / "table.csv", planar.joint_names)
+    fit = run_calibration(planar, table, Options(sigma=NOISE)).fit
+    fold = Folds.of(fit.problem, ("random",)).of_way["random"]
+    (found,) = left_out_residuals(fit, fit.solution, fold)
+
+    # 26 parameters at most share what 300 rows tell.
+    expected = NOISE * np.sqrt(3.0 * (1.0 + 26 / 900))
+    assert np.sqrt(np.mean(np.sum(found**2, axis=0))) < 1.07 * expected
 
 
 def test_every_row_is_in_one_fold(fit: ModelFit) -> None:

@@ -16,14 +16,16 @@ is not short is repeated at its end.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import ModelFit, Solution
+from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 from pincal.identify.split import joint_regions
 from pincal.identify.station import Station
@@ -38,6 +40,8 @@ _FOLDS = 25
 # Steps at most to the fit without a fold, and the motion of predictions by the last one, in units of the noise, that
 # needs no further one.
 _STEPS, _SHORT = 3, 0.3
+# Precisions, in units of the priors', by which a step that leads up is damped.
+_DAMPINGS = tuple(3.0 * 10.0**k for k in range(6))
 # Largest step of a parameter [rad or m] whose predictions are taken to first order: they are off by half its square.
 _LINEAR = 1e-3
 
@@ -137,19 +141,52 @@ def _without_each(fit: ModelFit, solution: Solution, fold: np.ndarray) -> Iterat
     problem = replace(fit.problem, stations=tuple(stations)) if is_serial else fit.problem
     readings = max(float(problem.readings(weights).sum()), 1.0)
     point = Linearised(problem, solution.values, free, weights, fit.priors.sizes)
-    at_rest = point.posterior(solution.sigma).step_within(bounds)[0]
-    for k, first in enumerate(point.without_each(fold, solution.sigma)):
-        posterior, values = first, solution.values
-        step = posterior.step_within(bounds)[0] - at_rest
-        for _ in range(_STEPS):
-            values = values.copy()
-            values[free] += step
+    whole = point.posterior(solution.sigma)
+    for k, posterior in enumerate(point.without_each(fold, solution.sigma)):
+        others = np.where(fold == k, 0.0, weights)
+        here = Linearised(problem, solution.values, free, others, fit.priors.sizes, squares_first=True)
+        # The fit of all rows may not be at rest itself.
+        here, step = _descended(here, partial(_step_beyond, whole, posterior, bounds), solution.sigma)
+        for _ in range(_STEPS - 1):
             if is_serial or posterior.square(step) < _SHORT**2 * readings:
                 break
-            others = np.where(fold == k, 0.0, weights)
-            posterior = Linearised(problem, values, free, others, fit.priors.sizes).posterior(solution.sigma)
-            step = posterior.step_within(bounds)[0]
-        yield values
+            posterior = here.posterior(solution.sigma)
+            here, step = _descended(here, partial(_step, posterior, bounds), solution.sigma)
+        yield here.values
+
+
+def _step(posterior: Posterior, bounds: np.ndarray, damping: float) -> np.ndarray:
+    """Return the step of all free parameters, shape (F,)."""
+    return np.asarray(posterior.step_within(bounds, damping)[0])
+
+
+def _step_beyond(whole: Posterior, posterior: Posterior, bounds: np.ndarray, damping: float) -> np.ndarray:
+    """Return the step of all free parameters less that of the fit of all rows, shape (F,)."""
+    return np.asarray(_step(posterior, bounds, damping) - _step(whole, bounds, damping))
+
+
+def _descended(here: Linearised, step_of: Callable[[float], np.ndarray], sigma: np.ndarray) -> tuple[Linearised, np.ndarray]:
+    """Return the end of a step and the step, which is damped if it is long and leads up.
+
+    Where readings hardly tell base and tool apart, as of parallel axes, they may go far along what is no valley any more.
+    """
+
+    def at_end_of(step: np.ndarray) -> Linearised:
+        values = here.values.copy()
+        values[here.free] += step
+        return replace(here, values=values, squares_first=True, normals={}, sums={})
+
+    step = step_of(0.0)
+    there = at_end_of(step)
+    if np.abs(step).max(initial=0.0) <= _LINEAR:
+        return there, step
+    objective = here.objective(sigma)
+    for damping in _DAMPINGS:
+        if there.objective(sigma) <= objective:
+            return there, step
+        step = step_of(damping)
+        there = at_end_of(step)
+    return there, step
 
 
 def _alone_in_fold(station: Station, fold: np.ndarray) -> np.ndarray:
