@@ -58,11 +58,11 @@ def markers(machine: sim.TrueMachine, poses: int, seed: int) -> Measurements:
     return measurements_from_arrays(ur5().joint_names, q, position=position, quaternion=turned.as_quat())
 
 
-def reflectors(machine: sim.TrueMachine, poses: int, seed: int) -> Measurements:
+def reflectors(machine: sim.TrueMachine, poses: int, seed: int, *, noise: float = TRACKER) -> Measurements:
     """Return positions of a reflector by a tracker."""
     rng = np.random.default_rng(1000 + seed)
     q = ur5().random_configurations(poses, rng)
-    position = target_of(machine, q)[1] + TRACKER * rng.standard_normal((poses, 3))
+    position = target_of(machine, q)[1] + noise * rng.standard_normal((poses, 3))
     return measurements_from_arrays(ur5().joint_names, q, position=position)
 
 
@@ -135,6 +135,19 @@ def test_expected_errors_are_the_true_ones(poses):
         true.append([_rms(kinematic_errors(fit, of, machine)) for of in (fit.nominal.values, fit.values)])
 
     np.testing.assert_allclose(np.mean(expected, axis=0) / np.mean(true, axis=0), 1.0, atol=0.4)
+
+
+@pytest.mark.parametrize("declared", [True, False])
+def test_errors_that_exceed_the_noise_a_thousandfold_are_expected(declared):
+    """However much smaller an unknown noise is than what the URDF leaves, the errors expected are the true ones."""
+    machine = machine_of(3, 2e-3)
+    fit = calibrate(ur5(), reflectors(machine, 40, 3, noise=2e-6), Options(sigma=2e-6 if declared else None))
+    found = benefit_of(fit)
+    true = _rms(kinematic_errors(fit, fit.nominal.values, machine))
+
+    assert found.is_worth_it
+    assert found.nominal_mm == pytest.approx(true, rel=0.3)
+    assert found.calibrated_mm < 0.01 * found.nominal_mm
 
 
 def _rms(x: np.ndarray) -> float:

@@ -41,9 +41,11 @@ from pincal.identify.prior_scale import observes_places
 from pincal.identify.quadratic import Factor
 
 # Factors on the priors that are compared: the URDF as it is (for the arithmetic, a thousandth), then up to the usual priors.
-_SCALES = (1e-3, *np.geomspace(0.01, 1.0, 17))
+_NONE, _LEAST, _STEP = 1e-3, 1e-2, 10.0**0.125
 # Standard deviation of parameters without a prior [m or rad].
 _ANYWHERE = 10.0
+# Ratio of the noise of the nominal robot to that of the fit beyond which the fit is taken to have none.
+_MOST = 1e4
 
 
 class Benefit(NamedTuple):
@@ -90,8 +92,8 @@ def benefit_of(fit: ModelFit) -> Benefit | None:
     if not is_judged or not scaled.any():
         return None
     shared = fit.solution.free & problem.is_shared
-    evidence = _Evidence.of(fit, shared, scaled)
-    found = [evidence.at(scale) for scale in _SCALES]
+    found = _Evidence.of(fit, shared, scaled).compared
+    scales = np.array([given.scale for given in found])
     evidences = np.array([given.log_evidence for given in found])
     W = _weight(fit, shared)
     x = (fit.values - fit.nominal.values)[shared]
@@ -99,14 +101,15 @@ def benefit_of(fit: ModelFit) -> Benefit | None:
     weights = _weights(evidences)
     mean_squares = weights @ losses
     nominal, calibrated = 1e3 * np.sqrt(mean_squares)
-    scale = float(np.sqrt(weights @ np.square(_SCALES)))
+    scale = float(np.sqrt(weights @ scales**2))
     # Deviations that are left at zero though readings move their means are off by these means as well.
-    wide_enough = (at for at, given in zip(_SCALES, found, strict=True) if given.uncertainty(W) >= mean_squares[0])
+    spread = next((given.scale for given in found if given.uncertainty(W) >= mean_squares[0]), found[-1].scale)
     # To leave a robot as it is costs a gain; to make it worse costs trust.
-    sceptical = np.log(CRITERIA.as_described * (len(_SCALES) - 1))
-    doubted = _weights(evidences + sceptical * (np.array(_SCALES) == _SCALES[0])) @ losses
+    odds = np.zeros(len(found))
+    odds[0] = np.log(CRITERIA.as_described * (len(found) - 1))
+    doubted = _weights(evidences + odds) @ losses
     is_worth_it = bool(np.sqrt(doubted[1]) < CRITERIA.worth_it * np.sqrt(doubted[0]))
-    return Benefit(float(nominal), float(calibrated), scale, next(wide_enough, _SCALES[-1]), is_worth_it)
+    return Benefit(float(nominal), float(calibrated), scale, spread, is_worth_it)
 
 
 def _weights(logarithms: np.ndarray) -> np.ndarray:
@@ -143,6 +146,7 @@ def _deviating(fit: ModelFit) -> np.ndarray:
 class _Given(NamedTuple):
     """The deviations given a scale of the priors: its log evidence, their mean, shape (F,), and covariance, shape (F, F)."""
 
+    scale: float
     log_evidence: float
     mean: np.ndarray
     covariance: np.ndarray
@@ -165,8 +169,9 @@ class _Evidence(NamedTuple):
         b: shape (F,), gradient.
         sizes: shape (F,), standard deviations of the usual priors.
         scaled: shape (F,), which of them are scaled.
-        squares: sum of squared residuals in units of the noise.
+        squares: sum of squared residuals of the nominal robot, in units of the noise.
         readings: their number, beyond the placements; 0 if the noise is known.
+        most: factor on the priors, per factor on the noise, up to which they are compared.
     """
 
     H: np.ndarray
@@ -175,23 +180,39 @@ class _Evidence(NamedTuple):
     scaled: np.ndarray
     squares: float
     readings: float
+    most: float
 
     @classmethod
     def of(cls, fit: ModelFit, shared: np.ndarray, scaled: np.ndarray) -> _Evidence:
+        """Return it as linear from the nominal robot to the fitted one, at which it is linearised.
+
+        A fit may be far from nominal, and the decision is about it.
+        """
         solution = fit.solution
-        at = Linearised(fit.problem, fit.nominal.values, solution.free, solution.weights, fit.priors.sizes)
+        at = Linearised(fit.problem, fit.values, solution.free, solution.weights, fit.priors.sizes)
         # A fit of many parameters to few readings may leave next to nothing of one kind of them.
         sigma = solution.sigma if fit.is_declared else fit.nominal.sigma
-        posterior = at.posterior(sigma)
+        form = at.posterior(sigma).form
+        x = (fit.values - fit.nominal.values)[shared]
+        b = form.g + form.H @ x
+        squares = _squares(fit, sigma) + float(x @ (form.g + b))
         sizes = np.minimum(fit.priors.sizes[shared], _ANYWHERE)
-        readings = 0.0
+        readings, most = 0.0, 1.0
         if not fit.is_declared:
             readings = float(fit.problem.readings(solution.weights).sum()) - fit.nominal.effective
-        return cls(posterior.form.H, posterior.form.g, sizes, scaled[shared], _squares(fit, sigma), readings)
+            # With the usual priors the noise is that of the fit.
+            most = float(np.max(sigma / np.maximum(solution.sigma, sigma / _MOST)))
+        return cls(form.H, b, sizes, scaled[shared], squares, readings, max(most, 1.0))
+
+    @property
+    def compared(self) -> list[_Given]:
+        """The deviations for scales from none to the usual priors."""
+        ratios = _LEAST * _STEP ** np.arange(1 + round(np.log(self.most / _LEAST) / np.log(_STEP)))
+        found = [self.at(ratio) for ratio in (_NONE, *ratios)]
+        return [given for given in found if given.scale < _STEP**0.5]
 
     def at(self, scale: float) -> _Given:
-        """Return the deviations with priors scaled."""
-        # Of an unknown noise the ratio of prior to noise is given, and the noise follows.
+        """Return the deviations with priors scaled; those of an unknown noise relative to it, which follows."""
         sizes = self.sizes * np.where(self.scaled, scale, 1.0)
         factor = Factor.of(self.H + np.diag(sizes**-2.0))
         half = factor.half(self.b)
@@ -199,18 +220,18 @@ class _Evidence(NamedTuple):
         determinants = factor.log_det + 2.0 * float(np.log(sizes).sum())
         covariance = factor.solve(np.eye(len(sizes)))
         if not self.readings:
-            return _Given(0.5 * (gain - determinants), factor.back(half), covariance)
+            return _Given(scale, 0.5 * (gain - determinants), factor.back(half), covariance)
         variance = max(self.squares - gain, 1e-300) / self.readings
         log_evidence = -0.5 * (self.readings * np.log(variance) + determinants)
-        return _Given(log_evidence, factor.back(half), variance * covariance)
+        return _Given(scale * float(np.sqrt(variance)), log_evidence, factor.back(half), variance * covariance)
 
 
 def _squares(fit: ModelFit, sigma: np.ndarray) -> float:
-    """Return the sum of squared residuals at the nominal robot, in units of a noise, shape (blocks,)."""
+    """Return the sum of squared residuals of a fit, in units of a noise, shape (blocks,)."""
     found = 0.0
     for (station, places, blocks), rows in zip(fit.stations, fit.problem.rows, strict=True):
         scale = station.weights / np.repeat(sigma[blocks], station.block_sizes)[:, None]
-        residuals = station.whitened(station.residuals(fit.nominal.values[places])) * scale
+        residuals = station.whitened(station.residuals(fit.values[places])) * scale
         found += float(np.sum(residuals**2 * fit.solution.weights[rows]))
     return found
 
