@@ -363,10 +363,11 @@ def _records(
                 for model, values in station.values.items()
             },
         }
-        if validated is not None:
-            record["rows"]["test"] = record["rows"]["train"]
-            for model, by_part in record["error"].items():
-                by_part["test"] = validated.at_station(k, model)
+        for model, by_part in record["error"].items():
+            # Readings of a station that were never left out have no such errors.
+            if validated is not None and (found := validated.at_station(k, model)):
+                record["rows"]["test"] = record["rows"]["train"]
+                by_part["test"] = found
         displacement = moved(first, CalibratedModel.of(fit, station=station.rows.name)).instrument if k else None
         if displacement is not None:
             record["moved_mm"] = 1e3 * displacement
