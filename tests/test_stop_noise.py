@@ -84,7 +84,7 @@ def test_the_scatter_within_and_between_stops_is_found() -> None:
 
 
 def test_repeatability_is_kept_with_the_model(tmp_path: Path) -> None:
-    """A model of revisited poses knows the scatter of single stops from its file, too; one of single rows has none."""
+    """A model of revisited poses knows the scatter of single stops from its file, too; single rows show only its levers."""
     robot, rng = drawn(2, 4e-5)
     cycles = robot.calibrated(MeasuringPlan(50, visits=4), rng)
     cycles.save(tmp_path / "model.json")
@@ -94,7 +94,9 @@ def test_repeatability_is_kept_with_the_model(tmp_path: Path) -> None:
     assert again is not None and cycles.repeatability is not None
     assert again.between_stops == pytest.approx(cycles.repeatability.between_stops)
     assert again.stops == pytest.approx(4.0)
-    assert once.repeatability is None
+    assert once.repeatability is not None
+    assert once.repeatability.drives > 0.7
+    assert once.repeatability.between_degrees.max() == once.repeatability.within_degrees.max() == 0.0
     # The noise of the model is that of a single stop, by which new rows are judged.
     placed = place_station(cycles, robot.measured(MeasuringPlan(30), rng))
     assert placed.model.sigma[0] == pytest.approx(once.sigma[0], rel=0.35)
@@ -124,7 +126,7 @@ def test_rows_that_share_an_arrival_count_as_one_stop() -> None:
     for k in np.unique(stop // 2):
         rows = np.flatnonzero(stop // 2 == k)
         places = (rows[:, None] * 3 + np.arange(3)).ravel()
-        V[np.ix_(places, places)] = noise.covariance(rows)
+        V[np.ix_(places, places)] = noise.covariance(rows[None])[0]
     columns = rng.standard_normal((5, len(V)))
     white = noise.whitened(columns)
     drawn_residuals = (np.linalg.cholesky(V) @ rng.standard_normal(len(V))).reshape(-1, 3).T
@@ -202,13 +204,17 @@ def test_an_offset_is_found_in_rows_of_any_dwell(single: tuple[MeasuredRobot, Ca
     assert abs(parameter.after - parameter.before) > 2.0 * parameter.sigma
 
 
-def test_single_readings_are_judged_as_ever(single: tuple[MeasuredRobot, CalibratedModel]) -> None:
-    """Rows of a pose of their own are independent, with the noise of the calibration."""
+def test_single_readings_are_independent(single: tuple[MeasuredRobot, CalibratedModel]) -> None:
+    """Rows of a pose of their own have the noise of the calibration, which follows the levers if the drives scatter."""
     robot, model = single
     placed = place_station(model, robot.measured(MeasuringPlan(15), np.random.default_rng(7)))
+    exact, rng = drawn(0, 0.0)
+    of_exact = place_station(exact.calibrated(MeasuringPlan(100), rng), exact.measured(MeasuringPlan(15), rng))
 
-    assert placed.shared is None
     assert placed.model.sigma == pytest.approx(model.sigma, rel=1e-12)
+    assert placed.shared is not None and placed.shared.of_drives > 0.7
+    assert all(rows.shape[1] == 1 for rows, _ in placed.shared.whitening)
+    assert of_exact.shared is None
 
 
 def test_what_is_announced_exceeds_its_uncertainty(single: tuple[MeasuredRobot, CalibratedModel]) -> None:

@@ -44,8 +44,7 @@ class RowNoise:
     @property
     def repeatability(self) -> Repeatability | None:
         """The record of the scatter; None where none is known."""
-        known = np.any(self.scatter.within_degrees) or np.any(self.scatter.between_degrees) or self.scatter.shared > 1.0
-        return Repeatability.of(self.scatter) if known else None
+        return Repeatability.of(self.scatter) if self.scatter.is_known else None
 
     @property
     def declared(self) -> tuple[float | None, ...]:
@@ -93,10 +92,11 @@ def noise_of_rows(
     variance = np.where(is_shown, lacking + of_stop, of_calibration**2)
     has_visits = best.between_degrees > 0.0
     of_pose = np.where(has_visits & is_shown, lacking / np.maximum(variance, 1e-300), 0.0)
-    # Noise of readings does not follow the levers.
-    of_readings = best.within / here.readings
-    apart = np.maximum((1.0 - own.drives) * square - before.within / (own.readings * own.stops), 0.0) + of_readings
-    of_drives = np.where(own.drives > 0.0, np.maximum(1.0 - apart / np.maximum(variance, 1e-300), 0.0), 0.0)
+    # Noise of readings within a stop does not follow the levers; of the rest, drives have the part that they had.
+    read = before.within / (own.readings * own.stops)
+    apart = np.clip((1.0 - own.drives) * square - read, 0.0, None) / np.maximum(square - read, 1e-300)
+    of_stops = 1.0 - best.within / here.readings / np.maximum(variance, 1e-300)
+    of_drives = np.where(own.drives > 0.0, np.clip((1.0 - apart) * of_stops, 0.0, 1.0), 0.0)
     sigma = np.where(is_known, np.sqrt(variance), of_calibration)
     is_angle = np.array([block.unit == "rad" for block in blocks])
     is_length = np.array([block.unit == "m" for block in blocks])

@@ -132,7 +132,7 @@ def _scatter(fit: ModelFit, readings: Sequence[Measurements]) -> dict[str, StopS
     found = dict[str, StopScatter]()
     for table, (station, places, blocks), rows in zip(readings, fit.stations, fit.problem.rows, strict=True):
         plan = plan_of(table)
-        if table.moving is not None or not (plan.is_repeated or plan.shares_stops):
+        if table.moving is not None:
             continue
         single = fit.readings(table, station=station.name)
         of_table = scatter_of_stops(single, fit.values[places], plan)
@@ -153,7 +153,8 @@ def _scatter(fit: ModelFit, readings: Sequence[Measurements]) -> dict[str, StopS
         elif fit.options.at(station.name).sigma is not None:
             # Declared noise is that of a single reading, and rows are weighted by their number.
             of_table = replace(of_table, readings=1.0, stops=1.0)
-        found[station.name] = of_table
+        if of_table.is_known:
+            found[station.name] = of_table
     return found
 
 

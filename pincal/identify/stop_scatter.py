@@ -18,7 +18,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, expit
 
 from pincal.identify.criteria import STOPS
 from pincal.identify.drive_levers import drive_levers
@@ -64,6 +64,12 @@ class StopScatter:
         """Return the scatter of readings of which none was repeated."""
         nothing = np.zeros(blocks)
         return cls(nothing, nothing, nothing, nothing)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the readings show anything of it."""
+        repeated = np.any(self.within_degrees) or np.any(self.between_degrees)
+        return bool(repeated) or self.shared > 1.0 or self.drives > 0.0
 
     def of_row(self, readings: np.ndarray | float, stops: np.ndarray | float = 1.0) -> np.ndarray:
         """Return the variance of the mean of so many readings in each of so many stops, shape (blocks, ...)."""
@@ -200,65 +206,82 @@ class SharedNoise:
         )
 
     @cached_property
+    def _poses(self) -> list[np.ndarray]:
+        """The rows of the poses that have as many, shape (P, n), by n."""
+        order = np.argsort(self.pose, kind="stable")
+        starts = np.flatnonzero(np.diff(self.pose[order], prepend=-1))
+        sizes = np.diff(starts, append=len(order))
+        return [order[starts[sizes == n, None] + np.arange(n)] for n in np.unique(sizes)]
+
+    @cached_property
     def whitening(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each pose, the indices of its rows and the matrix, shape (rows m, rows m), that whitens them.
+        """The rows of the poses that have as many, shape (P, n), and the matrices, shape (P, n m, n m), that whiten them.
 
         Poses of a single row, of unit variance, are left out where targets have nothing in common.
         """
-        order = np.argsort(self.pose, kind="stable")
-        cuts = np.flatnonzero(np.diff(self.pose[order])) + 1
-        groups = [rows for rows in np.split(order, cuts) if len(rows) > 1 or self.of_drives]
-        return [(rows, np.linalg.inv(np.linalg.cholesky(self.covariance(rows)))) for rows in groups]
+        correlated = [rows for rows in self._poses if rows.shape[1] > 1 or self.of_drives]
+        return [(rows, np.linalg.inv(np.linalg.cholesky(self.covariance(rows)))) for rows in correlated]
 
     def covariance(self, rows: np.ndarray) -> np.ndarray:
-        """Return the covariance of some rows of a pose, shape (rows m, rows m), row by row."""
-        n, m = len(rows), self.levers.shape[1]
-        same_stop = self.stop[rows, None] == self.stop[rows]
-        same_thing = self.thing[rows, None] == self.thing[rows]
-        of_pose = np.sqrt(self.of_pose[rows, None] * self.of_pose[rows])
-        of_stop = np.sqrt((1.0 - self.of_pose[rows, None]) * (1.0 - self.of_pose[rows]))
-        alone = of_pose * same_thing + of_stop * np.eye(n)
-        V = self.of_rows * np.kron(alone, np.eye(m))
+        """Return the covariances of the n rows of each of P poses, shape (P, n), as shape (P, n m, n m), row by row."""
+        poses, n = rows.shape
+        m = self.levers.shape[1]
+        own = np.eye(n)
+        first, second = rows[:, :, None], rows[:, None, :]
+        same_stop = self.stop[first] == self.stop[second]
+        same_thing = self.thing[first] == self.thing[second]
+        of_pose = np.sqrt(self.of_pose[first] * self.of_pose[second])
+        of_stop = np.sqrt((1.0 - self.of_pose[first]) * (1.0 - self.of_pose[second]))
+        alone = self.of_rows * (of_pose * same_thing + of_stop * own)
+        V = alone[:, :, None, :, None] * np.eye(m)[:, None, :]
         if self.of_drives:
-            J = self.levers[..., rows].transpose(2, 1, 0).reshape(n * m, -1)
-            together = of_pose + of_stop * same_stop
-            V += self.of_drives * np.kron(together, np.ones((m, m))) * (J @ J.T)
-        return V
+            # Shape (P, n m, drives).
+            J = np.moveaxis(self.levers[..., rows], (2, 3, 1, 0), (0, 1, 2, 3)).reshape(poses, n * m, -1)
+            together = self.of_drives * (of_pose + of_stop * same_stop)
+            V = V + together[:, :, None, :, None] * (J @ J.transpose(0, 2, 1)).reshape(poses, n, m, n, m)
+        return np.asarray(V.reshape(poses, n * m, n * m))
+
+    def _places(self, rows: np.ndarray) -> np.ndarray:
+        """Return where the readings of rows, shape (P, n), are in columns, shape (P, n m)."""
+        m = self.levers.shape[1]
+        return np.asarray((rows[:, :, None] * m + np.arange(m)).reshape(len(rows), -1))
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
         """Return columns of readings in units of the noise, shape (..., R), row by row and more behind, whitened."""
-        m = self.levers.shape[1]
-        columns = columns.copy()
-        for rows, W in self.whitening:
-            places = (rows[:, None] * m + np.arange(m)).ravel()
-            columns[..., places] = columns[..., places] @ W.T
-        return columns
-
-    def covariances(self, columns: np.ndarray) -> np.ndarray:
-        """Return U V U^T for columns U of readings, shape (K, R), row by row; what is not whitened has unit variance."""
-        m = self.levers.shape[1]
-        found = columns @ columns.T
-        for rows, _ in self.whitening:
-            part = columns[:, (rows[:, None] * m + np.arange(m)).ravel()]
-            found += part @ (self.covariance(rows) - np.eye(part.shape[1])) @ part.T
-        return np.asarray(found)
+        return self._turned(columns, self.whitening)
 
     def back(self, columns: np.ndarray) -> np.ndarray:
         """Return columns of whitened readings, shape (..., R), times the transposed whitening."""
-        m = self.levers.shape[1]
+        return self._turned(columns, [(rows, W.transpose(0, 2, 1)) for rows, W in self.whitening])
+
+    def _turned(self, columns: np.ndarray, turns: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+        """Return columns of readings, shape (..., R), those of rows, shape (P, n), by matrices, shape (P, n m, n m)."""
         columns = columns.copy()
-        for rows, W in self.whitening:
-            places = (rows[:, None] * m + np.arange(m)).ravel()
-            columns[..., places] = columns[..., places] @ W
-        return columns
+        each = columns.reshape(-1, columns.shape[-1])
+        for rows, turn in turns:
+            places = self._places(rows)
+            each[:, places] = (turn @ each[:, places].transpose(1, 2, 0)).transpose(2, 0, 1)
+        return np.asarray(columns)
+
+    def covariances(self, columns: np.ndarray) -> np.ndarray:
+        """Return U V U^T for columns U of readings, shape (K, R), row by row; what is not whitened has unit variance."""
+        found = columns @ columns.T
+        for rows, _ in self.whitening:
+            places = self._places(rows)
+            part = columns[:, places]
+            more = self.covariance(rows) - np.eye(places.shape[1])
+            moved = (more @ part[..., None])[..., 0]
+            found += part.reshape(len(part), -1) @ moved.reshape(len(part), -1).T
+        return np.asarray(found)
 
     def own_precision(self) -> np.ndarray:
         """Return the block of the precision of each row, shape (N, m, m)."""
         m = self.levers.shape[1]
         found = np.tile(np.eye(m), (len(self.pose), 1, 1))
         for rows, W in self.whitening:
-            P = (W.T @ W).reshape(len(rows), m, len(rows), m)
-            found[rows] = P[np.arange(len(rows)), :, np.arange(len(rows))]
+            poses, n = rows.shape
+            P = (W.transpose(0, 2, 1) @ W).reshape(poses, n, m, n, m)
+            found[rows] = np.einsum("pikil->pikl", P)
         return found
 
     def likeliest(self, residuals: np.ndarray, *, spent: int) -> SharedNoise:
@@ -270,24 +293,34 @@ class SharedNoise:
         """
         from scipy.optimize import minimize_scalar
 
-        r = residuals.T.ravel()
+        variances, along = self._principal(residuals.T.ravel())
+        squares = along**2
 
-        def with_share(logit: float) -> SharedNoise:
-            share = 1.0 / (1.0 + np.exp(-logit))
-            return replace(self, of_drives=share, of_rows=1.0 - share)
+        def misfit(share: float) -> float:
+            """Return -2 log likelihood for a share of the drives, with the likeliest size of the whole."""
+            relative = share * variances + (1.0 - share)
+            return len(squares) * float(np.log(np.sum(squares / relative))) + float(np.sum(np.log(relative)))
 
-        found = minimize_scalar(lambda logit: with_share(logit)._misfit(r), bounds=_LOGITS, method="bounded")
-        best = with_share(float(found.x))
-        nothing = replace(self, of_drives=0.0, of_rows=1.0)
-        if nothing._misfit(r) - best._misfit(r) < STOPS.shared:
-            return nothing
-        size = float(np.sum(best.whitened(r) ** 2)) / max(len(r) - spent, 1)
-        return replace(best, of_drives=size * best.of_drives, of_rows=size * best.of_rows)
+        found = minimize_scalar(lambda logit: misfit(float(expit(logit))), bounds=_LOGITS, method="bounded")
+        share = float(expit(found.x))
+        if misfit(0.0) - misfit(share) < STOPS.shared:
+            return replace(self, of_drives=0.0, of_rows=1.0)
+        whole = np.sum(squares / (share * variances + (1.0 - share)))
+        size = float(whole) / max(len(squares) - spent, 1)
+        return replace(self, of_drives=size * share, of_rows=size * (1.0 - share))
 
-    def _misfit(self, r: np.ndarray) -> float:
-        """Return -2 log likelihood of residuals, shape (R,), their size profiled out."""
-        log_of_whitening = sum(float(np.sum(np.log(np.diag(W)))) for _, W in self.whitening)
-        return len(r) * float(np.log(np.sum(self.whitened(r) ** 2))) - 2.0 * log_of_whitening
+    def _principal(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return variances by the drives along axes of unit variance by rows, and the residuals r there, (R,) each."""
+        drives = replace(self, of_drives=1.0, of_rows=0.0)
+        alone = replace(self, of_drives=0.0, of_rows=1.0)
+        variances, along = [], []
+        for rows in self._poses:
+            W = np.linalg.inv(np.linalg.cholesky(alone.covariance(rows)))
+            found, axes = np.linalg.eigh(W @ drives.covariance(rows) @ W.transpose(0, 2, 1))
+            here = (W @ r[self._places(rows)][:, :, None])[:, :, 0]
+            variances.append(np.maximum(found, 0.0).ravel())
+            along.append(np.einsum("pij,pi->pj", axes, here).ravel())
+        return np.concatenate(variances), np.concatenate(along)
 
 
 def shared_noise(station: Station, values: np.ndarray, plan: Plan, *, sigma: np.ndarray, of_pose: np.ndarray) -> SharedNoise:
@@ -333,8 +366,10 @@ def shared_in_fit(
         return 1.0, 0.0
     J = np.concatenate([part for _, _, part in station.linearise(values, free)], axis=2) * scale
     X = J.transpose(0, 2, 1).reshape(len(J), -1)
-    # Singular directions of the readings, weak ones left out.
-    U, s, _ = np.linalg.svd((X / np.maximum(np.linalg.norm(X, axis=1, keepdims=True), 1e-300)).T, full_matrices=False)
-    U = U[:, s > _RANK * s[0]].T
+    X = X / np.maximum(np.linalg.norm(X, axis=1, keepdims=True), 1e-300)
+    # Orthonormal directions of the readings, weak ones left out.
+    squares, axes = np.linalg.eigh(X @ X.T)
+    strong = squares > _RANK**2 * squares[-1]
+    U = (axes[:, strong] / np.sqrt(squares[strong])).T @ X
     whole = noise.of_drives + noise.of_rows
     return max(float(np.linalg.eigvalsh(noise.covariances(U))[-1]), 1.0), float(noise.of_drives / whole)
