@@ -644,7 +644,8 @@ def test_days_drawn_again_show_what_differs_between_them(machine: sim.TrueMachin
     spread = bootstrap_stations(fit, draws=40, seed=1)[:, i].std()
     offsets = np.random.default_rng(5).normal(0.0, 5e-4, 12)
     assert spread == pytest.approx(offsets.std() / np.sqrt(12), rel=0.5)
-    assert spread > 1.5 * bootstrap(fit, draws=40, seed=1)[:, i].std()
+    # Poses are drawn with all their targets, which share the day.
+    assert spread > 1.25 * bootstrap(fit, draws=40, seed=1)[:, i].std()
 
 
 def test_the_only_station_is_not_drawn_again(machine: sim.TrueMachine, kuka: Robot) -> None:
