@@ -394,15 +394,17 @@ def _sweeps(scene: Scene, rng: np.random.Generator) -> Region:
 
 def _cube_at(scene: Scene, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
     """Return a pose, its tip in the base frame, and half of the edge of a cube about it that the tip reaches."""
-    edge = 0.5 * _CUBE * scene.robot.reach
     corners = np.array(list(itertools.product([-1.0, 1.0], repeat=3)))
-    for _ in range(_TRIES):
-        q = anywhere(scene, 1, rng)
-        tip = sim.TrueMachine.of_arm(scene.nominal).tip(q)[0]
-        goal = np.tile(tip, (8, 1, 1))
-        goal[:, :3, 3] += edge * corners
-        if reach(scene.nominal, np.tile(q, (8, 1)), goal=goal)[1].all():
-            return q[0], tip, edge
+    # Arms of skew axes reach smaller ones only.
+    for size in (1.0, 0.7, 0.5, 0.35):
+        edge = 0.5 * size * _CUBE * scene.robot.reach
+        for _ in range(_TRIES):
+            q = anywhere(scene, 1, rng)
+            tip = sim.TrueMachine.of_arm(scene.nominal).tip(q)[0]
+            goal = np.tile(tip, (8, 1, 1))
+            goal[:, :3, 3] += edge * corners
+            if reach(scene.nominal, np.tile(q, (8, 1)), goal=goal)[1].all():
+                return q[0], tip, edge
     raise ValueError("no cube within reach")
 
 
