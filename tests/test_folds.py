@@ -16,7 +16,7 @@ from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import ModelFit
 from pincal.identify.folds import Folds, left_out_residuals
 from pincal.identify.solve import Course, solve
-from pincal.measure.measurements import Measurements, measurements_from_arrays
+from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays
 from pincal.model.effects import ELASTIC, GEOMETRIC
 
 URDF = kuka_urdf_path()
@@ -192,6 +192,16 @@ def test_a_session_is_predicted_by_the_others(robot: Robot) -> None:
     sessions = Folds.of(fit.problem, ("sessions",)).of_way["sessions"]
 
     assert sessions.tolist() == [0] * 30 + [1] * 30
+
+
+def test_a_session_of_most_poses_is_not_predicted_by_the_rest(robot: Robot) -> None:
+    """Five poses of a test by ISO 9283, however often visited, do not predict sixty others measured later."""
+    cycles, others = measured(5, 30), measured(60, seed=1)
+    rows = concatenate([cycles, others])
+    time = np.concatenate([np.arange(len(cycles)) * 10.0, 9e4 + np.arange(len(others)) * 10.0])
+    fit = fit_tables(robot, replace(rows, time=time), Options(effects=GEOMETRIC))
+
+    assert list(Folds.of(fit.problem, ("regions", "sessions")).of_way) == ["regions"]
 
 
 def test_an_error_that_persists_along_the_rows_costs_no_fold_its_instrument(robot: Robot) -> None:

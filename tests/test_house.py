@@ -45,7 +45,7 @@ BOUNDS = {
     "identify.equations": "_MOST_KEPT _MOST_AT_ONCE",
     "identify.explain": "_ONE _SAME _RANK _ROWS _TOGETHER",
     "identify.fit": "MOST_STEPS",
-    "identify.folds": "_FOLDS _STEPS _SHORT _LINEAR",
+    "identify.folds": "_FOLDS _MANY _LARGEST _STEPS _SHORT _LINEAR",
     "identify.initial": "_ROWS _SETTLED_ROWS _FEWEST_SETTLED_ROWS _ALIKE",
     "identify.jacobian": "_PADDING _AT_ONCE",
     "identify.many_rows": "MANY EACH",

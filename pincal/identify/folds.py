@@ -35,8 +35,8 @@ from pincal.measure.stops import sessions_by_time
 Way = Literal["regions", "stretches", "sessions", "random"]
 """In what held-out rows are apart from fitted ones: joint positions, the order of measurement, the session, or nothing."""
 
-# Folds of each way.
-_FOLDS = 25
+# Folds of each way; of fewer than so many, the largest fraction of all poses in one of them.
+_FOLDS, _MANY, _LARGEST = 25, 10, 2 / 3
 # Steps at most to the fit without a fold, and the motion of predictions by the last one, in units of the noise, that
 # needs no further one.
 _STEPS, _SHORT = 3, 0.3
@@ -60,12 +60,12 @@ class Folds:
 
     @classmethod
     def of(cls, problem: Problem, ways: Sequence[Way], *, seed: int = 0) -> Folds:
-        """Divide the rows of a problem in some ways; those that would leave a single fold are left out.
+        """Divide the rows of a problem in some ways, without those in which a fold leaves too few poses to fit.
 
         Rows of one pose are always in one fold, at all stations.
         """
         found = {way: _together(problem, _FOLDS_OF[way](problem, seed)) for way in ways}
-        return cls({way: fold for way, fold in found.items() if len(fold) and fold.max() > 0}, seed)
+        return cls({way: fold for way, fold in found.items() if _leaves_enough(problem, fold)}, seed)
 
     def over(self, problem: Problem) -> Folds:
         """Return the division of another problem's rows in the same ways; the same for the same rows."""
@@ -211,6 +211,21 @@ def _together(problem: Problem, fold: np.ndarray) -> np.ndarray:
         _, first, pose = np.unique(same_joints(q, SCATTER), return_index=True, return_inverse=True)
         fold = fold[first][pose.ravel()]
     return np.asarray(np.unique(fold, return_inverse=True)[1].ravel())
+
+
+def _leaves_enough(problem: Problem, fold: np.ndarray) -> bool:
+    """Return whether the poses outside of every fold are a good part of all.
+
+    Of a session of a few poses, as of a test by ISO 9283, those of another can't be predicted.
+    """
+    if not len(fold):
+        return False
+    if fold.max() + 1 >= _MANY:
+        return True
+    poses = same_joints(problem.conditions.q, SCATTER)
+    _, first = np.unique(poses, axis=0, return_index=True)
+    in_fold = np.bincount(fold[first], minlength=int(fold.max()) + 1)
+    return bool(in_fold.max() <= _LARGEST * len(first))
 
 
 def _regions(problem: Problem, seed: int) -> np.ndarray:
