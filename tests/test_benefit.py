@@ -137,6 +137,22 @@ def test_expected_errors_are_the_true_ones(poses):
     np.testing.assert_allclose(np.mean(expected, axis=0) / np.mean(true, axis=0), 1.0, atol=0.4)
 
 
+@pytest.mark.parametrize("resting", [(0, 1, 2), (5,)])
+def test_a_plan_that_leaves_joints_at_rest_calibrates_the_others(resting):
+    """What such a plan tells does no harm anywhere, and makes the errors at poses like its own a hundredth."""
+    machine = machine_of(2, 1e-3)
+    rng = np.random.default_rng(2)
+    q = ur5().random_configurations(80, rng)
+    q[:, resting] = 0.8
+    position = target_of(machine, q)[1] + TRACKER * rng.standard_normal((80, 3))
+    table = measurements_from_arrays(ur5().joint_names, q, position=position)
+    found = run_calibration(ur5(), table, Options())
+    before = found.result.error["nominal"]["test"]["rms_mm"]
+
+    assert not found.result.is_kept
+    assert found.result.error["calibrated"]["test"]["rms_mm"] < 0.1 * before
+
+
 @pytest.mark.parametrize("declared", [True, False])
 def test_errors_that_exceed_the_noise_a_thousandfold_are_expected(declared):
     """However much smaller an unknown noise is than what the URDF leaves, the errors expected are the true ones."""

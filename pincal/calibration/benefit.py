@@ -39,11 +39,16 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.options import Kept, PriorScale
 from pincal.identify.prior_scale import observes_places
 from pincal.identify.quadratic import Factor
+from pincal.identify.station import Station
+from pincal.measure.extrinsics import sample_rows
+from pincal.model.conditions import Conditions
 
 # Factors on the priors that are compared: the URDF as it is (for the arithmetic, a thousandth), then up to the usual priors.
 _NONE, _LEAST, _STEP = 1e-3, 1e-2, 10.0**0.125
 # Standard deviation of parameters without a prior [m or rad].
 _ANYWHERE = 10.0
+# Measured poses at most at which errors are compared.
+_MEASURED = 500
 # Ratio of the noise of the nominal robot to that of the fit beyond which the fit is taken to have none.
 _MOST = 1e4
 
@@ -95,7 +100,8 @@ def benefit_of(fit: ModelFit) -> Benefit | None:
     found = _Evidence.of(fit, shared, scaled).compared
     scales = np.array([given.scale for given in found])
     evidences = np.array([given.log_evidence for given in found])
-    W = _weight(fit, shared)
+    at = next(station for station in problem.stations if station.sensor.reads_place)
+    W = _weight(fit, shared, at, random_conditions(at))
     x = (fit.values - fit.nominal.values)[shared]
     losses = np.array([[given.loss(W, 0.0 * x), given.loss(W, x)] for given in found])
     weights = _weights(evidences)
@@ -107,9 +113,21 @@ def benefit_of(fit: ModelFit) -> Benefit | None:
     # To leave a robot as it is costs a gain; to make it worse costs trust.
     odds = np.zeros(len(found))
     odds[0] = np.log(CRITERIA.as_described * (len(found) - 1))
-    doubted = _weights(evidences + odds) @ losses
-    is_worth_it = bool(np.sqrt(doubted[1]) < CRITERIA.worth_it * np.sqrt(doubted[0]))
+    doubted = _weights(evidences + odds)
+    anywhere = _ratio(doubted @ losses)
+    # A plan may show what matters at its poses, such as those of three joints, and little of the rest.
+    measured = at.conditions.select(sample_rows(len(at), _MEASURED))
+    W_measured = _weight(fit, shared, at, measured)
+    losses_measured = np.array([[given.loss(W_measured, 0.0 * x), given.loss(W_measured, x)] for given in found])
+    at_measured = _ratio(doubted @ losses_measured)
+    is_worth_it = anywhere < CRITERIA.worth_it or (at_measured < CRITERIA.worth_it and anywhere < CRITERIA.no_worse)
     return Benefit(float(nominal), float(calibrated), scale, spread, is_worth_it)
+
+
+def _ratio(mean_squares: np.ndarray) -> float:
+    """Return the expected error of the calibrated robot over that of its URDF, from the mean squares of both."""
+    of_nominal, of_calibrated = np.sqrt(mean_squares)
+    return float(of_calibrated / of_nominal)
 
 
 def _weights(logarithms: np.ndarray) -> np.ndarray:
@@ -236,11 +254,10 @@ def _squares(fit: ModelFit, sigma: np.ndarray) -> float:
     return found
 
 
-def _weight(fit: ModelFit, shared: np.ndarray) -> np.ndarray:
-    """Return the matrix of the mean square position error over random poses, shape (F, F) [m^2]."""
-    at = next(station for station in fit.problem.stations if station.sensor.reads_place)
+def _weight(fit: ModelFit, shared: np.ndarray, at: Station, conditions: Conditions) -> np.ndarray:
+    """Return the matrix of the mean square position error over poses of a station's robot, shape (F, F) [m^2]."""
     model = CalibratedModel.of(fit, station=at.name)
-    poses, J = model.model.linearise(model.model_values, model.of_its_day(random_conditions(at)))
+    poses, J = model.model.linearise(model.model_values, model.of_its_day(conditions))
     along = unplaced(J[:, :3], poses)
     places = {name: k for k, name in enumerate(model.model.names)}
     names = [p.name for p, is_shared in zip(fit.problem.parameters, shared, strict=True) if is_shared]

@@ -70,6 +70,8 @@ class Criteria:
         "of its standard deviation to the displacement, above which it is undetermined", "ten standard deviations")
     worth_it: float = number(0.8, "ratio", _NO_HARM,
         "of the error expected of the calibrated robot to that of its URDF, above which the robot stays nominal", "chosen")
+    no_worse: float = number(1.0, "ratio", _NO_HARM,
+        "of these errors anywhere, up to which a robot that is better at measured poses is calibrated", "no harm")
     as_described: float = number(10.0, "odds", _NO_HARM,
         "that a robot is as in its URDF against any other size of its deviations, where harm is to be excluded",
         "of 1200 sound UR5 off by 0.3 to 1 mm, 14 or 30 noisy marker poses then make none of twelve groups 2 % worse")
