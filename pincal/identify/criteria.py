@@ -200,6 +200,9 @@ class VisitNumbers:
     chance: float = number(0.0005, "probability", _SOUND_VISITS,
         "that a table of sound visits shows a step, a steady or another drift, or a dependence on the number of the visit, "
         "each", "with these four tests, one sound table in 500 at most")
+    touched: float = number(0.003, "probability", _SOUND_VISITS,
+        "that a table of a few sound passes shows a displacement of the instrument between two of them",
+        "five standard deviations of the difference of two means are then seen in 19 of 20 tables")
     as_likely: float = number(2.0 * log(1000.0), _GAIN, _SHIFTED,
         "within which another cause explains a change between visits as well", "odds of 1000 to 1")
     arrival: float = number(1.5e-4, "rad or m", _SCATTER,

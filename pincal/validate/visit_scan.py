@@ -23,6 +23,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import chdtri, fdtrc
 
+from pincal.identify.criteria import VISITS
 from pincal.identify.motion_fields import MotionField
 from pincal.identify.visit_scatter import Arrivals, arrivals_of
 
@@ -48,11 +49,15 @@ class Pattern:
         kind: "step", "drift" or "order".
         x: shape (n, K, C), K patterns of C curves each.
         without: names of fields that do not move in this way.
+        limit: probability below which one is no chance.
+        begins: shape (K,), numbers of the stops from which steps begin; None of other kinds.
     """
 
     kind: str
     x: np.ndarray
     without: frozenset[str] = frozenset()
+    limit: float = VISITS.chance
+    begins: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

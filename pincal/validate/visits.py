@@ -27,6 +27,8 @@ from pincal.validate.visit_scan import Best, Pattern, Scan, Visits
 _MOST = 3
 # Stops from which on a step may begin at most, spread over the table; those around the best are then all tried.
 _CUTS = 150
+# Passes up to which a step between two of them is looked for by itself.
+_MOST_PASSES = 5
 # Poses with visits on both sides of a step.
 _BOTH_SIDES = 3
 # Rounds in which a change and the scatter without it are estimated in turn.
@@ -106,6 +108,7 @@ class _Rows:
         lines: shape (stops,), line of the first row of each stop of the table.
         along: shape (n,), place of its stop in the order, from -1 to 1.
         rank: shape (n,), number of the visit among those of its pose, from 0.
+        passes: shape (n,), number of its pass.
         within: whether visits are readings within a stop.
     """
 
@@ -114,13 +117,24 @@ class _Rows:
     lines: np.ndarray
     along: np.ndarray
     rank: np.ndarray
+    passes: np.ndarray
     within: bool
 
     def patterns(self) -> list[Pattern]:
         """Return the patterns that are tried."""
         if self.within:
             return [self._order()]
-        return [self._steps(_CUTS), self._order(), self._drift(1), self._drift(_DRIFT)]
+        patterns = [self._steps(_CUTS), self._order(), self._drift(1), self._drift(_DRIFT)]
+        return patterns if (touched := self._touched()) is None else [touched, *patterns]
+
+    def _touched(self) -> Pattern | None:
+        """Return the steps of the instrument between two passes, where it is most likely to be touched."""
+        begun, first = np.unique(self.passes, return_index=True)
+        if not 1 < len(begun) <= _MOST_PASSES:
+            return None
+        after = (self.passes[:, None] >= begun[1:]).astype(float)
+        others = frozenset(field.name for field in self.visits.fields) - {"instrument"}
+        return Pattern("step", after[:, :, None], others, VISITS.touched, self.visits.visit[first[1:]])
 
     def steps(self) -> Pattern:
         """Return the steps from each stop on."""
@@ -129,7 +143,7 @@ class _Rows:
     def _steps(self, most: int) -> Pattern:
         begins = self.begins(most)
         after = (self.visits.visit[:, None] >= begins).astype(float)
-        return Pattern("step", after[:, :, None], frozenset({"growth"}))
+        return Pattern("step", after[:, :, None], frozenset({"growth"}), begins=begins)
 
     def begins(self, most: int) -> np.ndarray:
         """Return the numbers of the stops from which a step may begin, at most so many, shape (K,)."""
@@ -227,14 +241,15 @@ def _changes(rows: _Rows) -> Iterator[VisitChange]:
     visits = rows.visits
     for _ in range(_MOST):
         scan = Scan.of(visits, np.zeros_like(visits.off))
-        seen = [pattern for pattern in rows.patterns() if scan.chance(pattern) < VISITS.chance]
+        seen = [pattern for pattern in rows.patterns() if scan.chance(pattern) < pattern.limit]
         if not seen:
             return
         bests = [max(scan.best(pattern), key=lambda found: found.likelihood) for pattern in seen]
-        # A step, or a difference from visit to visit, may be the same pattern as a drift, and explains it with less.
+        # A step, most of all one between passes, or a difference from visit to visit, may be the same pattern as a drift,
+        # and explains it with less.
         enough = max(best.likelihood for best in bests) - _AS_GOOD
         pattern, best = next(pair for pair in zip(seen, bests, strict=True) if pair[1].likelihood >= enough)
-        if pattern.kind == "step":
+        if pattern.begins is not None and len(pattern.begins) == _CUTS:
             pattern = rows.steps()
         for _ in range(_TURNS):
             best = next(other for other in scan.best(pattern) if other.field is best.field)
@@ -263,8 +278,7 @@ def _described(rows: _Rows, scan: Scan, *, pattern: Pattern, best: Best) -> Visi
         words = ("more with each", "from the first", "by turns")
         only = "between the first and the second"
         return replace(change, pattern=words[best.pattern] if pattern.x.shape[1] > 1 else only)
-    if pattern.kind == "step":
-        begins = rows.begins(len(rows.first))
+    if (begins := pattern.begins) is not None:
         line = int(rows.lines[begins[best.pattern]])
         gains = scan.gains(pattern, best.field)
         ratios = best.degrees * -np.log(np.maximum(scan.total - gains, 1e-12 * scan.total))
@@ -385,7 +399,7 @@ def _visits(
     begins = np.unique(plan.stop[plan.order], return_index=True)[1]
     along = 2.0 * plan.stop[first] / max(len(begins) - 1, 1) - 1.0
     rank = plan.visit if rank is None else rank
-    yield _Rows(visits, first, lines[plan.order[begins]], along, rank[first], within)
+    yield _Rows(visits, first, lines[plan.order[begins]], along, rank[first], plan.passes[first], within)
 
 
 def _distinct(fields: tuple[MotionField, ...]) -> tuple[MotionField, ...]:
