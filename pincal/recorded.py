@@ -108,6 +108,16 @@ class Moving:
         inertial, q, velocity, loads = (None if array is None else array[rows] for array in self._arrays)
         return replace(self, inertial=inertial, q=q, velocity=velocity, loads=loads)
 
+    def of_joints(self, order: Sequence[int]) -> Moving:
+        """Return the motion with its joints in another order, given by their indices."""
+        return replace(
+            self,
+            inertial=None if self.inertial is None else self.inertial[:, order],
+            q=None if self.q is None else self.q[:, :, order],
+            velocity=None if self.velocity is None else self.velocity[:, :, order],
+            loads=None if self.loads is None else self.loads[:, :, order],
+        )
+
     def joined(self, others: Sequence[Moving]) -> Moving:
         """Return this motion concatenated with others of the same session."""
         parts = zip(*(each._arrays for each in (self, *others)), strict=True)

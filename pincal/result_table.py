@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Literal
 
+from pincal.errors import BadInputError, nearest_first
 from pincal.units import Quantity, show_plainly
 
 if TYPE_CHECKING:
@@ -116,6 +117,19 @@ class Table:
             {c.heading: x.value if isinstance(x, Quantity) else x for c, x in zip(self.columns, row, strict=True)}
             for row in self.rows
         ]
+
+    def row(self, name: str) -> dict[str, Any]:
+        """Return the row with this name in its first column, as :meth:`records` returns it.
+
+        Raises:
+            BadInputError: if there is none.
+        """
+        names = [str(row[0]) for row in self.rows]
+        if name not in names:
+            near = ", ".join(nearest_first([name], names)[:6])
+            raise BadInputError(f"no row {name!r} in {self.title!r}; nearest first: {near}")
+        k = names.index(name)
+        return replace(self, rows=self.rows[k : k + 1]).records()[0]
 
     def to_csv(self) -> str:
         """Return the data as comma-separated values with a line of headings; quantities in SI units, full precision."""

@@ -14,6 +14,7 @@ from pincal.calibration.calibrated_robot import load_stations
 from pincal.discover.score_tests import score_test
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.believed import Earlier
+from pincal.identify.calibrate import fit_tables
 from pincal.identify.equations import Linearised
 from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem, extended
@@ -169,7 +170,7 @@ def test_too_few_rows_are_refused(machine: sim.TrueMachine, kuka: Robot, both: F
     """Four poses place the instrument and the target and tell next to nothing of the noise."""
     few = tracked(machine, kuka, 1, poses=8).select(np.arange(4))
     with pytest.raises(MeasurementError, match="the noise can't be estimated"):
-        calibrate(kuka, few, Options(effects=ELASTIC, earlier=both.robot_estimate))
+        fit_tables(kuka, few, Options(effects=ELASTIC, earlier=both.robot_estimate))
 
 
 @pytest.mark.long

@@ -20,8 +20,10 @@ from pincal.calibration.result_tables import estimate_table
 from pincal.calibration.station_model import StationModel
 from pincal.errors import BadInputError
 from pincal.identify.fit import ModelFit
-from pincal.identify.station import fingerprints, together
+from pincal.identify.station import conditions_of, fingerprints, together
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
+from pincal.measure.admit import check_joints_of
+from pincal.measure.measurements import Measurements
 from pincal.model.augmented import pinocchio_model
 from pincal.model.conditions import Conditions
 from pincal.model.model import Model
@@ -110,7 +112,7 @@ class Calibrated(ABC):
     @overload
     def predict(
         self,
-        at: Conditions | ArrayLike,
+        at: Conditions | Measurements | ArrayLike,
         *,
         payload: float = 0.0,
         target: str | None = None,
@@ -119,20 +121,31 @@ class Calibrated(ABC):
 
     @overload
     def predict(
-        self, at: Conditions | ArrayLike, *, payload: float = 0.0, target: str | None = None, return_sigma: Literal[True]
+        self,
+        at: Conditions | Measurements | ArrayLike,
+        *,
+        payload: float = 0.0,
+        target: str | None = None,
+        return_sigma: Literal[True],
     ) -> tuple[np.ndarray, np.ndarray]: ...
 
     def predict(
-        self, at: Conditions | ArrayLike, *, payload: float = 0.0, target: str | None = None, return_sigma: bool = False
+        self,
+        at: Conditions | Measurements | ArrayLike,
+        *,
+        payload: float = 0.0,
+        target: str | None = None,
+        return_sigma: bool = False,
     ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
         """Return the target's poses in the instrument's frame (of contacts: in the robot's base frame).
 
         Args:
             at: joint positions, shape (N, n) or (n,) [rad, prismatic m], or the conditions of N poses, for models that need
                 temperature, time or the direction of approach. Missing temperatures and times are taken to be the means of
-                the calibration's rows.
-            payload: mass at the tip [kg]; not with conditions.
-            target: name of the target; default: the first one; not with conditions.
+                the calibration's rows. Or a table, whose joints are matched by name, with its
+                payloads and targets.
+            payload: mass at the tip [kg]; only with joint positions.
+            target: name of the target; default: the first one; only with joint positions.
             return_sigma: whether to also return the standard deviation of the position.
 
         Returns:
@@ -141,9 +154,19 @@ class Calibrated(ABC):
 
         Raises:
             BadInputError: if the joint positions have another shape, or there is no such target.
+            MeasurementError: if the joints of a table are not the robot's, or their positions
+                are impossible.
         """
         found = self.at()
-        conditions = at if isinstance(at, Conditions) else found.conditions_at(at, payload=payload, target=target)
+        if isinstance(at, Measurements):
+            robot = found.model.chain.robot
+            table = at.in_order_of(robot)
+            check_joints_of(robot, table)
+            conditions = conditions_of(found.model, table, found.payload_centre)
+        elif isinstance(at, Conditions):
+            conditions = at
+        else:
+            conditions = found.conditions_at(at, payload=payload, target=target)
         poses = found.model.predict(found.model_values, found.of_its_day(conditions))
         return (poses, self.position_sigma(conditions)) if return_sigma else poses
 

@@ -14,18 +14,25 @@ from typing import Any
 
 import numpy as np
 
+from pincal.calibration.agreed import AgreedFit, fit_agreed
 from pincal.calibration.calibrated import Calibrated, CalibratedModel, estimate_at
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.model_file import MeasuredEntry, ModelFile, StationsFile, read_model, write_model_file
-from pincal.calibration.result_tables import estimate_table, parameter_rows, parameter_table
+from pincal.calibration.result_tables import (
+    estimate_table,
+    parameter_rows,
+    parameter_table,
+    residual_table,
+)
 from pincal.calibration.unmodelled import Unmodelled, unmodelled_by
-from pincal.errors import BadInputError, ModelFileError
+from pincal.errors import BadInputError, ModelFileError, warn
 from pincal.identify import calibrate as identify
 from pincal.identify import fit as identified
-from pincal.identify.calibrate import Tables
+from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.identify.station import Station
+from pincal.measure.admit import admit, admit_test, check_table
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, stations_of
 from pincal.model.model import Model
@@ -34,6 +41,7 @@ from pincal.motion.stations import session_tables
 from pincal.parameters import Estimate, estimate_of
 from pincal.result_table import Table
 from pincal.robot.robot import Robot
+from pincal.units import format_readable
 
 
 @dataclass(frozen=True, repr=False)
@@ -151,6 +159,8 @@ log = logging.getLogger(__name__)
 
 File = str | os.PathLike[str]
 Files = File | Sequence[File] | Mapping[str, File]
+# Stations whose noise stands in one line.
+_NAMED_STATIONS = 3
 
 
 @dataclass(frozen=True, repr=False)
@@ -163,9 +173,11 @@ class Fit(identified.ModelFit, Calibrated):
         return cls(**{field.name: getattr(found, field.name) for field in fields(identified.ModelFit)})
 
     def __repr__(self) -> str:
-        rms = float(np.sqrt(self.solution.cost))
         robot = self.problem.stations[0].model.chain.robot.name
-        return f"Fit({robot!r}: {len(self.problem)} rows, residuals {rms:.3g} times the noise)"
+        noise = list(self._noise())
+        if len(noise) > _NAMED_STATIONS:
+            noise = [*noise[:_NAMED_STATIONS], f"and {len(noise) - _NAMED_STATIONS} more stations"]
+        return f"Fit({robot!r}: {len(self.problem)} rows, noise {'; '.join(noise)})"
 
     @cached_property
     def left(self) -> Unmodelled | None:
@@ -225,9 +237,11 @@ class Fit(identified.ModelFit, Calibrated):
             measurements: the rows, or their file.
             station: their station, with its base, targets and noise, if the fit is of several.
         """
-        table = _tables(self.problem.chain.robot, measurements)
+        robot = self.problem.chain.robot
+        table = _tables(robot, measurements)
         if not isinstance(table, Measurements):
             raise BadInputError(f"{len(table)} tables; expected one, which is scored at one station")
+        table = admit_test(robot, table, self.options.at(station).setup)
         rows, k = self.readings(table, station=station), self.names.index(station)
         return self._log_density(k, rows, np.ones(len(table))) / (len(table) * rows.reading_size)
 
@@ -247,6 +261,15 @@ class Fit(identified.ModelFit, Calibrated):
         """Value and standard deviation of each parameter; of one station also status and reason."""
         return estimate_table(self.estimate) if len(self.names) > 1 else parameter_table(parameter_rows(self))
 
+    @property
+    def residuals(self) -> Table:
+        """Reading minus prediction at each row of the fit, by the nominal and the calibrated robot.
+
+        Of the nominal robot only base and tool are fitted. A row is a reading, or the mean of those
+        of a pose; outliers, which the fit left out, are marked 1. Units stand in the headings.
+        """
+        return residual_table(self)
+
     def summary(self) -> str:
         """Return the robot, the convergence of the fit and its residuals, in words."""
         state = "converged" if self.solution.converged else "did not converge"
@@ -257,17 +280,23 @@ class Fit(identified.ModelFit, Calibrated):
         )
 
     def _noise(self) -> Iterator[str]:
-        """Yield the noise of each station's readings, with its name if there are several."""
-        sigma = iter(self.solution.sigma)
-        for station in self.problem.stations:
-            sizes = ", ".join(f"{next(sigma):.3g} {block.unit}" for block in station.sensor.blocks)
-            yield f"{station.name}: {sizes}" if len(self.names) > 1 else sizes
+        """Yield the noise of each station's residuals, with its name if there are several."""
+        for station, _, blocks in super().stations:
+            estimated = self.solution.estimated[blocks]
+            blocks_of = zip(estimated.tolist(), station.sensor.blocks, strict=True)
+            words = ", ".join(format_readable(size, block.unit) for size, block in blocks_of)
+            yield f"{station.name}: {words}" if len(self.names) > 1 else words
 
 
 def calibrate(
     robot: Robot, measurements: Tables | Files, options: Options | None = None, *, executor: Executor | None = None
 ) -> Fit:
     """Calibrate a robot from measured poses.
+
+    The rows are checked as ``pincal calibrate`` checks them: tables in another unit, with mixed-up
+    columns or of another robot are refused. Joints are matched by name. Where the readings show
+    that a joint has another sign or zero than described, the fit is of the robot so corrected
+    (``fit.problem.chain.robot``), and a warning says so.
 
     Several tables are several stations: set-ups of an instrument and its targets, of the same kind or not. Each has its own
     base, targets and noise, and all share the robot.
@@ -283,7 +312,11 @@ def calibrate(
         The fit, ready to predict; check ``solution.converged``.
 
     Raises:
-        MeasurementError: if the rows are too few to determine the parameters and the noise.
+        MeasurementError: if the rows are too few to determine the parameters and the noise, their
+            joints are not the robot's, or they can't be of this robot.
+
+    Warns:
+        PincalWarning: of rows left out, unlikely values and corrections of the robot's description.
 
     Example:
         >>> from pincal.builtin import kuka_urdf_path
@@ -302,7 +335,31 @@ def calibrate(
         >>> bool(np.abs(fit.predict(q)[:, :, 3] - position).max() < 1e-9)
         True
     """
-    return Fit.of(identify.fit_tables(robot, _tables(robot, measurements), options, executor=executor))
+    return Fit.of(_checked(robot, measurements, options, executor=executor).fit)
+
+
+def _checked(
+    robot: Robot,
+    measurements: Tables | Files,
+    options: Options | None,
+    *,
+    executor: Executor | None = None,
+) -> AgreedFit:
+    """Return the fit of a robot with the checks of :func:`calibrate`."""
+    options = Options() if options is None else options
+    tables = tables_of(_tables(robot, measurements))
+    admitted = admit(robot, tables, lambda name: options.at(name).setup)
+    agreed = fit_agreed(robot, admitted.tables, options, executor=executor)
+    for text in (*admitted.notes, *admitted.idle, *agreed.notes):
+        warn(text)
+    return agreed
+
+
+def fitted(robot: Robot, measurements: Tables, options: Options | None = None) -> Fit:
+    """Return the fit of rows that were checked before, without the checks of :func:`calibrate`."""
+    rows = tables_of(measurements)
+    in_order = {name: table.in_order_of(robot) for name, table in rows.items()}
+    return Fit.of(identify.fit_tables(robot, in_order, options))
 
 
 def _tables(robot: Robot, measurements: Tables | Files) -> Tables:
@@ -345,9 +402,18 @@ def calibrate_parts(robot: Robot, parts: Iterable[Measurements], options: Option
         rows = (pincal.read_measurements(path, robot.joint_names, part=part) for part in pincal.row_parts(path))
         fit = pincal.calibrate_parts(robot, rows)
     """
-    fit, rows = None, 0
+    fit = None
+    rows = 0
     for k, part in enumerate(parts, 1):
-        fit, rows = calibrate(robot, part, options), rows + len(part)
+        if fit is None:
+            agreed = _checked(robot, part, options)
+            robot = agreed.robot
+            fit = Fit.of(agreed.fit)
+        else:
+            # What the first part shows of the robot's description holds for all.
+            check_table(robot, part.in_order_of(robot))
+            fit = fitted(robot, part, options)
+        rows += len(part)
         options = replace(fit.options, earlier=fit.robot_estimate)
         log.info("part %d fitted, %d rows so far", k, rows)
     if fit is None:

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pincal.calibration.agreed import fit_agreed
 from pincal.calibration.benefit import without_harm
-from pincal.calibration.calibrated_robot import Fit, calibrate
+from pincal.calibration.calibrated_robot import Fit
 from pincal.calibration.held_out import (
     WAYS,
     LeftOut,
@@ -38,12 +39,8 @@ from pincal.measure.setup import Setup
 from pincal.notes import Note, doubts_first
 from pincal.robot.robot import Robot
 from pincal.validate.accuracy import leading_unit
-from pincal.validate.agreement import check_agreement, unknown_zeros
-from pincal.validate.clock_jumps import check_clocks
 
 log = logging.getLogger(__name__)
-# Corrections of a robot's description at most.
-_CORRECTIONS = 12
 
 
 @dataclass(frozen=True, repr=False)
@@ -206,16 +203,10 @@ def fit_admitted(
         else:
             parts = with_holdout(robot, admitted.tables, holdout, setup_of)
     trained = {part.name: part.measured[0] for part in parts}
-    fit = calibrate(robot, trained, options)
-    check_clocks(tuple(admitted.tables.values()), fit)
-    corrected = list[str]()
-    # The description may be wrong in more than one way.
-    while (found := check_agreement(robot, admitted.tables.values(), fit)) is not None and len(corrected) < _CORRECTIONS:
-        robot = found.of(robot)
-        corrected += found.notes
-        log.info("repeating, as %s", "; ".join(found.notes))
-        fit = calibrate(robot, trained, options)
-    corrected += unknown_zeros(fit)
+    agreed = fit_agreed(robot, admitted.tables, options, trained=trained)
+    robot = agreed.robot
+    fit = Fit.of(agreed.fit)
+    corrected = agreed.notes
     for text in corrected:
         warn(text)
     parts = screened(fit, parts)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.calibration.calibrated_robot import Fit as CalibratedFit
-from pincal.calibration.calibrated_robot import calibrate
+from pincal.calibration.calibrated_robot import fitted
 from pincal.calibration.placing import place_station
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Tables, tables_of
@@ -356,7 +356,7 @@ def leave_out_stations(
     tables: dict[str, Measurements],
     options: Options,
     *,
-    fit_others: FitOthers = calibrate,
+    fit_others: FitOthers = fitted,
     executor: Executor | None = None,
 ) -> Iterator[LeftOut]:
     """Predict each station by the model of the others, only its own frames fitted.
@@ -391,8 +391,8 @@ def _left_out(robot: Robot, tables: dict[str, Measurements], options: Options, f
     try:
         found: dict[str, CalibratedFit] = {"calibrated": fit_others(robot, others, options)}
         is_same = set(found["calibrated"].options.effects) == set(GEOMETRIC)
-        found["geometric"] = found["calibrated"] if is_same else calibrate(robot, others, geometric)
-        found["nominal"] = calibrate(robot, others, replace(options, effects=()))
+        found["geometric"] = found["calibrated"] if is_same else fitted(robot, others, geometric)
+        found["nominal"] = fitted(robot, others, replace(options, effects=()))
         for model, fit in found.items():
             placed = place_station(fit, tables[name])
             sizes[model] = {unit: list(s) for unit, s in pose_error_sizes(placed.station, placed.values).items()}

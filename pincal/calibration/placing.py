@@ -178,7 +178,11 @@ def place_station(
         >>> round(found.moved.instrument, 6), found.moved.target < 1e-9
         (0.866025, True)
     """
-    stops = measurements if isinstance(measurements, StopRows) else StopRows.of(measurements)
+    if isinstance(measurements, StopRows):
+        stops = measurements
+    else:
+        robot = calibrated.robot_model().model.chain.robot
+        stops = StopRows.of(measurements.in_order_of(robot))
     measurements = stops.table
     known = calibrated.robot_model(measurements.kind)
     # Other named points belong to other stations.

@@ -10,10 +10,19 @@ import numpy as np
 
 from pincal.identify.explain import Reason, Status, explain
 from pincal.identify.fit import ModelFit
+from pincal.identify.station import Station
 from pincal.parameters import Estimate, Parameter
 from pincal.result_table import Cell, Column, Kind, RowTone, Table
 from pincal.robot.se3 import placed, rotation_vectors
-from pincal.units import Quantity, fixed, format_readable, show_sigma, show_unit, show_value
+from pincal.units import (
+    Quantity,
+    fixed,
+    format_readable,
+    show_plainly,
+    show_sigma,
+    show_unit,
+    show_value,
+)
 from pincal.validate.accuracy import ANGLE_WORDS, ERROR_UNITS, leading_unit
 from pincal.validate.outcome import ClockRecord, Improvement, StationRecord
 
@@ -116,6 +125,48 @@ def parameter_rows(fit: ModelFit) -> tuple[ParameterRow, ...]:
             fit.problem.parameters, values, fit.estimate.sigma, fit.solution.free, explain(fit), strict=True
         )
     )
+
+
+def residuals_by_name(
+    station: Station,
+    what: str,
+    residuals: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """Return residuals, shape (m, N), by component, such as "nominal_position_x [m]", (N,) each."""
+    found = {}
+    left = iter(residuals)
+    for block in station.sensor.blocks:
+        for component in block.components:
+            found[f"{what}_{component} [{block.unit}]"] = next(left)
+    return found
+
+
+def residual_table(fit: ModelFit) -> Table:
+    """Return the residuals of the rows of a fit, station by station, before and after."""
+    is_single = len(fit.problem.stations) == 1
+    records: list[dict[str, Cell]] = []
+    for (station, places, _), rows in zip(fit.stations, fit.problem.rows, strict=True):
+        columns: dict[str, Sequence[Cell]] = {}
+        if not is_single:
+            columns["station"] = [station.name] * len(station)
+        columns["row"] = range(len(station))
+        columns["outlier"] = (fit.solution.weights[rows] == 0.0).astype(int).tolist()
+        for model, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
+            left = residuals_by_name(station, model, station.residuals(values[places]))
+            columns |= {name: numbers.tolist() for name, numbers in left.items()}
+        for cells in zip(*columns.values(), strict=True):
+            records.append(dict(zip(columns, cells, strict=True)))
+    # Stations with other sensors have other components.
+    names = list(dict.fromkeys(name for record in records for name in record))
+    kinds = [Kind.NAME if name == "station" else Kind.NUMBER for name in names]
+    named = zip(names, kinds, strict=True)
+    heads = tuple(Column(name, kind=kind, show=_show_residual) for name, kind in named)
+    cells_of = (tuple(record.get(name) for name in names) for record in records)
+    return Table("Residuals", heads, tuple(cells_of))
+
+
+def _show_residual(cell: Cell) -> str:
+    return f"{cell:.3g}" if isinstance(cell, float) else show_plainly(cell)
 
 
 def error_table(error: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table:

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from pincal.cli.inputs import Prepared
     from pincal.discover.run import Discovery
     from pincal.identify.options import Options
-    from pincal.identify.station import Station
 
 # The view in three dimensions that accompanies the report.
 VIEW = "view3d.html"
@@ -289,6 +288,8 @@ def _write_residuals(path: Path, calibration: Calibration) -> None:
 
 def _residuals(calibration: Calibration, k: int) -> Iterator[dict[str, np.ndarray]]:
     """Yield the columns of residuals.csv for the fitted rows of the k-th station, and for those held out."""
+    from pincal.calibration.result_tables import residuals_by_name
+
     fit, rows = calibration.fit, calibration.stations[k]
     _, places, _ = list(fit.stations)[k]
     for part, table in zip(("fitted", "held out"), rows.measured, strict=True):
@@ -300,20 +301,14 @@ def _residuals(calibration: Calibration, k: int) -> Iterator[dict[str, np.ndarra
         found = {"station": np.full(len(table), rows.name)} if len(calibration.stations) > 1 else {}
         found |= {"line": table.rows, "rows": np.full(len(table), part), "outlier": (weights == 0.0).astype(int)}
         for model, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
-            found |= _named(problem, model, problem.residuals(values[places]))
+            found |= residuals_by_name(problem, model, problem.residuals(values[places]))
         validated = calibration.validated
         if part == "fitted" and validated is not None:
             left_out = validated.lead[k].residuals
             # Where only a sample of very many rows was divided into folds, most have none.
             if left_out.shape[1] == len(table):
-                found |= _named(problem, "left_out", left_out)
+                found |= residuals_by_name(problem, "left_out", left_out)
         yield found
-
-
-def _named(station: Station, what: str, residuals: np.ndarray) -> dict[str, np.ndarray]:
-    """Return residuals, shape (m, N), as columns of residuals.csv."""
-    names = [f"{component} [{block.unit}]" for block in station.sensor.blocks for component in block.components]
-    return {f"{what}_{name}": row for name, row in zip(names, residuals, strict=True)}
 
 
 @contextmanager

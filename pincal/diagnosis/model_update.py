@@ -53,6 +53,7 @@ def update(
         BadInputError: as :func:`diagnose`, or for an effect that the model does not have.
     """
     model = calibrated.robot_model(measurements.kind)
+    measurements = measurements.in_order_of(model.model.chain.robot)
     some = looked_at(StopRows.of(measurements))
     placed = relocated(model, some, sigma_orientation=sigma_orientation)
     noise = _Declared(sigma, sigma_orientation)

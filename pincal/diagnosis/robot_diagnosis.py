@@ -136,6 +136,7 @@ def diagnose(
     if not 0.0 < alpha < 0.5:
         raise BadInputError(f"alpha is {alpha:g}; expected a probability of a false alarm between 0 and 0.5, such as 0.01")
     model = calibrated.robot_model(measurements.kind)
+    measurements = measurements.in_order_of(model.model.chain.robot)
     all_rows = len(measurements)
     whole = StopRows.of(measurements)
     stops = looked_at(whole)

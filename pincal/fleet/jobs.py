@@ -21,7 +21,7 @@ import numpy as np
 import polars as pl
 
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import calibrate, load_stations
+from pincal.calibration.calibrated_robot import fitted, load_stations
 from pincal.calibration.information import RobotInformation
 from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, diagnose
 from pincal.discover.run import run_discovery
@@ -113,7 +113,7 @@ class CalibrateTables(Job):
         _check(self.robot, table)
         off: tuple[str, ...] = ()
         if self.type is None:
-            fit = calibrate(self.robot, table, self.options)
+            fit = fitted(self.robot, table, self.options)
         else:
             fit, member = calibrate_of_type(self.robot, table, self.type, self.options, name=key.machine)
             off = member.off

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 
-from pincal.calibration.calibrated_robot import Fit, calibrate
+from pincal.calibration.calibrated_robot import Fit, calibrate, fitted
 from pincal.calibration.information import geometry_of
 from pincal.errors import BadInputError, ModelFileError
 from pincal.fleet.evidence import Forms, in_prior_units, least_chance, log_ratios, regular, scores, times_farther
@@ -369,7 +369,8 @@ def calibrate_of_type(
     fit = calibrate(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects)))
     # A deviation that the prior excludes inflates the noise, so that nothing is significant: then judged without the prior.
     is_fair = fit.is_declared and fit.solution.cost < _FITS
-    member = of.judge(Machine.of(fit if is_fair else calibrate(robot, measurements, options), name))
+    member = of.judge(Machine.of(fit if is_fair else fitted(robot, measurements, options), name))
     if not member.is_usual:
-        fit = calibrate(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects, member)))
+        wider = of.prior_of(robot, options.effects, member)
+        fit = fitted(robot, measurements, replace(options, earlier=wider))
     return fit, member

@@ -49,11 +49,12 @@ def admit(
 ) -> Admitted:
     """Return the rows of each station that a fit can use, after all checks that need no fit.
 
-    Known distances may involve points of held-out rows.
+    Their joints are in the robot's order. Known distances may involve points of held-out rows.
 
     Raises:
         MeasurementError: if a table can't be of this robot, or its rows are too few.
     """
+    tables = {name: table.in_order_of(robot) for name, table in tables.items()}
     setups = {name: setup_of(name) for name in tables}
     idle: list[str] = []
     for setup in {id(setup): setup for setup in setups.values()}.values():
@@ -79,7 +80,7 @@ def admit_test(robot: Robot, table: Measurements, setup: Setup) -> Measurements:
     Raises:
         MeasurementError: if the table can't be of this robot, or no row is left.
     """
-    table = scorable_rows(table, setup)
+    table = scorable_rows(table.in_order_of(robot), setup)
     check_table(robot, table, minimum=1)
     return table
 

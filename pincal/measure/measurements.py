@@ -159,6 +159,41 @@ class Measurements(Recorded):
         q = robot.from_reported(self.q)
         return self if q is self.q else replace(self, q=q)
 
+    def in_order_of(self, robot: Robot) -> Measurements:
+        """Return the table with its joints in the order of the robot's, matched by name.
+
+        Raises:
+            MeasurementError: if the names are not those of the robot's joints.
+        """
+        if self.joint_names == robot.joint_names:
+            return self
+        if sorted(self.joint_names) != sorted(robot.joint_names):
+            raise MeasurementError(self._other_joints(robot))
+        order = [self.joint_names.index(name) for name in robot.joint_names]
+        of_joints = ("q", *(name for name in _OF_JOINTS if getattr(self, name) is not None))
+        changed: dict[str, Any] = {name: getattr(self, name)[:, order] for name in of_joints}
+        moving = None if self.moving is None else self.moving.of_joints(order)
+        return replace(self, joint_names=robot.joint_names, moving=moving, **changed)
+
+    def _other_joints(self, robot: Robot) -> str:
+        """Return in words that these are other joints than the robot's."""
+        unknown = [name for name in self.joint_names if name not in robot.joint_names]
+        missing = [name for name in robot.joint_names if name not in self.joint_names]
+        parts = []
+        if unknown:
+            parts.append(f"unknown: {', '.join(unknown)}")
+        if missing:
+            parts.append(f"missing: {', '.join(missing)}")
+        if robot.dependent and not unknown and set(missing) <= robot.dependent:
+            cure = "pincal.measurements(robot, q, ...) computes the joints that follow from others"
+        else:
+            cure = "name the joints of the table as the robot's, in any order"
+        got = ", ".join(self.joint_names)
+        expected = ", ".join(robot.joint_names)
+        found = "; ".join(parts) or "one of them twice"
+        wanted = f"expected those of {robot.name}: {expected} ({found})"
+        return f"{self.source}: joints {got}; {wanted}; {cure}"
+
     def _with(self, columns: Mapping[str, np.ndarray]) -> Measurements:
         readings = {name: columns[name] for name in self.readings}
         rest: dict[str, Any] = {name: array for name, array in columns.items() if name not in readings}

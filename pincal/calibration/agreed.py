@@ -1,0 +1,74 @@
+"""A fit to tables that agrees with them: the check after the fit, for the command and for Python."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+from pincal.identify.calibrate import fit_tables
+from pincal.identify.fit import ModelFit
+from pincal.identify.options import Options
+from pincal.measure.measurements import Measurements
+from pincal.robot.robot import Robot
+from pincal.validate.agreement import check_agreement, unknown_zeros
+from pincal.validate.clock_jumps import check_clocks
+
+log = logging.getLogger(__name__)
+# Corrections of a robot's description at most.
+_CORRECTIONS = 12
+
+
+@dataclass(frozen=True)
+class AgreedFit:
+    """A fit whose tables can be of its robot.
+
+    Attributes:
+        robot: the arm, its description perhaps corrected.
+        fit: of this robot.
+        notes: the corrections, in words.
+    """
+
+    robot: Robot
+    fit: ModelFit
+    notes: tuple[str, ...]
+
+
+def fit_agreed(
+    robot: Robot,
+    admitted: Mapping[str, Measurements],
+    options: Options,
+    *,
+    trained: Mapping[str, Measurements] | None = None,
+    executor: Executor | None = None,
+) -> AgreedFit:
+    """Fit tables and refuse them if their residuals can't be this robot's.
+
+    Args:
+        robot: the arm.
+        admitted: the rows of each station, see :func:`pincal.measure.admit.admit`.
+        options: how to fit.
+        trained: the rows among them that are fitted; default: all.
+        executor: as for :func:`pincal.calibrate`.
+
+    Returns:
+        The fit. Where readings show joints with another sign or zero than described, it is of the
+        corrected robot.
+
+    Raises:
+        MeasurementError: if a clock jumps, or the tables are not of this robot.
+    """
+    rows = admitted if trained is None else trained
+    fit = fit_tables(robot, rows, options, executor=executor)
+    check_clocks(tuple(admitted.values()), fit)
+    corrected = list[str]()
+    # The description may be wrong in more than one way.
+    found = check_agreement(robot, admitted.values(), fit)
+    while found is not None and len(corrected) < _CORRECTIONS:
+        robot = found.of(robot)
+        corrected += found.notes
+        log.info("repeating, as %s", "; ".join(found.notes))
+        fit = fit_tables(robot, rows, options, executor=executor)
+        found = check_agreement(robot, admitted.values(), fit)
+    return AgreedFit(robot, fit, (*corrected, *unknown_zeros(fit)))
