@@ -84,6 +84,7 @@ from pincal.motion.stations import session_tables as session_tables
 from pincal.notes import Note as Note
 from pincal.parameters import Parameter as Parameter
 from pincal.plugins import load_plugin as load_plugin
+from pincal.report.drawings import drawings as drawings
 from pincal.robot.cell import Beside as Beside
 from pincal.robot.cell import read_cell as read_cell
 from pincal.robot.robot import Robot as Robot

@@ -172,6 +172,15 @@ def test_pages_show_what_is_printed(page: Path, tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.long
+def test_notebooks_import_nothing_internal() -> None:
+    """They take names from ``pincal`` and its packages for data, simulation and views only."""
+    texts = [path.read_text("utf-8") for path in sorted((ROOT / "examples").glob("*.ipynb"))]
+    modules = {found for text in texts for found in re.findall(r"from (pincal\.[\w.]+) import", text)}
+
+    assert len(texts) == 3
+    assert modules <= {"pincal.builtin", "pincal.simulate", "pincal.viewer"}
+
+
 @pytest.mark.parametrize("notebook", sorted((ROOT / "examples").glob("*.ipynb")), ids=lambda notebook: notebook.stem)
 def test_notebooks_run_and_draw(notebook: Path, tmp_path: Path) -> None:
     """Every cell runs, figures are drawn and the robot in 3D, as notebooks are kept without outputs."""

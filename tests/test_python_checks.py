@@ -193,6 +193,21 @@ def test_a_fit_shows_its_noise(fit: pincal.Fit) -> None:
     assert repr(fit) == f"Fit('kuka_kr125_2': 120 rows, noise {noise:.3g} mm)"
 
 
+def test_the_figures_of_a_calibration_are_at_hand(
+    robot: pincal.Robot,
+    table: pincal.Measurements,
+) -> None:
+    """``pincal.drawings`` returns the errors and the corrections of lengths and angles."""
+    run = pincal.run_calibration(robot, table, GEOMETRY)
+    titles = [title for _, title, _ in pincal.drawings(run)]
+
+    assert titles[0].startswith("Histogram of position errors")
+    assert titles[-2:] == [
+        "Corrections of lengths with their uncertainty",
+        "Corrections of angles with their uncertainty",
+    ]
+
+
 def test_parameters_are_found_by_name(fit: pincal.Fit) -> None:
     """The table of parameters returns value, standard deviation and unit of one by its name."""
     k = fit.estimate.names.index("joint_2.theta")
