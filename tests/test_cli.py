@@ -313,7 +313,7 @@ def test_interruption_leaves_nothing_half_done(tmp_path, table, monkeypatch, cap
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(module, "calibrate", interrupted)
+    monkeypatch.setattr(module, "fit_agreed", interrupted)
     assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--quiet") == 130
     assert "interrupted" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
